@@ -68,9 +68,10 @@ class PauseGate:
 
     def may_send(self, stamps: Sequence[float]) -> list[bool]:
         """Tell for each stamp whether a sample that was measured then may be sent."""
-        # A stamp that is no number is refused elsewhere, and said; during a pause it is silent.
-        is_on = self.is_on
-        return [not stamp < self._send_from and not is_on for stamp in stamps]
+        if self._send_from == math.inf:
+            return [False] * len(stamps)
+        # A stamp that is no number is refused elsewhere, and said.
+        return [not stamp < self._send_from for stamp in stamps]
 
     def share(self, begin: float, end: float) -> float:
         """Return which part of a span of time was paused, 0 to 1."""
