@@ -168,6 +168,17 @@ def test_empty_streams() -> None:
     assert codes(report, Level.NOTE) == {("no-samples", "irregular"), ("no-samples", "markers")}
 
 
+@pytest.mark.parametrize(
+    ("length_s", "level"), [(0.5, Level.WARNING), (2.9, Level.WARNING), (3.1, Level.ERROR)]
+)
+def test_a_slow_stream_may_have_no_sample_in_a_short_recording(
+    length_s: float, level: Level
+) -> None:
+    slow = x.stream_header(2, "slow", rate=1.0) + x.footer(2, 0)
+    report = check(x.xdf(*x.regular(1, "a", _times(round(length_s * RATE)), RATE), slow))
+    assert ("no-samples", "slow") in codes(report, level)
+
+
 def test_a_file_without_streams_or_samples() -> None:
     assert codes(check(x.xdf())) == {("no-streams", "")}
     only_header = check(x.xdf(x.stream_header(1, "a"), x.footer(1, 0)))

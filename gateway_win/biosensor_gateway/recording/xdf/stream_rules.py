@@ -15,6 +15,8 @@ OFFSETS_DUE_S = 6.0
 # What loaders complain about, and what no crystal explains.
 WRONG_RATE, ODD_RATE = 0.1, 0.01
 MIN_SAMPLES_FOR_RATE = 20
+# Of fewer that are due, all may fall before the recording's first moment and after its last.
+FEWEST_DUE = 3
 # A good network keeps the offsets together; crystals differ by less.
 MAX_SCATTER_S, MAX_DRIFT_PPM, MIN_OFFSETS_FOR_DRIFT = 0.01, 500.0, 5
 # Streams start and stop this far apart in a recording that is all right.
@@ -59,13 +61,16 @@ def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         yield Level.ERROR, "footer-count", text
 
 
-def _samples(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+def _samples(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     header = measured.stream.header
     if measured.stream.sample_count:
         return
     if measured.counters is not None and measured.counters.is_off:
         text = "it is switched off in the settings, or this model of the device has no such data"
         yield Level.NOTE, "off", text
+    elif header.is_regular and 0 < extent.length_s * header.rate < FEWEST_DUE:
+        text = f"it holds no samples: {extent.length_s:.1f} s are too short for {header.rate:g} Hz"
+        yield Level.WARNING, "no-samples", text
     elif header.is_regular:
         text = f"it should have {header.rate:g} samples a second and holds none"
         yield Level.ERROR, "no-samples", text
