@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -99,6 +100,35 @@ def test_sleep_of_the_desktop(examine: Examine, context: Context, install: Insta
     assert warned.level is Level.WARNING
     install("systemctl", "echo masked")
     assert only(examine(context, "power"), "nothing is known to send")
+
+
+@pytest.mark.parametrize(
+    ("systemctl", "gsettings", "goes"),
+    [
+        ("masked\n", "'suspend'", False),
+        ("static\n", "'suspend'", True),
+        ("static\n", "'nothing'", False),
+        (None, "'suspend'", True),
+        (None, None, False),
+    ],
+)
+def test_a_computer_whose_sleep_is_masked_stays_awake(
+    monkeypatch: pytest.MonkeyPatch,
+    context: Context,
+    systemctl: str | None,
+    gsettings: str | None,
+    goes: bool,
+) -> None:
+    answers = {"systemctl": systemctl, "gsettings": gsettings}
+
+    def output_of(name: str, *_: str) -> str | None:
+        return answers.get(name)
+
+    monkeypatch.setattr(programs, "output_of", output_of)
+    monkeypatch.setattr(sys, "platform", "linux")
+    found = [each.what for each in power.examine(context)]
+    assert any("this computer goes to sleep" in each for each in found) is goes
+    assert any("nothing is known to send" in each for each in found) is not goes
 
 
 def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:

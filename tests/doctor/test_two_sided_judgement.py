@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -19,6 +20,8 @@ from biosensor_common.doctor.two_sided.facts import (
     End,
     Look,
     Stream,
+    as_message,
+    read_end,
 )
 from biosensor_common.doctor.two_sided.judgement import judge
 from biosensor_common.doctor.two_sided.report import CHECK, as_text
@@ -66,6 +69,11 @@ def robot() -> End:
 
 def bad(findings: list[Finding]) -> list[Finding]:
     return [each for each in findings if each.level in {Level.ERROR, Level.WARNING}]
+
+
+def test_what_one_side_found_reaches_the_other_whole(pc: End, robot: End) -> None:
+    for end in (pc, robot):
+        assert read_end(json.loads(json.dumps(as_message(end)))) == end
 
 
 def test_windows_gets_its_own_command_and_the_answer_goes_to_the_right_side(

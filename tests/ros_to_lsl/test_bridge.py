@@ -289,6 +289,13 @@ def test_only_a_clock_that_is_known_to_be_right_is_believed(
     assert clocks["source"]["edge_s"] == pytest.approx(source_s, abs=0.001)
 
 
+def test_the_header_names_topic_and_type() -> None:
+    Sent("/arm", PoseStamped).run(PoseStamped, header_s=0.5, source_s=0.5)
+    header = ElementTree.fromstring(opened["arm"].info.as_xml())
+    assert header.findtext("desc/ros/topic") == "/arm"
+    assert header.findtext("desc/ros/type") == "geometry_msgs/msg/PoseStamped"
+
+
 def test_what_was_measured_of_a_publisher_is_said() -> None:
     sent = Sent("/arm", PoseStamped)
     sent.run(PoseStamped, header_s=0.5, source_s=0.5)
