@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 
 from biosensor_common.doctor import firewall_rules, programs
@@ -129,6 +130,21 @@ def test_a_computer_whose_sleep_is_masked_stays_awake(
     found = [each.what for each in power.examine(context)]
     assert any("this computer goes to sleep" in each for each in found) is goes
     assert any("nothing is known to send" in each for each in found) is not goes
+
+
+@pytest.mark.parametrize("error", [FileNotFoundError, AttributeError])
+def test_a_computer_that_knows_no_batteries_is_judged(
+    monkeypatch: pytest.MonkeyPatch, context: Context, error: type[Exception]
+) -> None:
+    def sensors_battery() -> None:
+        raise error("/sys/class/power_supply")
+
+    def output_of(*_: str) -> None:
+        return None
+
+    monkeypatch.setattr(psutil, "sensors_battery", sensors_battery)
+    monkeypatch.setattr(programs, "output_of", output_of)
+    assert not any("battery" in each.what for each in power.examine(context))
 
 
 def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:

@@ -179,6 +179,14 @@ def test_only_what_came_right_before_the_end_may_be_missing(end: float, missing:
     assert compared.pushed - compared.held == missing
 
 
+@pytest.mark.parametrize(("pushed", "held"), [(2, 2), (3, 2), (1, 1), (0, 1)])
+def test_a_reading_may_come_between_events_of_one_moment(pushed: int, held: int) -> None:
+    """Two events at 1 s: the first reading may have come before or after the second of them."""
+    readings = _readings([10, 10 + pushed], [1.0, 2.0])
+    compared = compare(readings, np.array([1.0, 1.0, 2.0]), 100.0)
+    assert compared == RecordedCounters(pushed, held, 0)
+
+
 def test_an_agent_that_was_started_again() -> None:
     counts = [*accumulate([4] * 5), *accumulate([4] * 5)]
     stamps = [4.0 * (k + 1) for k in range(5)] + [40 + 4.0 * (k + 1) for k in range(5)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from uuid import UUID
 
@@ -101,8 +102,10 @@ def _windows_sleep() -> str | None:
 def _battery() -> Iterator[Finding]:
     import psutil
 
-    # Not on every system.
-    state = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
+    state = None
+    # Not on every system, and containers have no folder of batteries.
+    with suppress(AttributeError, OSError):
+        state = psutil.sensors_battery()
     if state is not None and state.power_plugged is False:
         yield note(
             f"this computer runs on battery ({state.percent:.0f} percent)",

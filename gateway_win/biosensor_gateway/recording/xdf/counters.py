@@ -149,6 +149,18 @@ def _compare_run(
     if not reached:
         return RecordedCounters(0, 0, lost)
     begin, end = reached[0], reached[-1]
-    bounds = np.array([begin.last_stamp, end.last_stamp]) + _SAME_STAMP_S
-    before, until = np.searchsorted(stamps, bounds, side="right").tolist()
-    return RecordedCounters(end.pushed - begin.pushed, until - before, lost)
+    pushed = end.pushed - begin.pushed
+    begin_least, begin_most = _up_to(begin, stamps)
+    end_least, end_most = _up_to(end, stamps)
+    held = max(end_least - begin_most, min(pushed, end_most - begin_least))
+    return RecordedCounters(pushed, held, lost)
+
+
+def _up_to(reading: Reading, stamps: NDArray[np.float64]) -> tuple[int, int]:
+    """Return how many samples of the file had been pushed at a reading, at least and at most.
+
+    Events that happened at one moment have one stamp, and a reading may come between them.
+    """
+    around = np.array([-_SAME_STAMP_S, _SAME_STAMP_S]) + reading.last_stamp
+    earlier, most = np.searchsorted(stamps, around, side="right").tolist()
+    return min(earlier + 1, most), most
