@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -79,18 +80,50 @@ def _start(folder: Path, *options: str) -> subprocess.Popen[str]:
 @pytest.mark.nightly
 def test_ctrl_c_before_the_recording_ends_all_of_it_and_says_so(tmp_path: Path) -> None:
     process = _start(tmp_path)
-    assert process.stdout is not None
-    said = ""
-    while not ADDRESS.search(said):
-        line = process.stdout.readline()
-        assert line, said
-        said += line
+    said = _said_until(process, ADDRESS)
     os.killpg(process.pid, signal.SIGINT)
     rest, _ = process.communicate(timeout=60)
     assert process.returncode == 1, said + rest
     assert "Ended before all of it was shown." in rest
     assert not _remaining(process.pid)
     assert not (tmp_path / "home").exists()
+
+
+@pytest.mark.nightly
+def test_quit_of_the_page_ends_all_of_it(tmp_path: Path) -> None:
+    process = _start(tmp_path, "--folder", "kept")
+    said = _said_until(process, re.compile("until you press Ctrl-C"))
+    found = ADDRESS.search(said)
+    assert found is not None, said
+    _quit(found[0])
+    rest, _ = process.communicate(timeout=60)
+    assert "The page was ended in the browser." in rest
+    # The table of topics, where there is ROS, had a moment only.
+    assert process.returncode in (0, 1, 3), said + rest
+    assert not _remaining(process.pid)
+
+
+def _quit(address: str) -> None:
+    """Press *Quit* as a browser would that has opened the page."""
+    origin, _, path = address.partition("/door")
+    connection = HTTPConnection(origin.removeprefix("http://"), timeout=30)
+    connection.request("GET", f"/door{path}")
+    opened = connection.getresponse()
+    opened.read()
+    cookie = opened.headers["Set-Cookie"].partition(";")[0]
+    headers = {"Cookie": cookie, "Origin": origin, "Content-Type": "application/json"}
+    connection.request("POST", "/api/v1/quit", b'{"rest": "end"}', headers)
+    assert connection.getresponse().status == 200
+
+
+def _said_until(process: subprocess.Popen[str], sign: re.Pattern[str]) -> str:
+    assert process.stdout is not None
+    said = ""
+    while not sign.search(said):
+        line = process.stdout.readline()
+        assert line, said
+        said += line
+    return said
 
 
 @pytest.mark.nightly

@@ -204,7 +204,7 @@ class Trial:
             left = None if until is None else max(_LEAST_TABLE_S, until - time.monotonic())
             topics = expected_topics(left, CHUNK_LENGTH, devices)
             shown = {topic: why for topic, why in topics.items() if topic.split("/")[2] in devices}
-            return show_topics(left, shown, self._programs, self._work)
+            return show_topics(left, shown, self._programs, self._work, self._is_over)
         with suppress(KeyboardInterrupt):
             self._wait(until)
         return 0
@@ -212,10 +212,16 @@ class Trial:
     def _wait(self, until: float | None) -> None:
         while until is None or time.monotonic() < until:
             self._programs.require_running()
-            if self._programs.has_ended(_PAGE):
-                say("The page was ended in the browser.")
+            if self._is_over():
                 return
             time.sleep(_ASK_S)
+
+    def _is_over(self) -> bool:
+        """Whether *Quit* of the page was pressed."""
+        is_over = self._programs.has_ended(_PAGE)
+        if is_over:
+            say("The page was ended in the browser.")
+        return is_over
 
     def _end_recording(self) -> None:
         """End what is being recorded, also by the page's button."""

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
@@ -108,7 +108,11 @@ def _parameters() -> Iterator[str]:
 
 
 def show_topics(
-    seconds: float | None, topics: Mapping[str, str], programs: Programs, folder: Path
+    seconds: float | None,
+    topics: Mapping[str, str],
+    programs: Programs,
+    folder: Path,
+    is_over: Callable[[], bool] = lambda: False,
 ) -> int:
     """Draw the table of topics until Ctrl-C or the end; return its exit code, as `run` does.
 
@@ -122,6 +126,8 @@ def show_topics(
         What has to run meanwhile.
     folder
         Theirs.
+    is_over
+        Whether a person has ended it in another way than by Ctrl-C.
 
     Raises
     ------
@@ -137,7 +143,7 @@ def show_topics(
         python_program("lsl_to_ros.live_table", *options), env=environment(folder)
     )
     try:
-        while table.poll() is None:
+        while table.poll() is None and not is_over():
             programs.require_running()
             time.sleep(_POLL_S)
     except KeyboardInterrupt:
