@@ -25,7 +25,7 @@ MODULES = {
     "lsl/discovery.py",
     "network/reader.py",
     "receiving/program.py",
-    "replay/live.py",
+    "replay/playing.py",
 }
 
 pytestmark = pytest.mark.seam

@@ -29,7 +29,7 @@ from biosensor_gateway.recording.here.said import predicate
 from biosensor_gateway.recording.labrecorder import streams
 from biosensor_gateway.recording.receiving import program
 from biosensor_gateway.recording.replay.errors import ReplayError
-from biosensor_gateway.recording.replay.live import refuse_if_present
+from biosensor_gateway.recording.replay.playing import refuse_if_present
 from lsl_to_ros.lsl.discovery import Discovery
 
 WITHOUT_BRACKETS = "without brackets"

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from biosensor_gateway.page.experiments.browser_clock import (
+from biosensor_gateway.page.experiments.conversation import (
     DRIFT,
     ENOUGH,
     BrowserClock,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.cli import editor
+from biosensor_gateway.cli import settings as settings_command
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -124,6 +124,6 @@ def test_macos_opens_a_text_editor(
     run: Run, settings: Path, programs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notes = install(programs, "open")
-    monkeypatch.setattr(editor.sys, "platform", "darwin")
+    monkeypatch.setattr(settings_command.sys, "platform", "darwin")
     assert run("config", "edit").code == 0
     assert lines(notes) == ["-t", str(settings)]

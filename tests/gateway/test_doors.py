@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.cli.app import app
-from biosensor_gateway.cli.deferred import Deferred
-from biosensor_gateway.cli.table import COMMANDS
+from biosensor_gateway.cli.table import COMMANDS, Deferred
 from biosensor_gateway.settings.places import STATE_VARIABLE
 
 # What takes a tenth of a second and more, each or with what it brings.
@@ -32,9 +31,8 @@ OURS = {
     "biosensor_gateway",
     "biosensor_gateway.cli",
     "biosensor_gateway.cli.app",
-    "biosensor_gateway.cli.deferred",
-    "biosensor_gateway.cli.quick_help",
     "biosensor_gateway.cli.table",
+    "biosensor_gateway.cli.quick_help",
     "biosensor_gateway.system",
     "biosensor_gateway.system.own_window",
 }

@@ -17,9 +17,13 @@ from biosensor_common.table import channels, raw
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.contact import ContactWatch
-from biosensor_gateway.streaming.events.device import DeviceEvents
-from biosensor_gateway.streaming.events.gaps import SETTLE_S, Gap, GapWatch
+from biosensor_gateway.streaming.events.device import (
+    SETTLE_S,
+    ContactWatch,
+    DeviceEvents,
+    Gap,
+    GapWatch,
+)
 from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
 from biosensor_gateway.streaming.sink import DeviceSink
 

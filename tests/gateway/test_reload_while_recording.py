@@ -14,7 +14,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.fleet import Fleet, FleetChanges
-from biosensor_gateway.cli import editor, reloading
+from biosensor_gateway.cli import reloading, settings
 from biosensor_gateway.cli.settings import edit
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
@@ -127,7 +127,7 @@ def test_an_editor_is_opened_with_a_warning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     opened: list[Path] = []
-    monkeypatch.setattr(editor, "open_in_editor", opened.append)
+    monkeypatch.setattr(settings, "open_in_editor", opened.append)
     edit(recording.with_name("settings.toml"))
     assert f"a recording goes on, to {recording}" in capsys.readouterr().err
     assert len(opened) == 1

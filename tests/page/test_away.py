@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
-from biosensor_gateway.page.recording_story import Story
+from biosensor_gateway.page.recorder import Story
 from biosensor_gateway.recording.here.results import StandingHere
 from biosensor_gateway.recording.labrecorder.results import By
 from tests.page.test_whose import BELT, Page

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.page import agent_process, recorder
+from biosensor_gateway.page import devices, recorder
 from biosensor_gateway.page.models import NewRecording
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
@@ -52,9 +52,9 @@ def test_an_agent_has_the_settings_of_the_page(
     """Also one of virtual devices, and where there is no such file yet."""
     begun: list[tuple[Any, ...]] = []
     note: Callable[..., None] = lambda *arguments: begun.append(arguments)  # noqa: E731
-    monkeypatch.setattr(agent_process, "start_beside", note)
+    monkeypatch.setattr(devices, "start_beside", note)
     settings = tmp_path / "mine.toml"
-    agent_process.start_agent(tmp_path, settings, virtual=virtual)
+    devices.start_agent(tmp_path, settings, virtual=virtual)
     ((words, environment),) = begun
     assert environment == {"BIOSENSOR_GATEWAY_SETTINGS": str(settings)}
     assert ("--settings" in words) is not virtual

@@ -18,7 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.page.experiments.guard import MAX_SOCKETS, SOCKET
+from biosensor_gateway.page.experiments.server import MAX_SOCKETS, SOCKET
 from tests.page.conftest import DEADLINE_S
 from tests.page.web_lab import Answer, MarkerReader, WebLab, until
 

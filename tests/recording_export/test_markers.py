@@ -10,7 +10,7 @@ from edfio import read_bdf
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.recording.export.edf.happened import Span, dealt
+from biosensor_gateway.recording.export.edf.exporter import Span, dealt
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.recording_export.bids_tables import read
 from tests.recording_export.conftest import Exporting

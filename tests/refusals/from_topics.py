@@ -12,7 +12,7 @@ import pytest
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.ros_to_lsl import outlets, pairs
+from lsl_to_ros.ros_to_lsl import bridge, outlets
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.reports import node_status
@@ -66,7 +66,7 @@ def rounded(patch: pytest.MonkeyPatch) -> Shown:
 
 @provokes(Refusal.TOO_MANY_PAIRS)
 def too_many_pairs(patch: pytest.MonkeyPatch) -> Shown:
-    patch.setattr(pairs, "MAX_PAIRS", 1)
+    patch.setattr(bridge, "MAX_PAIRS", 1)
     message = TFMessage([transform("odom", "base", 1.0), transform("base", "hand", 2.0)])
     return entry(sent(patch, TFMessage, message))
 

@@ -10,9 +10,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.replay.lateness import BIN_S, Lateness
-from biosensor_gateway.recording.replay.timeline import Timeline
-from biosensor_gateway.recording.replay.track import Track
+from biosensor_gateway.recording.replay.player import BIN_S, Lateness, Timeline, Track
 
 SECONDS = st.floats(0, 1000, allow_subnormal=False)
 TIMES = arrays(np.float64, st.integers(1, 30), elements=SECONDS)

@@ -24,7 +24,7 @@ from biosensor_gateway.devices.emotibit.driver import link as emotibit_link
 from biosensor_gateway.devices.empatica_e4.driver import driver as e4_driver
 from biosensor_gateway.devices.line_sensor.driver import links
 from biosensor_gateway.simulation import async_serial
-from biosensor_gateway.simulation.tcp_serial import TcpSerialPort
+from biosensor_gateway.simulation.async_serial import TcpSerialPort
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import byte_links
 from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lsl_to_ros.topics.chunker import Chunker
+from lsl_to_ros.topics.writers import Chunker
 
 
 class Add(NamedTuple):

@@ -8,8 +8,7 @@ from std_msgs.msg import String
 
 from biosensor_common.quantities import MessageType
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from lsl_to_ros.fitting import fitted, widths
-from lsl_to_ros.live_table import Row, render
+from lsl_to_ros.live_table import Row, fitted, render, widths
 
 WIDTH = 100
 HEADINGS = ("topic", "type", "Hz", "nominal", "last value", "age s", "lost")

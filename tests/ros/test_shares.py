@@ -11,10 +11,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from lsl_to_ros.lsl.share import ALL, Share
 from lsl_to_ros.parameters.node import fault
-from lsl_to_ros.processes.arguments import for_further
-from lsl_to_ros.processes.child import Child
+from lsl_to_ros.processes.child import Child, for_further
 from lsl_to_ros.processes.mail import Setup
-from lsl_to_ros.reports.merging import merged
+from lsl_to_ros.reports.reporting import merged
 from tests.rigs.lsl_streams import wait_until
 
 

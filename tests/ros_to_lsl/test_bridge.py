@@ -14,7 +14,7 @@ from rosidl_parser import definition
 
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.status import StreamStatus
-from lsl_to_ros.ros_to_lsl import outlets, pairs
+from lsl_to_ros.ros_to_lsl import bridge, outlets
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class, type_name
 from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
@@ -205,7 +205,7 @@ def test_frames_with_slashes_never_share_a_stream() -> None:
 
 
 def test_more_pairs_than_there_may_be_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pairs, "MAX_PAIRS", 2)
+    monkeypatch.setattr(bridge, "MAX_PAIRS", 2)
     sent = Sent("/tf", TFMessage)
     many = [transform("camera", f"face_{number}", 1.0) for number in range(4)]
     sent.take(TFMessage(transforms=many))

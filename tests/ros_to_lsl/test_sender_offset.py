@@ -5,8 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+from lsl_to_ros.ros_to_lsl.application import Bounds
 from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
-from lsl_to_ros.ros_to_lsl.sender_offset import Bounds
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import SpecError
 from lsl_to_ros.ros_to_lsl.fields import fields_of, message_class
-from lsl_to_ros.ros_to_lsl.texts import as_json, has_records, is_text, marker_of, text_of
+from lsl_to_ros.ros_to_lsl.senders import as_json, has_records, is_text, marker_of, text_of
 
 # Their own annotations are partial.
 DiagnosticArray = message_class("diagnostic_msgs/msg/DiagnosticArray")

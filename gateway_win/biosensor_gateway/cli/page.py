@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from types import TracebackType
+from typing import Annotated, Self
 
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.heap import limit_arenas
-from biosensor_gateway.cli.later_log import LaterLog
-from biosensor_gateway.cli.network_page import serve_network
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.page.running import (
     ADDRESS,
@@ -167,3 +167,74 @@ def _serve(
         except OSError as error:
             message = f"the page cannot be served: {error.strerror or error}"
             raise TransportError(TransportReason.BUSY, message) from error
+
+
+class LaterLog:
+    """A `StartLog` that is opened on request, or when something fails; a context manager.
+
+    Parameters
+    ----------
+    folder
+        Where the file goes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._is_open = False
+        self._stack = contextlib.ExitStack()
+
+    def open(self) -> None:
+        """Log to the file and to the console from now on."""
+        from biosensor_gateway.cli.start_log import StartLog  # takes half a second
+        from biosensor_gateway.settings.models import LogSettings
+
+        self._is_open = True
+        log = self._stack.enter_context(StartLog(self._folder))
+        log.go_on(LogSettings(), verbose=False, title=str)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, Exception) and not self._is_open:
+            self.open()
+        self._stack.__exit__(kind, error, trace)
+
+
+def serve_network(settings: Path, show: Callable[[str], None]) -> None:
+    """Show the LSL streams that arrive here, until Ctrl-C.
+
+    Parameters
+    ----------
+    settings
+        A settings file, of which the LSL section counts.
+    show
+        Opens an address in the browser, or prints it.
+
+    Raises
+    ------
+    ConfigError
+        The settings are wrong.
+    TransportError
+        The page cannot be served.
+    """
+    from biosensor_gateway.page.network_page.server import (
+        NetworkServer,  # takes a fifth of a second
+    )
+
+    def ready(address: str) -> None:
+        show(address)
+        typer.echo("Press Ctrl-C to end the page; no stream is touched.")
+
+    # Inlets come and go with what is looked at, each with threads.
+    limit_arenas(os.environ)
+    try:
+        NetworkServer(settings, ready).run()
+    except OSError as error:
+        message = f"the page cannot be served: {error.strerror or error}"
+        raise TransportError(TransportReason.BUSY, message) from error

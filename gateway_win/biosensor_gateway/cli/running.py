@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.cli import KEEP_ALIVE
-from biosensor_gateway.cli.beside import open_page_beside
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.questions import can_ask
 from biosensor_gateway.system.keep_alive import restart_facts
+from biosensor_gateway.system.own_command import start_beside
 from biosensor_gateway.system.standby import is_standby
+
+_END_AFTER_MIN = "1"
 
 
 def run(
@@ -60,3 +64,24 @@ def run(
     from biosensor_gateway.cli.streaming import stream  # takes a second
 
     stream(settings, simulate, fault or (), ask=ask, features=features, verbose=verbose)
+
+
+def open_page_beside(settings: Path | None) -> None:
+    """Open the page; it ends by itself when neither a window nor an agent is there any more.
+
+    Parameters
+    ----------
+    settings
+        The file that was named; None for the usual one.
+
+    Raises
+    ------
+    TransportError
+        ``ABSENT`` if the system cannot start it.
+    """
+    named = [] if settings is None else ["--settings", str(settings.absolute())]
+    try:
+        start_beside(["page", "--end-after", _END_AFTER_MIN, *named])
+    except OSError as error:
+        message = f"the page could not be started: {error.strerror or error}"
+        raise TransportError(TransportReason.ABSENT, message) from error

@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.page.agent_process import start_agent
 from biosensor_gateway.page.models import (
     Choice,
     DeviceChange,
@@ -28,10 +28,13 @@ from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.going_on import file_going_on
 from biosensor_gateway.settings import editing
 from biosensor_gateway.settings.names import require_participant
+from biosensor_gateway.settings.places import SETTINGS_VARIABLE
+from biosensor_gateway.system.own_command import start_beside
 
 BACK_WITHIN_S = 30.0
 """A sensor that was renamed is connected again, which by Bluetooth takes some seconds."""
 _POLL_S = 0.1
+ALL_VIRTUAL = "all"
 
 
 def add_devices(router: APIRouter, session: Session) -> None:
@@ -168,3 +171,31 @@ async def _applied(session: Session, what: str) -> Outcome:
 async def asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Have the agent do something, and return its answer."""
     return await asyncio.to_thread(control.ask, session.folder, command, arguments)
+
+
+def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
+    """Start an agent that is started again whenever it dies.
+
+    Parameters
+    ----------
+    folder
+        Its state folder.
+    settings
+        Its settings file.
+    virtual
+        Stream virtual devices of every kind in place of those of the settings.
+
+    Raises
+    ------
+    TransportError
+        ``BUSY`` if one runs already; ``ABSENT`` if the system cannot start it.
+    """
+    if is_held(folder):
+        raise TransportError(TransportReason.BUSY, "an agent runs already; end it first")
+    what = ["--simulate", ALL_VIRTUAL] if virtual else ["--settings", str(settings)]
+    try:
+        # Named by an option, it must be there; virtual devices do without.
+        start_beside(["run", "--keep-alive", "--no-ask", *what], {SETTINGS_VARIABLE: str(settings)})
+    except OSError as error:
+        message = f"the agent could not be started: {error.strerror or error}"
+        raise TransportError(TransportReason.ABSENT, message) from error

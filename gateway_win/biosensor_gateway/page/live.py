@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 from pydantic import BaseModel, ValidationError
 from starlette.routing import WebSocketRoute
@@ -13,7 +14,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from biosensor_gateway.page.front import LIVE
 from biosensor_gateway.page.screen import Screen, View
-from biosensor_gateway.page.source import Source
+from biosensor_gateway.page.traces import Traces
 
 ENDED = 4000
 """Code with which a WebSocket is closed because somebody has ended the page."""
@@ -72,3 +73,25 @@ async def _send(
         next_s = max(next_s + 1 / PICTURES_HZ, now_s)
         await asyncio.sleep(next_s - now_s)
     await socket.close(ENDED)
+
+
+class Source(Protocol):
+    """Where the page has its streams from: an agent's memory, or the network.
+
+    Attributes
+    ----------
+    traces
+        What came; the source adds to it.
+    has_ended
+        Whether somebody has ended the page.
+    turns
+        How often all has changed, so that nobody who looks should wait for the next status.
+    """
+
+    traces: Traces
+    has_ended: bool
+    turns: int
+
+    def now(self) -> float:
+        """Return the LSL time in seconds."""
+        ...

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from functools import partial
 
+from biosensor_common.errors import ConfigError
+from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.features.outputs import feature_streams
 from biosensor_gateway.page.api import add_api
 from biosensor_gateway.page.devices import worn_by
 from biosensor_gateway.page.experiments.server import ExperimentServer
-from biosensor_gateway.page.features import Features
 from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.network.models import SeenStreamView
+from biosensor_gateway.page.network.reader import Reader
 from biosensor_gateway.page.network_answer import NetworkAnswer
 from biosensor_gateway.page.new_app import new_app
 from biosensor_gateway.page.quitting import add_quit
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.replaying import Replaying
 from biosensor_gateway.page.service import Service
+from biosensor_gateway.page.session import Session
+from biosensor_gateway.streaming.outlets import configure_lsl
+
+_LOOK_S = 0.25
 
 
 class Steering:
@@ -52,3 +61,59 @@ class Steering:
             ExperimentServer(self._session).run(),
             Features(self._session).run(),
         )
+
+
+class Features:
+    """Follows the features of the agent's streams while a browser looks.
+
+    They are some values a second, so that each may have an inlet. Raw streams come from the
+    agent's memory and not from here.
+
+    Parameters
+    ----------
+    session
+        Whose devices they are of; is given the features and their samples.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._wanted: frozenset[str] = frozenset()
+
+    async def run(self) -> None:
+        """Receive until cancelled."""
+        loop = asyncio.get_running_loop()
+
+        def hand_over(samples: list[Samples]) -> None:
+            # The loop may have ended a moment before the thread.
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(self._take, samples)
+
+        # liblsl's settings are those of its first call: not before an agent has taken them, too.
+        await self._session.came.wait()
+        with contextlib.suppress(ConfigError):
+            lsl = self._session.loaded().lsl
+            configure_lsl(lsl.overrides)
+        reader = await asyncio.to_thread(Reader, hand_over, feature_streams())
+        try:
+            while True:
+                self._look(reader)
+                await asyncio.sleep(_LOOK_S)
+        finally:
+            await asyncio.to_thread(reader.stop)
+
+    def _look(self, reader: Reader) -> None:
+        features = [
+            each for device in reader.view.devices for each in device.streams if each.derived_from
+        ]
+        self._session.features = features
+        wanted = self._of_the_agent(features) if self._session.traces.screens else frozenset[str]()
+        self._session.traces.history.forget(self._wanted - wanted)
+        self._wanted = reader.wanted = wanted
+
+    def _of_the_agent(self, features: list[SeenStreamView]) -> frozenset[str]:
+        sources = self._session.sources()
+        return frozenset(each.source_id for each in features if each.derived_from in sources)
+
+    def _take(self, samples: list[Samples]) -> None:
+        for each in samples:
+            self._session.traces.take(each)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from typing import Protocol, cast
 
 from bumble import att
 from bumble.core import UUID
 from bumble.device import Connection, Device
+from bumble.gatt import (
+    GATT_CLIENT_CHARACTERISTIC_CONFIGURATION_DESCRIPTOR as _SUBSCRIPTION,
+)
 from bumble.gatt import Characteristic, ClientCharacteristicConfigurationBits, Service
+from bumble.gatt_server import Server
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
-from biosensor_gateway.simulation.indications import Indications
-from biosensor_gateway.simulation.protection import (
-    protect_subscriptions,
-    protected_characteristics,
-)
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.transceiver import Transceiver
 
@@ -26,6 +26,12 @@ _ADVERTISING_INTERVAL_MS = 50.0
 _BUMBLE_INTERVAL = _ADVERTISING_INTERVAL_MS * 0.625
 _NOTIFICATION_HEADER = 3
 _Bits = ClientCharacteristicConfigurationBits
+_AUTHENTICATED = (
+    att.Attribute.Permissions.READ_REQUIRES_AUTHENTICATION
+    | att.Attribute.Permissions.WRITE_REQUIRES_AUTHENTICATION
+)
+Protected = tuple[Service, Characteristic[bytes]]
+"""A characteristic that requires authentication, behind its service."""
 
 
 class Bundles:
@@ -334,3 +340,90 @@ class Peripheral:
         self._indications.give_up()
         for callback in list(self.on_disconnected):
             callback()
+
+
+class Indications:
+    """Puts one after the other on the link, and tells of each whether it got there.
+
+    For the world's loop.
+
+    Parameters
+    ----------
+    may_send
+        Whether the device can still send this on that connection.
+    """
+
+    def __init__(self, may_send: Callable[[Connection, Characteristic[bytes]], bool]) -> None:
+        self._may_send = may_send
+        self._unconfirmed = asyncio.Lock()
+        self._under_way: set[asyncio.Task[None]] = set()
+
+    async def send(
+        self, connection: Connection, characteristic: Characteristic[bytes], value: bytes
+    ) -> bool:
+        """Indicate a value, and wait until it is confirmed or the link has ended.
+
+        Returns
+        -------
+        bool
+            Whether it was put on the link. The host has it then, also where its confirmation
+            is held up or cut off.
+        """
+        was_put_out = False
+
+        async def indicate() -> None:
+            nonlocal was_put_out
+            async with self._unconfirmed:
+                # It may have waited for another one, and the device have stopped meanwhile.
+                if self._may_send(connection, characteristic):
+                    was_put_out = True
+                    server = connection.gatt_server
+                    await server.indicate_subscriber(connection, characteristic, value)
+
+        task = asyncio.create_task(indicate())
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
+        try:
+            await asyncio.wait({task})
+        finally:
+            # Without effect unless the sender itself is to end.
+            task.cancel()
+        if task.cancelled():
+            # What bumble notes of a connection that has ended would stay.
+            connection.gatt_server.on_disconnection(connection)
+        else:
+            task.result()
+        return was_put_out
+
+    def give_up(self) -> None:
+        """Wait for no confirmation any more: the link has ended."""
+        for task in self._under_way:
+            task.cancel()
+
+    async def ended(self) -> None:
+        """Return when each sender knows what became of its own, after `give_up`."""
+        if self._under_way:
+            await asyncio.wait(self._under_way)
+
+
+class _Table(Protocol):
+    """What is used of bumble's service, whose annotation leaves a type argument out."""
+
+    characteristics: list[Characteristic[bytes]]
+
+
+def protected_characteristics(services: Sequence[Service]) -> list[Protected]:
+    """Return the characteristics that require authentication, with their services."""
+    every = ((service, c) for service in services for c in cast("_Table", service).characteristics)
+    return [(service, c) for service, c in every if c.permissions & _AUTHENTICATED]
+
+
+def protect_subscriptions(server: Server, protected: Iterable[Protected]) -> None:
+    """Ask of who subscribes to these characteristics what reading and writing them asks."""
+    for service, characteristic in protected:
+        # bumble makes the descriptor by itself, open to everybody.
+        subscription = server.get_descriptor_attribute(
+            service.uuid, characteristic.uuid, _SUBSCRIPTION
+        )
+        if subscription:
+            subscription.permissions |= characteristic.permissions & _AUTHENTICATED

@@ -11,15 +11,14 @@ from numpy.typing import ArrayLike
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.naming import source_id
+from biosensor_common.quantities import ChannelRole
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
-from biosensor_gateway.streaming.charge import Charge
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.device_outlets import DeviceOutlets, differences
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import DeviceEvents
-from biosensor_gateway.streaming.gaps import Gaps
 from biosensor_gateway.streaming.jumps import JumpReports, Jumps
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
 from biosensor_gateway.streaming.pause_gate import PauseGate
@@ -324,3 +323,66 @@ class DeviceSink:
             self.tap(data_name, samples, stamps)
         if self.observer is not None:
             self.observer.sampled(data_name, samples, stamps)
+
+
+class Charge:
+    """Follows the first channel of one device that has the role of state of charge.
+
+    Attributes
+    ----------
+    percent
+        Newest value; None before the first.
+    """
+
+    def __init__(self, spec: SensorSpec) -> None:
+        first = next(spec.channels_of(ChannelRole.STATE_OF_CHARGE), ("", 0, ""))
+        self._data_name, self._index, _ = first
+        self.percent: float | None = None
+
+    def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        """Take in samples of any stream of the device; NaN says nothing.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+        stamps : sequence of float, length n_samples
+        """
+        if data_name != self._data_name:
+            return  # nothing is dropped: another stream's
+        values = np.asarray(samples, np.float64).reshape(len(stamps), -1)[:, self._index]
+        known = values[np.isfinite(values)]
+        if known.size:
+            self.percent = float(known[-1])
+
+
+class Gaps:
+    """The newest sample of each stream of one device, and the step to it from the one before.
+
+    Parameters
+    ----------
+    clock
+        The LSL time; no sample is taken for newer.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._newest: dict[str, float] = {}
+        self._steps: dict[str, tuple[float, float]] = {}
+
+    def note(self, data_name: str, times: Sequence[float]) -> None:
+        """Note samples at these LSL times, at least one."""
+        newest = self._newest.get(data_name)
+        if newest is not None:
+            self._steps[data_name] = newest, times[0]
+        self._newest[data_name] = min(max(times), self._clock())
+
+    def widest(self, data_name: str) -> tuple[float, float]:
+        """Return where samples that are counted as lost now are missing.
+
+        Some drivers count them before they emit what follows the gap, some after: so it is
+        the last step, or from the newest sample to now.
+        """
+        now = self._clock()
+        newest = self._newest.get(data_name, now)
+        spans = (newest, now), self._steps.get(data_name, (newest, newest))
+        return max(spans, key=lambda span: span[1] - span[0])

@@ -26,7 +26,7 @@ from lsl_to_ros.ros_to_lsl.fields import fields_of, has_header, message_class
 from lsl_to_ros.ros_to_lsl.outlets import Origin, sample_info
 from lsl_to_ros.ros_to_lsl.parameters import requests_of
 from lsl_to_ros.ros_to_lsl.requests import Requests
-from lsl_to_ros.ros_to_lsl.texts import ToText, as_json, is_text, marker_of, text_of
+from lsl_to_ros.ros_to_lsl.senders import ToText, as_json, is_text, marker_of, text_of
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import counted_pieces
 

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
+from collections import deque
 from collections.abc import Coroutine
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
 from pylsl import local_clock
 
 from biosensor_common.errors import GatewayError, TransportError
-from biosensor_gateway.page.experiments.browser_clock import BrowserClock, Exchange
-from biosensor_gateway.page.experiments.marked_time import MarkedTime, RefusedTimeError
+from biosensor_gateway.agent.marking import MAX_LEAD_S, MAX_WEB_AGE_S
 from biosensor_gateway.page.experiments.models import MESSAGE, Hello, Mark, Pong, Sent
 from biosensor_gateway.page.experiments.sending import Pace, Sending, WebMark
 from biosensor_gateway.page.experiments.token import is_same
 from biosensor_gateway.page.guard import REFUSED_SOCKET
 from biosensor_gateway.page.marker_models import ExperimentView
+from biosensor_gateway.streaming.markers import TimedBy, Timing
 
 HELLO_WITHIN_S = 5.0
 PINGS_FIRST, FIRST_EVERY_S = 8, 0.03
@@ -26,6 +28,13 @@ PING_EVERY_S, UNTIL_KNOWN_EVERY_S = 2.0, 0.25
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200, 400
 MARKS_WAITING = 64
 _PINGS_OPEN = 16
+DRIFT = 1e-4
+"""By how much a browser's clock may run faster or slower than LSL's."""
+KEPT = 32
+ENOUGH = 5
+"""As many exchanges must have been made before a time is taken from them."""
+COARSEST_S = 0.2
+"""A browser that protects its user from being recognised shows its time in steps of 0.1 s."""
 
 
 class Conversation:
@@ -183,3 +192,178 @@ async def _quietly(talking: Coroutine[Any, Any, None]) -> None:
     """Talk as long as somebody is there; whoever receives learns first that nobody is."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await talking
+
+
+class RefusedTimeError(Exception):
+    """The time of a marker cannot be; its text is the sentence for the page.
+
+    Attributes
+    ----------
+    is_clock
+        Whether it may fit when the browser's clock has been measured anew.
+    """
+
+    def __init__(self, sentence: str, *, is_clock: bool = False) -> None:
+        super().__init__(sentence)
+        self.is_clock = is_clock
+
+
+class MarkedTime:
+    """Turns the times of one page's markers into LSL times.
+
+    Parameters
+    ----------
+    clock
+        Of the page.
+    """
+
+    def __init__(self, clock: BrowserClock) -> None:
+        self._clock = clock
+        self._doubted: int | None = None
+
+    def of(self, mark: Mark, arrival: float) -> tuple[float, Timing]:
+        """Return the LSL time at which a marker happened, in seconds, and how that is known.
+
+        Parameters
+        ----------
+        mark
+        arrival
+            LSL time in seconds at which it came.
+
+        Raises
+        ------
+        RefusedTimeError
+            The clock is not known yet, or the time is too far from the arrival.
+        """
+        if mark.at is None:
+            return arrival, Timing(TimedBy.ARRIVAL)
+        if not self._clock.is_known:
+            message = "the page's clock is not measured yet; it answers each ping with a pong"
+            raise RefusedTimeError(message, is_clock=True)
+        known = self._clock.to_lsl(mark.at / 1000)
+        ahead_s = known.lsl_time - arrival
+        if ahead_s > MAX_LEAD_S + known.uncertainty_s:
+            raise self._of_the_future(mark.ref, ahead_s)
+        if ahead_s < -MAX_WEB_AGE_S:
+            message = f"it happened {-ahead_s:.0f} s ago, and {MAX_WEB_AGE_S:.0f} s is the limit"
+            raise RefusedTimeError(message)
+        self._doubted = None
+        at = min(known.lsl_time, arrival + MAX_LEAD_S)
+        # In the digits that are told, and not below what it is.
+        return at, Timing(TimedBy.CLOCK, math.ceil(1e6 * known.uncertainty_s) / 1e6)
+
+    def _of_the_future(self, ref: int, ahead_s: float) -> RefusedTimeError:
+        # Either the page is wrong or its clock was set; the second time, it is the page.
+        is_clock, self._doubted = self._doubted != ref, ref
+        if is_clock:
+            self._clock.forget()
+        return RefusedTimeError(
+            f"it would happen {ahead_s:.3f} s after it came, and {MAX_LEAD_S:g} s is the limit; "
+            "'at' is when it happened, as performance.now() shows it",
+            is_clock=is_clock,
+        )
+
+
+class Exchange(NamedTuple):
+    """One question and its answer.
+
+    Attributes
+    ----------
+    sent, received
+        LSL time in seconds at which we asked and had the answer.
+    at
+        The browser's time in seconds at which it answered.
+    """
+
+    sent: float
+    at: float
+    received: float
+
+    @property
+    def offset(self) -> float:
+        """LSL's time minus the browser's, if both ways took equally long."""
+        return (self.sent + self.received) / 2 - self.at
+
+    @property
+    def half_s(self) -> float:
+        """By how much the offset may be wrong: one way may have taken the whole time."""
+        return (self.received - self.sent) / 2
+
+
+class LslTime(NamedTuple):
+    """A time of the browser on LSL's clock, and by how much it may be wrong; in seconds."""
+
+    lsl_time: float
+    uncertainty_s: float
+
+
+class BrowserClock:
+    """The clock of one page; whatever zero it counts from.
+
+    Between question and answer, the browser's time is known to within the round trip, whatever
+    the page was busy with. So the exchange counts that was the quickest, made wider by what the
+    clocks may have drifted since. One that contradicts it says that the clock was set: what
+    was known before is forgotten.
+
+    Parameters
+    ----------
+    resolution_s
+        Steps in which the browser shows its time, in seconds. Each time that it tells may be
+        wrong by as much, and two always stand against each other.
+    """
+
+    def __init__(self, resolution_s: float) -> None:
+        self._resolution_s = min(max(resolution_s, 0.0), COARSEST_S)
+        self._exchanges: deque[Exchange] = deque(maxlen=KEPT)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether times can be taken from it."""
+        return len(self._exchanges) >= ENOUGH
+
+    @property
+    def newest_uncertainty_s(self) -> float | None:
+        """By how much a time of now may be wrong, in seconds; None while nothing is known."""
+        if not self.is_known:
+            return None
+        return self.to_lsl(self._exchanges[-1].at).uncertainty_s
+
+    def note(self, exchange: Exchange) -> bool:
+        """Take an exchange in.
+
+        Returns
+        -------
+        bool
+            Whether it fits those before it; else it is the first one now.
+        """
+        fits = not self._exchanges or self._fits(exchange)
+        if not fits:
+            self._exchanges.clear()
+        self._exchanges.append(exchange)
+        return fits
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._exchanges.clear()
+
+    def to_lsl(self, at: float) -> LslTime:
+        """Return a time of the browser, in seconds, as an LSL time.
+
+        Raises
+        ------
+        ValueError
+            It is not known yet.
+        """
+        if not self.is_known:
+            raise ValueError("the browser's clock is not measured yet")
+        best = min(self._exchanges, key=lambda each: _error_s(each, at))
+        return LslTime(at + best.offset, _error_s(best, at) + 2 * self._resolution_s)
+
+    def _fits(self, exchange: Exchange) -> bool:
+        best = min(self._exchanges, key=lambda each: _error_s(each, exchange.at))
+        allowed = _error_s(best, exchange.at) + exchange.half_s + 2 * self._resolution_s
+        return abs(exchange.offset - best.offset) <= allowed
+
+
+def _error_s(exchange: Exchange, at: float) -> float:
+    return exchange.half_s + DRIFT * abs(at - exchange.at)

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import contextlib
+import json
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby
+from typing import Any, cast
 
 import numpy as np
 
 from biosensor_common import naming
-from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
+from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat, ChannelRole
 from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import CoreFields, StreamHeader
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
+from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.history import is_of_now
-from biosensor_gateway.page.network.devices import device_view, group_of
 from biosensor_gateway.page.network.inlets import MAX_INLETS
 from biosensor_gateway.page.network.listing import Listing
 from biosensor_gateway.page.network.losses import Counted, counted_by_source, is_counters
 from biosensor_gateway.page.network.models import (
     NetworkView,
+    SeenDeviceView,
     SeenState,
     SeenStreamView,
     TextView,
@@ -26,7 +30,7 @@ from biosensor_gateway.page.network.models import (
 )
 from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.windows import DRAWN_CHANNELS, chosen
-from biosensor_gateway.page.network.words import MAX_LABEL, entry_of, readable
+from biosensor_gateway.streaming.gateway import GATEWAY
 
 _SLOW_PERIODS = 3
 _BYTES = {
@@ -37,6 +41,23 @@ _BYTES = {
 }
 _STAMP_BYTES = 8
 _MOST_PROBLEMS = 20
+_AGENT = "Capture agent"
+_REPLAY = "↻ Replay"
+# The first of these that one of its streams has is how the device does.
+_ORDER = (
+    SeenState.STREAMING,
+    SeenState.SILENT,
+    SeenState.OPENING,
+    SeenState.WAITING,
+    SeenState.LISTED,
+    SeenState.READING,
+    SeenState.GONE,
+)
+_CONTENT_HALF = 0.5
+MAX_NAME = 120
+MAX_LABEL = 40
+MAX_ENTRY = 200
+_TOLD = ("event", "marker", "note", "device", "state", "stream", "reason")
 
 
 class Viewer:
@@ -231,3 +252,117 @@ def _problems(listing: Listing) -> list[str]:
     problems = [readable(each.sentence_about, 400) for each in listing.refusals.present]
     more = len(problems) - _MOST_PROBLEMS
     return [*problems[:_MOST_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
+
+
+def group_of(stream: NetworkStream) -> tuple[str, ...]:
+    """Return what streams of one device have in common; it sorts devices before programs."""
+    header = stream.header
+    if header is None or header.foreign:
+        return ("other", _played(stream), stream.core.hostname, stream.core.name)
+    identity = header.identity
+    who = (identity.participant, identity.sensor, identity.unit, identity.label)
+    return ("program" if identity.sensor == GATEWAY.name else "device", _played(stream), *who)
+
+
+def device_view(
+    streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], lost: Mapping[str, int]
+) -> SeenDeviceView:
+    """Describe one device by its streams, of which there is at least one."""
+    shown = sorted((views[each.number] for each in streams), key=_rank)
+    first = streams[0]
+    identity = first.header.identity if first.is_ours and first.header else None
+    states = {each.seen for each in shown}
+    seen = next(each for each in _ORDER if each in states)
+    worn, battery = (
+        _newest(streams, views, ChannelRole.CONTACT),
+        _newest(streams, views, ChannelRole.STATE_OF_CHARGE),
+    )
+    counts = [each.lost for each in shown if each.lost is not None]
+    return SeenDeviceView(
+        name=f"d{min(each.number for each in streams)}",
+        title=readable(first.core.name) if identity is None else _title(identity.sensor),
+        unit="" if identity is None else readable(identity.unit),
+        label="" if identity is None else readable(identity.label),
+        participant="" if identity is None else readable(identity.participant),
+        host=readable(first.core.hostname) or "an unknown computer",
+        section=_section(first),
+        replay=readable(_played(first)),
+        is_ours=identity is not None,
+        seen=seen,
+        silent_s=min(each.silent_s for each in shown if each.seen is seen),
+        worn=None if worn is None else worn > _CONTENT_HALF,
+        battery_percent=battery,
+        lost=sum(counts) if counts else None,
+        is_lost_estimated=any(each.is_lost_estimated for each in shown),
+        streams=shown,
+    )
+
+
+def _rank(stream: SeenStreamView) -> tuple[object, ...]:
+    """Order: what was measured on the body, the fastest first; then the rest, text last."""
+    return (stream.is_text, not stream.is_signal, -stream.nominal_hz, stream.data_name)
+
+
+def _played(stream: NetworkStream) -> str:
+    """Return what it is a replay of; empty if it is measured now."""
+    replay = stream.header.replay if stream.header else None
+    return replay.title if replay else ""
+
+
+def _section(stream: NetworkStream) -> str:
+    if _played(stream):
+        return f"{_REPLAY}: {_section_of_live(stream)}"
+    return _section_of_live(stream)
+
+
+def _section_of_live(stream: NetworkStream) -> str:
+    if not stream.is_ours or stream.header is None:
+        return f"Other programs on {readable(stream.core.hostname) or 'an unknown computer'}"
+    identity = stream.header.identity
+    if identity.sensor == GATEWAY.name:
+        return "Capture agents"
+    return readable(identity.participant) or "No participant set"
+
+
+def _title(sensor: str) -> str:
+    return _AGENT if sensor == GATEWAY.name else readable(sensor_title(sensor))
+
+
+def _newest(
+    streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], role: ChannelRole
+) -> float | None:
+    """Return the newest value of the channel with that role, unless it is stale or unknown."""
+    for stream in streams:
+        roles = stream.header.roles if stream.header else ()
+        values = stream.received.values
+        if role in roles and len(values) == len(roles) and views[stream.number].is_fresh:
+            value = float(values[roles.index(role)])
+            if np.isfinite(value):
+                return value
+    return None
+
+
+def readable(text: str, most: int = MAX_NAME) -> str:
+    r"""Return text without control characters and others that change how the rest is shown.
+
+    They are written as ``\x0a`` or ``\u202e``, so that a name that is copied into a terminal
+    does nothing there; what is too long ends in dots.
+    """
+    shown = "".join(each if each.isprintable() else _escaped(each) for each in text[: most + 1])
+    return shown if len(shown) <= most else f"{shown[: most - 1]}…"
+
+
+def entry_of(text: str, *, is_ours: bool) -> str:
+    """Return an entry of a stream of text; of an agent's JSON what a person wants to know."""
+    if is_ours:
+        with contextlib.suppress(ValueError, RecursionError):
+            content = json.loads(text)
+            if isinstance(content, dict):
+                told = cast("dict[str, Any]", content)
+                parts = [told[key] for key in _TOLD if isinstance(told.get(key), str)]
+                text = ": ".join(parts) or text
+    return readable(text, MAX_ENTRY)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")

@@ -6,8 +6,9 @@ import heapq
 import math
 import threading
 import time
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,12 +20,9 @@ from numpy.typing import NDArray
 from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.opening import extent
-from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
-from biosensor_gateway.recording.replay.lateness import Lateness
-from biosensor_gateway.recording.replay.outlet import PlayedOutlet
-from biosensor_gateway.recording.replay.timeline import Timeline
-from biosensor_gateway.recording.replay.track import Track
+from biosensor_gateway.recording.replay.outlet import Block, PlayedOutlet
 from biosensor_gateway.recording.xdf.container import Damage
 
 PACE_S = 0.002
@@ -35,6 +33,10 @@ LAP_PAUSE_S = 1.0
 _LINGER_S = 1.0
 _LEAD_S = 0.05
 _LOOK_S = 0.05
+BIN_S = 0.0001
+_BINS = 100_000
+# Folded together only now and then: a block has a sample or two.
+_MOST_BLOCKS = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,3 +243,157 @@ class Player:
 
 def _recorded_id(stream: Stream) -> str:
     return recorded_source_id(stream.header.source_id, stream.header.replay)
+
+
+class Lateness:
+    """A histogram of 0.1 ms, so that hours of samples take no more memory than a second."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, np.int64)
+        self._blocks: list[tuple[float, float, NDArray[np.float64]]] = []
+        self._most_s = 0.0
+
+    def add(self, sent_s: float, stamps: NDArray[np.float64], since_s: float = -math.inf) -> None:
+        """Take in samples.
+
+        Parameters
+        ----------
+        sent_s
+            LSL time at which they had been given to LSL.
+        stamps : ndarray of float64, shape (n_samples,)
+        since_s
+            What is stamped before that was late by intent, and is not counted.
+        """
+        self._blocks.append((sent_s, since_s, stamps))
+        if len(self._blocks) >= _MOST_BLOCKS:
+            self._fold()
+
+    @property
+    def most_s(self) -> float:
+        """How late the latest sample was."""
+        self._fold()
+        return self._most_s
+
+    def percentile_s(self, percent: float) -> float:
+        """Return within which time so many of the samples were sent; 0 if there are none."""
+        self._fold()
+        sums: NDArray[np.int64] = np.cumsum(self._counts)
+        if not sums[-1]:
+            return 0.0
+        wanted = int(sums[-1]) * percent / 100
+        return (int(np.count_nonzero(sums < wanted)) + 1) * BIN_S
+
+    def _fold(self) -> None:
+        if not self._blocks:
+            return
+        sent, since, blocks = zip(*self._blocks, strict=True)
+        lengths = [len(each) for each in blocks]
+        stamps: NDArray[np.float64] = np.concatenate(blocks)
+        late = (np.repeat(sent, lengths) - stamps)[stamps >= np.repeat(since, lengths)]
+        self._blocks.clear()
+        self._most_s = max(self._most_s, float(late.max(initial=0.0)))
+        bins = np.clip(late / BIN_S, 0, _BINS - 1).astype(np.int64)
+        np.add.at(self._counts, bins, 1)
+
+
+class Track:
+    """Reads a stream chunk by chunk, the next one as soon as the last one has been sent.
+
+    Parameters
+    ----------
+    blocks
+        Its samples in the order of the file.
+
+    Attributes
+    ----------
+    due_s
+        When its next sample was recorded, infinite after the last. One whose stamp runs back
+        goes out with the one before it.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read any more, here and in `send`.
+    """
+
+    def __init__(self, outlet: PlayedOutlet, blocks: Iterator[Samples]) -> None:
+        self._outlet, self._blocks = outlet, blocks
+        self._samples: Samples | None = None
+        self._block: Block | None = None
+        self._stamps = np.empty(0)
+        self._due: list[float] = []
+        self._at = 0
+        self.due_s = -math.inf
+        self._read()
+
+    def send(self, until_s: float, timeline: Timeline) -> NDArray[np.float64]:
+        """Send what is due of the present chunk.
+
+        Parameters
+        ----------
+        until_s
+            Time of the recording, from `due_s` on.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_samples,)
+            Stamps of what was sent.
+        """
+        if self._samples is None:
+            return np.empty(0)
+        if self._block is None:
+            self._stamps = timeline.stamps(self._samples.times)
+            self._block = self._outlet.block(self._samples, self._stamps)
+        begin, end = self._at, bisect_right(self._due, until_s, self._at)
+        self._block.push(begin, end)
+        stamps = self._stamps[begin:end]
+        self._at = end
+        if end < len(self._due):
+            self.due_s = self._due[end]
+        else:
+            self._read()
+        return stamps
+
+    def _read(self) -> None:
+        self._samples, self._block, self._at = next(self._blocks, None), None, 0
+        if self._samples is None:
+            self.due_s = math.inf
+            return
+        # From the chunk before on, so that a chunk that begins earlier goes out at once.
+        due = np.maximum.accumulate(np.maximum(self._samples.times, self.due_s))
+        # Asked for one by one, numbers of Python are three times as fast as those of numpy.
+        self._due = due.tolist()
+        self.due_s = self._due[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """``stamp = start + (time - begin) / speed``.
+
+    Attributes
+    ----------
+    start_s
+        LSL time, now, at which the recording's `begin_s` is played.
+    begin_s
+        LSL time on the clock of the computer that recorded.
+    speed
+        Seconds of the recording in one second, above 0.
+    """
+
+    start_s: float
+    begin_s: float
+    speed: float
+
+    def stamps(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return when samples are played.
+
+        Parameters
+        ----------
+        times : ndarray of float64, shape (n_samples,)
+            When they were recorded.
+        """
+        return self.start_s + (times - self.begin_s) / self.speed
+
+    def recorded(self, lsl_s: float) -> float:
+        """Return the time of the recording that is played at an LSL time."""
+        return self.begin_s + (lsl_s - self.start_s) * self.speed

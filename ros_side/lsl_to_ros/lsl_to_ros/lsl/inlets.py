@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from enum import Enum, unique
 
@@ -18,8 +19,6 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.lsl.buffering import buffer_length
-from lsl_to_ros.lsl.corrections import Corrections
 from lsl_to_ros.lsl.delivery import Delivery, Receiver
 from lsl_to_ros.lsl.descriptions import about, header_of
 from lsl_to_ros.lsl.liblsl import matches_query
@@ -29,6 +28,14 @@ OPEN_TIMEOUT_S = 10.0
 LAST_ENTRY_S = 0.1
 # What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
 FROM_ROS = all_of(has("desc/ros"), none_of(has("desc/replay")))
+# For as long may the node stand still. liblsl reserves 16 bytes a sample at once, on both sides:
+# its own default, 360 s, is 1.5 MB for 256 Hz.
+BUFFER_S = 120
+# A stream of no rate may burst, and no time says how much that is: here liblsl's default stays.
+BUFFER_HUNDREDS = 360
+# What other programs announce may be anything, and liblsl would reserve memory for it.
+BUFFER_SAMPLES = 4_000_000
+KEPT = 10
 
 
 @unique
@@ -297,3 +304,40 @@ class Inlet:
     def _close(self) -> None:
         with self._pulling:
             self._reading = None
+
+
+def buffer_length(rate: float) -> int:
+    """Return the seconds to buffer; hundreds of samples where the rate is 0, as liblsl has it."""
+    if not rate:
+        return BUFFER_HUNDREDS
+    return BUFFER_S if rate * BUFFER_S <= BUFFER_SAMPLES else max(1, int(BUFFER_SAMPLES / rate))
+
+
+class Corrections:
+    """The last corrections for one sender.
+
+    Attributes
+    ----------
+    newest
+        Seconds to add to a stamp for this machine's LSL clock; None before the first
+        measurement.
+    """
+
+    def __init__(self) -> None:
+        self.newest: float | None = None
+        # nothing is dropped: these are corrections
+        self._recent: deque[float] = deque(maxlen=KEPT)
+
+    @property
+    def spread(self) -> float:
+        """Largest minus smallest of the last ten, in seconds."""
+        # Another thread may add one meanwhile.
+        recent = list(self._recent)
+        return max(recent) - min(recent) if recent else 0.0
+
+    def add(self, correction: float) -> bool:
+        """Take in a measurement; return whether it is the first."""
+        is_first = self.newest is None
+        self._recent.append(correction)
+        self.newest = correction
+        return is_first

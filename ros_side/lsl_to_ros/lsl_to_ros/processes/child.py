@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from time import monotonic
 
@@ -13,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from lsl_to_ros.command_line import FURTHER
 from lsl_to_ros.lsl.share import Share
-from lsl_to_ros.processes.arguments import for_further
 from lsl_to_ros.processes.link import Link
 from lsl_to_ros.processes.mail import Setup
 from lsl_to_ros.reports.overload import name_of
@@ -37,6 +37,13 @@ HUNG_AFTER_S, HUNG_AT_START_S = 10.0, 40.0
 LONGEST_LOOK_S = 0.5
 # What it has may have to be published first.
 ENDS_WITHIN_S = 4.0
+_BEGIN, _END = "--ros-args", "--"
+# They come with what the first process starts the others with, as they are by then: a file of them
+# names the node.
+_OF_PARAMETERS = frozenset({"-p", "--param", "--params-file"})
+_REMAPS = frozenset({"-r", "--remap"})
+# Of whichever node.
+_RENAMES = re.compile(r"(\w+:)?__(node|name|ns):=")
 
 
 class Child:
@@ -228,3 +235,31 @@ def _popen(descriptor: int, name: str) -> subprocess.Popen[bytes]:
         stdin=subprocess.DEVNULL,
         process_group=0,
     )
+
+
+def for_further(arguments: Sequence[str], name: str) -> list[str]:
+    """Return the arguments without parameters, and without the names of node and namespace.
+
+    What is left are the remappings of topics, levels of the log, the enclave, and such.
+
+    Parameters
+    ----------
+    name
+        Of the node; a remapping for it alone is to hold for a further process, which has
+        another name.
+    """
+    return list(_handed_on(iter(arguments), name))
+
+
+def _handed_on(arguments: Iterator[str], name: str) -> Iterator[str]:
+    is_ros = False
+    for argument in arguments:
+        is_ros = argument == _BEGIN or (is_ros and argument != _END)
+        if is_ros and argument in _OF_PARAMETERS:
+            next(arguments, None)
+        elif is_ros and argument in _REMAPS:
+            rule = next(arguments, "")
+            if not _RENAMES.match(rule):
+                yield from (argument, rule.removeprefix(f"{name}:"))
+        else:
+            yield argument

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -13,7 +13,6 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.reports.diagnostics import LEASE_S
-from lsl_to_ros.reports.merging import merged
 from lsl_to_ros.reports.processes import Concern, ProcessFacts, node_status, process_status
 from lsl_to_ros.topics.messages import HAS_STAMPED_TOPICS
 from lsl_to_ros.topics.publishers import make_publisher
@@ -77,3 +76,28 @@ class Reporting:
 
     def _header(self) -> Header:
         return Header(stamp=self._clock.now().to_msg())
+
+
+def merged(statuses: Iterable[DiagnosticStatus]) -> list[DiagnosticStatus]:
+    """Return one entry for each name: the values of all, and the worst level with its reason.
+
+    The streams of a device may be in several processes, and each of these tells of it what its
+    own streams say.
+    """
+    by_name: dict[str, DiagnosticStatus] = {}
+    for status in statuses:
+        other = by_name.get(status.name)
+        by_name[status.name] = status if other is None else _joined(other, status)
+    return list(by_name.values())
+
+
+def _joined(first: DiagnosticStatus, second: DiagnosticStatus) -> DiagnosticStatus:
+    worse = second if second.level > first.level else first
+    values = {value.key: value for value in (*first.values, *second.values)}
+    return DiagnosticStatus(
+        level=worse.level,
+        name=first.name,
+        message=worse.message,
+        hardware_id=first.hardware_id or second.hardware_id,
+        values=list(values.values()),
+    )

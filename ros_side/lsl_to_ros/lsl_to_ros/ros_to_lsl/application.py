@@ -2,35 +2,42 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
+import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
-from time import monotonic
-from typing import Any
+from time import monotonic, time_ns
+from typing import Any, Protocol
 
 import pylsl
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
+from biosensor_common.clock_pair import measure_clock_pair
+from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros import spinning
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.configuration import configure_lsl
 from lsl_to_ros.parameters.node import KNOWN_PEERS, SESSION_ID
+from lsl_to_ros.reports.clock_pairs import events_outlet
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
-from lsl_to_ros.ros_to_lsl.events import Events
 from lsl_to_ros.ros_to_lsl.graph import Graph, are_named
 from lsl_to_ros.ros_to_lsl.parameters import read_requests
+from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
     node_status,
@@ -38,7 +45,6 @@ from lsl_to_ros.ros_to_lsl.reports import (
     topic_status,
 )
 from lsl_to_ros.ros_to_lsl.requests import TopicRequest, stream_name
-from lsl_to_ros.ros_to_lsl.sender_offset import SenderOffsets
 from lsl_to_ros.ros_to_lsl.topic import Topic
 from lsl_to_ros.taking import TakenElsewhere, Taker
 from lsl_to_ros.topics.publishers import make_publisher
@@ -53,6 +59,14 @@ LOOKS_TO_SETTLE = 8
 # By then a node has found the others.
 FOUND_AFTER_S = 5.0
 REPORT_PERIOD_S = 1.0
+HEARTBEAT_S = 5.0
+ANSWERS = 5
+"""So many make a measurement."""
+PERIOD_S = 30.0
+"""Between the end of a measurement and the begin of the next."""
+GIVE_UP_S = 5.0
+"""A node that has not answered for so long does not answer: it may have no such service."""
+_ASKED = "use_sim_time"
 
 
 class RosToLsl(Node):
@@ -220,3 +234,155 @@ def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:
         )
         raise ConfigError(ConfigReason.WRONG_VALUE, message) from error
     return node, node.stop
+
+
+class Events:
+    """Sends events; any thread may.
+
+    Parameters
+    ----------
+    node
+        It says its name and domain, by which nodes of one computer differ.
+    topics
+        Tells of every topic, for the heartbeat.
+    """
+
+    def __init__(self, node: Node, topics: Callable[[], Mapping[str, object]]) -> None:
+        self._topics = topics
+        self._lock = threading.Lock()
+        self._stamps = MonotonicStamps()
+        self._due_s, self._had_consumers = -math.inf, False
+        self._outlet = events_outlet(node, "ros_to_lsl")
+        self._send("started", _clock())
+
+    def notice(self, topic: str, text: str) -> None:
+        """Say what the log says of a topic."""
+        self._send("notice", {"topic": topic, "text": text})
+
+    def look(self, now: float) -> None:
+        """Send a heartbeat if one is due; a few times a second, with the LSL time."""
+        has_consumers = self._outlet.have_consumers()
+        has_come, self._had_consumers = has_consumers and not self._had_consumers, has_consumers
+        if has_come or now >= self._due_s:
+            self._due_s = now + HEARTBEAT_S
+            self._send("heartbeat", {"topics": dict(self._topics()), **_clock()})
+
+    def _send(self, event: str, facts: Mapping[str, object]) -> None:
+        with self._lock:
+            now = pylsl.local_clock()
+            content = {"event": event, **facts, "lsl_time": round(now, 6)}
+            (stamp,) = self._stamps.apply([now])
+            self._outlet.push_sample([json.dumps(content, separators=(",", ":"))], stamp)
+
+
+def _clock() -> dict[str, object]:
+    return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
+
+
+class Answer(Protocol):
+    """What ROS tells of an answer, in nanoseconds since 1970."""
+
+    @property
+    def source_timestamp(self) -> int:
+        """When it was sent, by the clock of who did it."""
+        ...
+
+    @property
+    def received_timestamp(self) -> int:
+        """When it came, by this computer's clock."""
+        ...
+
+
+class Bounds:
+    """What the answers of one measurement say together."""
+
+    def __init__(self) -> None:
+        self.answers = 0
+        self._least_ns, self._most_ns = -math.inf, math.inf
+
+    def take(self, asked_ns: int, answer: Answer) -> None:
+        """Take in an answer, and when it was asked for."""
+        if not answer.source_timestamp or not answer.received_timestamp:
+            return  # nothing is dropped: it only tells a time
+        self.answers += 1
+        self._least_ns = max(self._least_ns, answer.source_timestamp - answer.received_timestamp)
+        self._most_ns = min(self._most_ns, answer.source_timestamp - asked_ns)
+
+    @property
+    def offset(self) -> Offset | None:
+        """The clock's offset; None before an answer, or if a clock was set in between."""
+        if not self.answers or self._least_ns > self._most_ns:
+            return None
+        return Offset(self._least_ns / NS_PER_S, self._most_ns / NS_PER_S)
+
+
+class SenderOffsets:
+    """Measures the clocks of nodes, as long as somebody wants to know them."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._asked: dict[str, SenderOffset] = {}
+
+    def look(self, topics: Iterable[Topic]) -> None:
+        """Do what is due; a few times a second."""
+        wanted: dict[str, list[Topic]] = {}
+        for each in topics:
+            if each.sender and each.wants_offset:
+                wanted.setdefault(each.sender, []).append(each)
+        for name in self._asked.keys() - wanted.keys():
+            self._asked.pop(name).stop()
+        for name, those in wanted.items():
+            if name not in self._asked:
+                self._asked[name] = SenderOffset(self._node, name)
+            offset = self._asked[name].look()
+            if offset is not None:
+                for each in those:
+                    each.bridge.take_offset(offset)
+
+    def restart(self) -> None:
+        """Give up what is being measured, since this computer's own clock was set."""
+        for each in self._asked.values():
+            each.stop()
+        self._asked.clear()
+
+
+class SenderOffset:
+    """Asks one node, again and again; :meth:`look` never waits."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._client = node.create_client(
+            GetParameters, f"{name}/get_parameters", callback_group=TakenElsewhere()
+        )
+        # rclpy's client throws away what it is told of an answer.
+        self._handle = self._client.handle
+        self._bounds = Bounds()
+        self._asked_ns, self._asked_s, self._due_s, self._number = 0, 0.0, 0.0, 0
+
+    def look(self) -> Offset | None:
+        """Ask, or take the answer; return the offset when it has been measured."""
+        now_s = monotonic()
+        if self._asked_ns:
+            self._take(now_s)
+        if self._bounds.answers >= ANSWERS:
+            offset = self._bounds.offset
+            self._bounds, self._due_s = Bounds(), now_s + PERIOD_S
+            return offset
+        if not self._asked_ns and now_s >= self._due_s and self._client.service_is_ready():
+            self._asked_ns, self._asked_s = time_ns(), now_s
+            self._number = self._handle.send_request(GetParameters.Request(names=[_ASKED]))
+        return None  # nothing is dropped: there is no offset yet
+
+    def stop(self) -> None:
+        """Ask nothing more."""
+        self._node.destroy_client(self._client)
+
+    def _take(self, now_s: float) -> None:
+        told, answer = self._handle.take_response(GetParameters.Response)
+        # One that was given up may still come.
+        if answer is not None and told.request_id.sequence_number == self._number:
+            self._bounds.take(self._asked_ns, told)
+            self._asked_ns = 0
+        elif now_s - self._asked_s > GIVE_UP_S:
+            self._asked_ns, self._due_s = 0, now_s + PERIOD_S
+            self._bounds = Bounds()

@@ -22,7 +22,6 @@ from biosensor_common.topic_text import text_of
 from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics.chunker import Chunker
 from lsl_to_ros.topics.publishers import TopicPublisher
 
 
@@ -187,3 +186,45 @@ class ChunkWriter:
     def discard(self) -> int:
         """Give up the partial chunk; return its samples."""
         return self._chunker.discard()
+
+
+class Chunker:
+    """Cuts a stream into chunks; no sample is dropped or repeated by a change of length.
+
+    Parameters
+    ----------
+    sample_size
+        Bytes of one sample.
+    """
+
+    def __init__(self, sample_size: int) -> None:
+        self._sample_size = sample_size
+        self._values = bytearray()
+
+    @property
+    def pending(self) -> int:
+        """Samples waiting for their chunk to be full."""
+        return len(self._values) // self._sample_size
+
+    def add(self, values: bytes, length: int) -> list[bytes]:
+        """Add whole samples; return the chunks of *length* samples that are now full.
+
+        Several can be full, after many samples or when the length was reduced. Values
+        stay as they come: row-major, shape [length, channels].
+        """
+        collected = self._values
+        collected += values
+        size = length * self._sample_size
+        end = len(collected) - len(collected) % size
+        if not end:
+            # nothing is dropped: they wait for more
+            return []
+        full = [bytes(collected[start : start + size]) for start in range(0, end, size)]
+        del collected[:end]
+        return full
+
+    def discard(self) -> int:
+        """Give up a partial chunk, for a chunk never spans a gap; return its samples."""
+        discarded = self.pending
+        self._values.clear()
+        return discarded

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.batches import joined
-from biosensor_gateway.recording.export.bids.placing import Displacement, place
 from biosensor_gateway.recording.export.bids.tables import NOTHING
 from biosensor_gateway.recording.export.bids.timing import Part
 from biosensor_gateway.recording.export.csv.tables import table_file
@@ -25,6 +25,7 @@ _MICROSECONDS = 6
 _TABS = bytes.maketrans(b",", b"\t")
 # Of what was measured, higher levels leave a few percent less, and take several times as long.
 GZIP_LEVEL = 1
+_HALF = 0.5 + 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,3 +166,60 @@ def parts_of(batches: Iterator[Samples], parts: tuple[Part, ...]) -> Iterator[It
 
 def _cut(samples: Samples, begin: int, end: int) -> Samples:
     return Samples(samples.times[begin:end], samples.stamps[begin:end], samples.values[begin:end])
+
+
+def place(places: NDArray[np.float64], after: int) -> NDArray[np.int64]:
+    """Return a row for each sample, ascending.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n_samples,)
+        Where each sample would be, in rows, with fractions.
+    after
+        The last row that is taken.
+
+    Returns
+    -------
+    ndarray of int64, shape (n_samples,)
+        Behind `after`, no two the same.
+    """
+    nearest = np.rint(places).astype(np.int64)
+    if not len(nearest) or (nearest[0] > after and bool((np.diff(nearest) > 0).all())):
+        return nearest
+    order = np.arange(len(nearest))
+    # Rows that ascend strictly are numbers that do not fall, plus 0, 1, 2 ...
+    level = _without_falls((nearest - order).tolist())
+    return np.maximum(level, after + 1) + order
+
+
+def _without_falls(levels: list[int]) -> NDArray[np.int64]:
+    """Return numbers that never fall and are away from `levels` by the least sum.
+
+    This is isotonic regression with absolute errors. Of the cost of all levels so far, as a
+    function of the last number, the heap has the places where the slope changes by one; its
+    greatest is where the cost is least. A level below it pulls that place down to itself.
+    """
+    heap: list[int] = []
+    best: list[int] = []
+    for level in levels:
+        heapq.heappush(heap, -level)
+        if level < -heap[0]:
+            heapq.heapreplace(heap, -level)
+        best.append(-heap[0])
+    return np.minimum.accumulate(np.array(best)[::-1])[::-1]
+
+
+class Displacement:
+    """How far samples are from the times of their rows."""
+
+    def __init__(self) -> None:
+        self.largest = 0.0
+        """In rows."""
+        self.moved = 0
+        """Samples for which it is more than half a row: their own was taken."""
+
+    def add(self, places: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+        """Take in samples, where they would be and where they are; both of shape (n_samples,)."""
+        away = np.abs(places - rows)
+        self.largest = max(self.largest, float(away.max(initial=0.0)))
+        self.moved += int(np.count_nonzero(away > _HALF))

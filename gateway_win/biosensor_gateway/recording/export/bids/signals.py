@@ -2,28 +2,135 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATION, ContentType
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.bids import motion, sidecars
+from biosensor_gateway.recording.export.bids import sidecars
 from biosensor_gateway.recording.export.bids.file_names import Entities
-from biosensor_gateway.recording.export.bids.irregular import write_irregular
 from biosensor_gateway.recording.export.bids.regular import (
     RegularTable,
     parts_of,
     write_regular,
 )
-from biosensor_gateway.recording.export.bids.sidecars import DURATION, ONSET, TIMESTAMP
-from biosensor_gateway.recording.export.bids.tables import write_json, write_rows
+from biosensor_gateway.recording.export.bids.sidecars import (
+    DURATION,
+    ONSET,
+    TIMESTAMP,
+    channel_types,
+    columns,
+    unit,
+)
+from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
 from biosensor_gateway.recording.export.bids.timeline import Timeline
 from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
+from biosensor_gateway.recording.export.csv.tables import table_file
 from biosensor_gateway.recording.export.exporter import SampleCount
+from biosensor_gateway.recording.export.numbers import rows_of_numbers
+
+# Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
+_MOTION_TYPES = {
+    ContentType.ACCELEROMETER.lower(): "ACCEL",
+    "accelerometry": "ACCEL",
+    "acceleration": "ACCEL",
+    "acc": "ACCEL",
+    "gyroscope": "GYRO",
+    "gyro": "GYRO",
+    "magnetometer": "MAGN",
+    ContentType.MOCAP.lower(): "MISC",
+    "imu": "MISC",
+}
+_BY_ROLE = {
+    **dict.fromkeys(ACCELERATION, "ACCEL"),
+    **dict.fromkeys(MAGNETIC_FIELD, "MAGN"),
+    **dict.fromkeys(ORIENTATION, "ORNT"),
+}
+# Type of a channel as other programs give it: PositionX, OrientationW, accx, Gyro Y ...
+_TOLD = re.compile(r"(pos|ori|quat|acc|gyr|mag|vel)[a-z]*[ _.-]?([wxyz])", re.IGNORECASE)
+_BY_WORD = {
+    "pos": "POS",
+    "ori": "ORNT",
+    "quat": "ORNT",
+    "acc": "ACCEL",
+    "gyr": "GYRO",
+    "mag": "MAGN",
+    "vel": "VEL",
+}
+_MOTION_HEAD = ("name", "component", "type", "tracked_point", "units")
+LATENCY = "LATENCY"
+_MOTION_CHANNEL_TYPES = (
+    "ACCEL", "ANGACCEL", "GYRO", "JNTANG", LATENCY, "MAGN", "MISC", "ORNT", "POS", "VEL",
+)  # fmt: skip
+
+
+class Channel(NamedTuple):
+    """A row of ``channels.tsv``."""
+
+    name: str
+    component: str
+    type: str
+    tracked_point: str
+    units: str
+
+
+def is_motion(stream: Stream) -> bool:
+    """Whether a stream is of something that moves, by its type."""
+    return stream.header.content_type.lower() in _MOTION_TYPES
+
+
+def motion_channels(stream: Stream) -> list[Channel]:
+    """Return the channels of a table of motion; the first is the time of the samples."""
+    meaning = stream.meaning
+    point = meaning.identity.label or meaning.identity.sensor
+    usual = _MOTION_TYPES[stream.header.content_type.lower()]
+    told = zip(
+        columns(stream),
+        stream.header.labels,
+        channel_types(stream),
+        meaning.roles,
+        meaning.units,
+        strict=True,
+    )
+    found = [Channel(TIMESTAMP, NOTHING, LATENCY, NOTHING, "s")]
+    for name, label, channel_type, role, unit_name in told:
+        if role is not None and role in _BY_ROLE:
+            kind, axis = _BY_ROLE[role], role.value[-1]
+        else:
+            kind, axis = _kind(usual, label, channel_type)
+        component = f"quat_{axis}" if kind == "ORNT" and axis else axis
+        found.append(Channel(name, component, kind, point, unit(unit_name)))
+    return found
+
+
+def _kind(usual: str, label: str, channel_type: str) -> tuple[str, str]:
+    """Return type and axis of a channel without a role; empty axis where nothing tells it."""
+    for text in (channel_type, label):
+        if match := _TOLD.fullmatch(text):
+            kind, axis = _BY_WORD[match[1].lower()], match[2].lower()
+            return (kind, axis) if axis != "w" or kind == "ORNT" else (kind, "")
+    is_axis = label.lower() in ("x", "y", "z") and usual != "MISC"
+    return usual, label.lower() if is_axis else ""
+
+
+def _channel_counts(found: Sequence[Channel]) -> dict[str, int]:
+    """Return the numbers of channels that ``motion.json`` tells."""
+    by_type = Counter(each.type for each in found)
+    return {
+        **{f"{kind}ChannelCount": by_type[kind] for kind in _MOTION_CHANNEL_TYPES},
+        "MotionChannelCount": len(found),
+        "TrackedPointsCount": 1,
+    }
+
 
 BEHAVIOUR, MOTION = "beh", "motion"
 # Stamps that are further away are of no clock.
@@ -32,6 +139,7 @@ _MOST_PARTS = 100
 # What is mostly gaps is no table of equal steps.
 _MOST_EMPTY_PER_SAMPLE = 100
 _ALWAYS_EMPTY_S = 24 * 3600.0
+_MICROSECONDS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +248,7 @@ class SignalWriter:
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
             # No other stream's label has a plus.
             label = f"{place.label}+part{number}" if len(timing.parts) > 1 else place.label
-            files = _Files(self._root, Place(place.entities, label), motion.is_motion(stream))
+            files = _Files(self._root, Place(place.entities, label), is_motion(stream))
             files.table.parent.mkdir(parents=True, exist_ok=True)
             table = write_regular(files.table, self._counted(batched), part, timing.rate_hz)
             files.describe(stream, timing, table, self._timeline)
@@ -180,15 +288,15 @@ class _Files:
         write_json(self._path("motion.json" if self._is_motion else "physio.json"), content)
 
     def _of_motion(self, stream: Stream, timing: Timing) -> dict[str, object]:
-        channels = motion.channels(stream, TIMESTAMP)
-        write_rows(self._path("channels.tsv"), motion.table(channels))
+        channels = motion_channels(stream)
+        write_rows(self._path("channels.tsv"), [_MOTION_HEAD, *channels])
         return {
             "TrackingSystemName": stream.meaning.identity.sensor,
             # Here BIDS wants the nominal rate, and the real one in a key of its own.
             "SamplingFrequency": stream.header.rate,
             "SamplingFrequencyEffective": timing.rate_hz,
             "MissingValues": "n/a",
-            **motion.counts(channels),
+            **_channel_counts(channels),
         }
 
 
@@ -198,3 +306,37 @@ def _of_physio(stream: Stream, timing: Timing) -> dict[str, object]:
         "Columns": [TIMESTAMP, *sidecars.columns(stream)],
         "PhysioType": "generic",
     }
+
+
+def write_irregular(path: Path, batches: Iterator[Samples]) -> int:
+    """Write onset, duration and values of each sample, in the order of the recording.
+
+    Parameters
+    ----------
+    batches
+        Times are seconds since zero.
+
+    Returns
+    -------
+    int
+        How many samples these are.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    written = 0
+    with table_file(path, is_packed=True) as file:
+        for samples in batches:
+            file.write(_text(samples.times, np.asarray(samples.values)))
+            written += len(samples)
+    return written
+
+
+def _text(times: NDArray[np.float64], values: NDArray[np.generic]) -> bytes:
+    text = rows_of_numbers(np.round(times, _MICROSECONDS), values)
+    lines = text.replace(b"NaN", NOTHING.encode()).splitlines()
+    # A moment has no duration.
+    rows = (line.partition(b",") for line in lines)
+    return b"".join(onset + b"\t0\t" + rest.replace(b",", b"\t") + b"\n" for onset, _, rest in rows)

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from edfio import Bdf, BdfSignal, EdfAnnotation, Patient, Recording
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen
-from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.edf.annotations import Annotation, annotation_records
-from biosensor_gateway.recording.export.edf.happened import Span, dealt
-from biosensor_gateway.recording.export.edf.header import Facts, header
-from biosensor_gateway.recording.export.edf.holes import Holes
-from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.edf.annotations import (
+    BYTES_PER_SAMPLE,
+    Annotation,
+    annotation_records,
+)
+from biosensor_gateway.recording.export.edf.layout import (
+    GREATEST,
+    LEAST,
+    RATES_HZ,
+    Channel,
+    Layout,
+    channel,
+    layout,
+)
 from biosensor_gateway.recording.export.edf.records import digital, records
 from biosensor_gateway.recording.export.exporter import (
     Clock,
@@ -33,6 +47,17 @@ from biosensor_gateway.recording.xdf.container import RecordingError, RecordingR
 _LABEL = 16
 # Of whom a header has no room for more.
 _MOST_CHANNELS = 4000
+Happened = tuple[float, str]
+"""Time on the recorder's clock, in s, and text."""
+_RECORDS_AT = 236
+_FIELD = 8
+# Label, transducer and dimension come before the ranges, those and the filter before the samples.
+_BEFORE_RANGES = 16 + 80 + 8
+_BEFORE_SAMPLES = _BEFORE_RANGES + 4 * _FIELD + 80
+_FIXED = 256
+_NOT_PLAIN = re.compile(r"[^!-~]+")
+_MOST_CODE = 24
+_MOST_TOLD = 1000
 
 
 @dataclass(slots=True)
@@ -211,3 +236,176 @@ def _of_file(run: Run, length_s: float, rate_hz: float) -> Iterator[Annotation]:
     end_s = run.count / rate_hz
     if length_s - end_s > 0.5 / rate_hz:
         yield Annotation(end_s, length_s - end_s, "end of data, the rest is filled up")
+
+
+class Span(NamedTuple):
+    """Of the file of one run, in s on the recorder's clock; the end is excluded."""
+
+    begin_s: float
+    end_s: float
+
+
+def dealt(happened: Sequence[Happened], spans: Sequence[Span]) -> tuple[list[list[Happened]], int]:
+    """Return what stands in each file, and how much of it happened outside of all of them.
+
+    That stands in the file before, or in the first one: an annotation may be of any time.
+
+    Parameters
+    ----------
+    happened
+        In the order of time.
+    spans
+        Of at least one file, in any order.
+    """
+    found: list[list[Happened]] = []
+    is_outside = [True] * len(happened)
+    for span in spans:
+        inside = range(
+            bisect_left(happened, (span.begin_s, "")), bisect_left(happened, (span.end_s, ""))
+        )
+        found.append([happened[place] for place in inside])
+        for place in inside:
+            is_outside[place] = False
+    outside = [each for each, it_is in zip(happened, is_outside, strict=True) if it_is]
+    begins = sorted((span.begin_s, number) for number, span in enumerate(spans))
+    for each in outside:
+        place = bisect_right(begins, (each[0], len(spans)))
+        found[begins[max(0, place - 1)][1]].append(each)
+    return found, len(outside)
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What the header tells of the recording.
+
+    Attributes
+    ----------
+    participant, equipment
+        Empty if not known.
+    begun_ns
+        Unix time of the first sample; None if the file is to tell no time of day.
+    """
+
+    participant: str
+    equipment: str
+    begun_ns: int | None
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first sample since the whole second that the header tells."""
+        return 0.0 if self.begun_ns is None else self.begun_ns % 1_000_000_000 / 1e9
+
+
+def header(
+    channels: Sequence[Channel], layout: Layout, facts: Facts, annotation_bytes: int
+) -> bytes:
+    """Return the bytes before the data records."""
+    signals = [
+        BdfSignal(
+            np.full(layout.samples, each.least),
+            layout.rate_hz,
+            label=each.label,
+            physical_dimension=each.dimension,
+            physical_range=(each.least, each.greatest),
+            digital_range=(LEAST, GREATEST),
+        )
+        for each in channels
+    ]
+    begun = None
+    if facts.begun_ns is not None:
+        begun = datetime.fromtimestamp(facts.begun_ns // 1_000_000_000, UTC)
+    made = Bdf(
+        signals,
+        patient=Patient(code=_code(facts.participant)),
+        recording=Recording(
+            startdate=begun.date() if begun else None, equipment_code=_code(facts.equipment)
+        ),
+        starttime=begun.time() if begun else None,
+        data_record_duration=layout.record_s,
+        annotations=[EdfAnnotation(0, None, "begin")],
+    )
+    content = bytearray(made.to_bytes()[: made.bytes_in_header_record])
+    _put(content, _RECORDS_AT, layout.records)
+    # The annotations are the last signal.
+    count = len(channels) + 1
+    place = _FIXED + count * _BEFORE_SAMPLES + (count - 1) * _FIELD
+    _put(content, place, annotation_bytes // BYTES_PER_SAMPLE)
+    # edfio rounds them once more.
+    place = _FIXED + count * _BEFORE_RANGES
+    for number, each in enumerate(channels):
+        _put(content, place + number * _FIELD, each.least)
+        _put(content, place + (count + number) * _FIELD, each.greatest)
+    return bytes(content)
+
+
+def _put(content: bytearray, place: int, number: float) -> None:
+    text = f"{number:.6f}".rstrip("0").rstrip(".")
+    content[place : place + _FIELD] = text.encode().ljust(_FIELD)
+
+
+def _code(text: str) -> str:
+    return _NOT_PLAIN.sub("_", text)[:_MOST_CODE] or "X"
+
+
+class Holes:
+    """Takes the samples of a stream in, and tells where values are missing.
+
+    Attributes
+    ----------
+    found
+        For each run what to annotate.
+    """
+
+    def __init__(self, stream: Stream, runs: int) -> None:
+        self._stream = stream
+        self.found: list[list[Annotation]] = [[] for _ in range(runs)]
+        self._begins = [0.0] * runs
+        # When the hole of a channel began; NaN outside of one.
+        self._open = np.full(stream.header.channel_count, np.nan)
+        self._number = -1
+        self._last_s = 0.0
+        self._untold = self._missing = 0
+
+    def take(self, number: int, samples: Samples) -> None:
+        """Take in some more samples of a run."""
+        if number != self._number:
+            self._close_all()
+            self._number, self._begins[number] = number, float(samples.times[0])
+        values = np.asarray(samples.values)
+        if values.dtype.kind != "f":
+            return
+        is_missing = ~np.isfinite(values)
+        self._missing += int(np.count_nonzero(is_missing))
+        was_missing = np.vstack((~np.isnan(self._open), is_missing[:-1]))
+        for row, place in np.argwhere(is_missing != was_missing):
+            time_s = float(samples.times[row])
+            if is_missing[row, place]:
+                self._open[place] = time_s
+            else:
+                self._close(int(place), time_s)
+        self._last_s = float(samples.times[-1])
+
+    def notes(self) -> Iterator[str]:
+        """Say how much is missing, once all is taken in."""
+        self._close_all()
+        name = self._stream.header.name
+        if self._missing:
+            yield f"{name}: {self._missing} values are none; annotations say where"
+        if self._untold:
+            yield f"{name}: {self._untold} more of these places have no annotation"
+
+    def _close_all(self) -> None:
+        for place in np.flatnonzero(~np.isnan(self._open)):
+            self._close(int(place), self._last_s)
+
+    def _close(self, place: int, end_s: float) -> None:
+        begin_s = float(self._open[place])
+        self._open[place] = np.nan
+        told = self.found[self._number]
+        if len(told) >= _MOST_TOLD:
+            self._untold += 1
+            return
+        label = self._stream.header.labels[place]
+        begin_s -= self._begins[self._number]
+        length_s = max(0.0, end_s - self._begins[self._number] - begin_s)
+        told.append(Annotation(begin_s, length_s, f"no value: {label}"))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +20,36 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
+from biosensor_common.ros.cdr import cut
 from biosensor_gateway.recording.bag.types import typestore
-from biosensor_gateway.recording.export.mcap.writer import BagWriter, Messages
+
+if TYPE_CHECKING:
+    from rosbags.rosbag2.writer import StorageWriter
+
 
 # Messages that wait until no earlier one can come; of more, the oldest are written all the same.
 _MOST_WAITING = 100_000
 _MOST_WAITING_BYTES = 32_000_000
 # As ROS writes it: for ever.
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
+# See https://mcap.dev/spec#records.
+_MESSAGE, _CHUNK, _MESSAGE_INDEX = 0x05, 0x06, 0x07
+_RECORD = np.dtype([("op", "u1"), ("length", "<u8")])
+_HEAD = np.dtype(
+    [
+        *_RECORD.descr,
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("logged_ns", "<u8"),
+        ("published_ns", "<u8"),
+    ]
+)
+_PLACE = np.dtype([("logged_ns", "<u8"), ("offset", "<u8")])
+# As the library does it.
+_CHUNK_BYTES = 1 << 20
 
 
 class Bag:
@@ -117,3 +140,112 @@ def new_bag(folder: Path) -> Generator[Bag]:
         bag = Bag(writer)
         yield bag
         bag.write_all()
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages of any topics.
+
+    Attributes
+    ----------
+    unix_ns : ndarray of int64, shape (n,)
+    channels : ndarray of int64, shape (n,)
+        Numbers of their topics in the bag.
+    contents
+        Serialised, n of them.
+    """
+
+    unix_ns: NDArray[np.int64]
+    channels: NDArray[np.int64]
+    contents: list[bytes]
+
+    def in_time(self) -> Messages:
+        """Return them by time; those of one time stay as they are."""
+        order = np.argsort(self.unix_ns, kind="stable")
+        places: list[int] = order.tolist()
+        contents = [self.contents[place] for place in places]
+        return Messages(self.unix_ns[order], self.channels[order], contents)
+
+    def part(self, begin: int, end: int) -> Messages:
+        """Return some of them, `end` excluded."""
+        return Messages(self.unix_ns[begin:end], self.channels[begin:end], self.contents[begin:end])
+
+
+class _McapFile(McapWriter):
+    def write_all(self, messages: Messages) -> None:
+        """Write messages that are in the order of time."""
+        sizes = np.fromiter(map(len, messages.contents), np.int64) + _HEAD.itemsize
+        ends = np.cumsum(sizes)
+        begin, count = 0, len(sizes)
+        while begin < count:
+            full = int(ends[begin] - sizes[begin]) + _CHUNK_BYTES
+            end = min(int(np.searchsorted(ends, full, side="right")) + 1, count)
+            self._write_chunk(messages.part(begin, end), sizes[begin:end])
+            begin = end
+
+    def _write_chunk(self, messages: Messages, sizes: NDArray[np.int64]) -> None:
+        declared = self.chunk.bio.getvalue()
+        first_ns, last_ns = int(messages.unix_ns[0]), int(messages.unix_ns[-1])
+        self.message_start_time = min(first_ns, self.message_start_time)
+        self.message_end_time = max(last_ns, self.message_end_time)
+        content = declared + _records(messages, sizes)
+        size = len(content).to_bytes(8, "little")
+        times = first_ns.to_bytes(8, "little") + last_ns.to_bytes(8, "little")
+        start = self.bio.tell()
+        # Neither checksum nor compression.
+        self._write(_CHUNK, times + size + bytes(4) + bytes(4) + size + content)
+        end = self.bio.tell()
+        places = np.empty(len(sizes), _PLACE)
+        places["logged_ns"] = messages.unix_ns
+        places["offset"] = len(declared) + np.cumsum(sizes) - sizes
+        index: list[bytes] = []
+        for channel in np.unique(messages.channels).tolist():
+            of_channel = places[messages.channels == channel].tobytes()
+            self.channel_stats[channel] += len(of_channel) // _PLACE.itemsize
+            number = channel.to_bytes(2, "little")
+            index.append(number + self.bio.tell().to_bytes(8, "little"))
+            length = len(of_channel).to_bytes(4, "little")
+            self._write(_MESSAGE_INDEX, number + length + of_channel)
+        numbers = (start, end - start)
+        told = times + b"".join(each.to_bytes(8, "little") for each in numbers)
+        told += len(b"".join(index)).to_bytes(4, "little") + b"".join(index)
+        told += (self.bio.tell() - end).to_bytes(8, "little") + bytes(4) + size + size
+        self.chunks.append(BytesIO())
+        self.chunks[-1].write(told)
+        self.chunk.bio = BytesIO()
+
+    def _write(self, op: int, content: bytes) -> None:
+        self.bio.write(np.array((op, len(content)), _RECORD).tobytes())
+        self.bio.write(content)
+
+
+def _records(messages: Messages, sizes: NDArray[np.int64]) -> bytes:
+    heads = np.zeros(len(sizes), _HEAD)
+    heads["op"], heads["length"] = _MESSAGE, sizes - _RECORD.itemsize
+    heads["channel"] = messages.channels
+    heads["logged_ns"] = heads["published_ns"] = messages.unix_ns
+    parts = [b""] * (2 * len(sizes))
+    parts[::2], parts[1::2] = cut(heads.tobytes(), _HEAD.itemsize), messages.contents
+    return b"".join(parts)
+
+
+class BagWriter(Writer):
+    """Writes a bag whose file is an MCAP."""
+
+    STORAGE_PLUGINS: Mapping[StoragePlugin, type[StorageWriter]] = {StoragePlugin.MCAP: _McapFile}
+
+    def write_all(self, messages: Messages) -> None:
+        """Write messages that are in the order of time.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written.
+        """
+        if not messages.contents:
+            return
+        assert isinstance(self.storage, _McapFile)
+        self.storage.write_all(messages)
+        self.counts.update(self.storage.channel_stats)
+        self.min_timestamp = self.storage.message_start_time
+        self.max_timestamp = self.storage.message_end_time
