@@ -39,7 +39,6 @@ class Refusal(Enum):
     ----------
     word
         By which programs know it; stays the same.
-    level
     sentence
         With placeholders: ``count``; ``samples``, ``messages`` or ``streams``, which are counted
         nouns; ``are`` and ``were``, which fit the count; and facts that are given with the report.

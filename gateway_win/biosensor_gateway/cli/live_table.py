@@ -48,7 +48,6 @@ class LiveTable:
 
     Parameters
     ----------
-    panel
     colours
         Whether the terminal shows any.
     foot

@@ -29,7 +29,6 @@ def ask(question: str, understand: Callable[[str], _Answer]) -> _Answer:
 
     Parameters
     ----------
-    question
     understand
         Gets what was typed, without blanks at its ends; raises `NotAnAnswerError`.
 
@@ -65,7 +64,6 @@ def several(choices: Sequence[str], prompt: str, if_empty: Sequence[int]) -> lis
 
     Parameters
     ----------
-    choices
     prompt
         Says what Enter alone means.
     if_empty

@@ -12,12 +12,10 @@ class Found:
 
     Attributes
     ----------
-    sensor
     name
         What a person calls it: the advertised name, an id.
     settings
         ``unit`` and whatever else leads the driver to it; scalars only.
-    rssi_dbm
     """
 
     sensor: str

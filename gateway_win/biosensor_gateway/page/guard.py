@@ -115,7 +115,6 @@ class Sockets:
 
     Parameters
     ----------
-    app
     most
         How many.
     """
@@ -143,10 +142,8 @@ class Guard:
 
     Parameters
     ----------
-    app
     origins
         Addresses of the server, such as ``http://127.0.0.1:1234``; it is asked by no other.
-    keys
     refused
         What is said to whoever comes without the cookie.
     """
@@ -252,7 +249,6 @@ def with_headers(send: Send, more: Mapping[str, str] | None = None) -> Send:
 
     Parameters
     ----------
-    send
     more
         Other headers to add.
     """

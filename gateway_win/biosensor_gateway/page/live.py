@@ -28,7 +28,6 @@ def live(source: Source, more: Callable[[], BaseModel]) -> WebSocketRoute:
 
     Parameters
     ----------
-    source
     more
         Says what else the page shows, twice a second.
     """

@@ -133,8 +133,6 @@ class StatusView(AgentFacts):
 
     Attributes
     ----------
-    agent
-    settings_file
     problem
         What is wrong with the settings, one sentence for each line; empty if nothing is.
     configured

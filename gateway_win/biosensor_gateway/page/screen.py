@@ -64,7 +64,6 @@ class Screen:
 
         Parameters
         ----------
-        view
         now
             LSL time in seconds.
         """

@@ -50,8 +50,6 @@ class Service:
 
     Attributes
     ----------
-    session
-    shutdown
     live
         The application of the WebSocket.
     """

@@ -17,7 +17,6 @@ class Traces:
 
     Attributes
     ----------
-    history
     screens
         One a browser.
     opened

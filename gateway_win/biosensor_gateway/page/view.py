@@ -43,7 +43,6 @@ class Viewer:
 
         Parameters
         ----------
-        status
         features
             What is computed of streams, theirs and others.
         """

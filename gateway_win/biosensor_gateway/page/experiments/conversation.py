@@ -42,7 +42,6 @@ class Conversation:
 
     Parameters
     ----------
-    socket
     origin
         Of the page, which the guard has let in.
     token
@@ -226,7 +225,6 @@ class MarkedTime:
 
         Parameters
         ----------
-        mark
         arrival
             LSL time in seconds at which it came.
 

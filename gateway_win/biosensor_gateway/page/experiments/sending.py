@@ -23,7 +23,6 @@ class Pace:
 
     Parameters
     ----------
-    per_s, at_once
     clock
         Seconds; for tests.
     """

@@ -207,7 +207,6 @@ class ExperimentGuard:
 
     Parameters
     ----------
-    app
     port
         On which the server listens, on the loopback address alone.
     origins

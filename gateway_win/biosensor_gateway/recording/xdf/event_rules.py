@@ -31,7 +31,6 @@ def judge_devices(
 
     Parameters
     ----------
-    streams, extent
     without
         source_ids of those that a person has left out on purpose.
     """

@@ -68,8 +68,6 @@ def check(
 
     Parameters
     ----------
-    file
-    expected
     without
         source_ids of sensors that a person has left out on purpose.
 

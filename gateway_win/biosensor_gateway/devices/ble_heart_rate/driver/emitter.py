@@ -32,7 +32,6 @@ class StrapEmitter:
 
     Parameters
     ----------
-    sink
     quality
         Makes a sample of ``quality`` of whether the skin is felt.
     trusts_contact
@@ -70,7 +69,6 @@ class StrapEmitter:
 
         Parameters
         ----------
-        data
         arrival_s
             LSL clock when it arrived.
         """

@@ -32,7 +32,6 @@ class Strap:
     ----------
     link
         Whoever reads its notifications offers them to :meth:`take`.
-    emitter
     """
 
     def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:

@@ -37,7 +37,6 @@ class BeatDetector:
 
     Parameters
     ----------
-    wearer
     crystal
         Of the device since its power-on.
     origin_s

@@ -46,7 +46,6 @@ def encode(measurement: HeartRateMeasurement, *, wide: bool = False) -> bytes:
 
     Parameters
     ----------
-    measurement
     wide
         Write the rate in two bytes even if one would do.
     """

@@ -62,7 +62,6 @@ class HeartRateService:
     ----------
     measurement
         The characteristic to notify.
-    service
     """
 
     def __init__(self, location: int = CHEST) -> None:
@@ -87,7 +86,6 @@ class BatteryService:
     ----------
     level
         The characteristic to notify.
-    service
     """
 
     def __init__(self, read: Callable[[], int]) -> None:

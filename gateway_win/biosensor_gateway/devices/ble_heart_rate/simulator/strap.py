@@ -45,7 +45,6 @@ class Pulse:
 
     Parameters
     ----------
-    detector
     tells_contact
         Measurements say whether the strap touches the skin.
     sends_rr

@@ -61,7 +61,6 @@ class HealthEmitter:
 
     Parameters
     ----------
-    sink
     wheel_m
         Circumference of the wheel.
     """

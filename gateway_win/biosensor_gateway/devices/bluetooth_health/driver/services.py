@@ -103,7 +103,6 @@ class Field(NamedTuple):
 
     Attributes
     ----------
-    name
     kind
         ``u8``, ``u16``, ``s16``, ``u24``, ``u32``, ``sfloat`` or ``float``.
     flag
@@ -133,7 +132,6 @@ def _read(data: bytes, flag_bytes: int, fields: tuple[Field, ...]) -> Mapping[st
 
     Parameters
     ----------
-    data
     flag_bytes
         How many bytes the flags have.
     fields

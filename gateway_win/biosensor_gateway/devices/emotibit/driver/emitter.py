@@ -48,7 +48,6 @@ class EmotiBitEmitter:
 
     Parameters
     ----------
-    sink
     ppg_hz
         Rate of the pulse, which depends on the firmware.
     """

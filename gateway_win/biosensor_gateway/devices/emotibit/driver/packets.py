@@ -73,7 +73,6 @@ class Packet(NamedTuple):
         Counts all packets of a channel, 0 to 65535.
     tag
         One of `Tag`, or what this driver has no use for.
-    payload
     """
 
     time_ms: int
@@ -100,7 +99,6 @@ class Read(NamedTuple):
 
     Attributes
     ----------
-    packets
     dropped_bytes
         Of lines that are no packet.
     """
@@ -155,7 +153,6 @@ class Ordered(NamedTuple):
 
     Attributes
     ----------
-    packet
     time_s
         Device's clock, over roll-overs.
     is_behind_gap

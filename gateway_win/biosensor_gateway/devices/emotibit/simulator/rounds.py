@@ -168,7 +168,6 @@ class Rounds:
     ----------
     crystal
         Its processor's clock.
-    wearer
     worn_since_s
         LSL time at which the wearer's time is 0.
     ppg_hz

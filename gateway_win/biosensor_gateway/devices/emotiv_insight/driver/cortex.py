@@ -161,7 +161,6 @@ class CortexError(ProtocolError):
 
     Attributes
     ----------
-    code
     kind
         What to do about it.
     """

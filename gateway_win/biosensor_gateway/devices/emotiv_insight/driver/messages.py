@@ -75,7 +75,6 @@ class Warned:
 
     Attributes
     ----------
-    code
     text
         In Cortex' own words, which decide nothing.
     headset, session
@@ -99,10 +98,8 @@ class Reply:
 
     Attributes
     ----------
-    request_id
     result
         JSON value; None if there is an error.
-    error
     attention
         Something that hinders the headset search, told along with its answer.
     """
@@ -118,8 +115,6 @@ class Data(NamedTuple):
 
     Attributes
     ----------
-    stream
-    session
     time_s
         Unix time of the sample on the clock of the computer that runs Cortex.
     values

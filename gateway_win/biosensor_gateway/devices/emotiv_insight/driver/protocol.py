@@ -54,7 +54,6 @@ class Sample(NamedTuple):
 
     Attributes
     ----------
-    stream
     time_s
         Unix time on the clock of the computer that runs Cortex.
     numbers

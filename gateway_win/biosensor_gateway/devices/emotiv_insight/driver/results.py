@@ -21,7 +21,6 @@ class Login:
 
     Attributes
     ----------
-    logged_in
     same_os_user
         False if it is somebody else who is logged in to this computer.
     """
@@ -38,7 +37,6 @@ class Licence:
     ----------
     scopes
         ``eeg`` for raw EEG, ``pm`` for performance metrics at their full rate.
-    expired
     """
 
     scopes: frozenset[str] = frozenset()
@@ -51,7 +49,6 @@ class Headset:
 
     Attributes
     ----------
-    headset_id
     status
         ``discovered``, ``connecting`` or ``connected``.
     eeg_rate_hz, motion_rate_hz

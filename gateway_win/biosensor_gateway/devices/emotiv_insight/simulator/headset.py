@@ -62,14 +62,12 @@ class Headset:
 
     Parameters
     ----------
-    headset_id, model, timing
     is_virtual
         A headset of the vendor's own simulator, whose end Cortex never notices.
     must_scan
         False: it is in the list without a scan.
     loop
         For its timers.
-    warn
     lost
         Called when the connection has ended.
     """

@@ -82,7 +82,6 @@ class Listener:
 
     Parameters
     ----------
-    tls
     hear
         Gets each message of a client.
     gone

@@ -126,7 +126,6 @@ class _Replies:
 
     Parameters
     ----------
-    methods, manners
     loop
         For late answers.
 
@@ -207,7 +206,6 @@ class Service:
 
     Parameters
     ----------
-    setup
     truth
         Where the streams note what they sent.
     world

@@ -25,7 +25,6 @@ class Session:
 
     Attributes
     ----------
-    session_id, client_id, client
     is_active
         Drawn from the licence; an open session has no EEG.
     subscribers

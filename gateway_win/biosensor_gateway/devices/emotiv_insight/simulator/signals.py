@@ -33,11 +33,6 @@ class Signals:
     ----------
     model, wearer, seed
         What measures whom; the seed is of contact quality and offsets.
-
-    Attributes
-    ----------
-    is_worn
-    battery_percent
     """
 
     def __init__(self, model: Model, wearer: Wearer, seed: int) -> None:

@@ -116,7 +116,6 @@ class Stage:
         Bound of the delay on the way.
     rng
         Of the delays.
-    truth
     delivers
         Whether the headset's data reach Cortex.
     subscribed
@@ -146,10 +145,8 @@ class Stream:
 
     Parameters
     ----------
-    name, rate, signal, columns
     mishaps
         All but ``unannounced`` for EEG only.
-    stage
     """
 
     def __init__(

@@ -63,7 +63,6 @@ class Sample:
 
     Attributes
     ----------
-    stream
     time_s
         Unix time: the server's clock at the first packet of the radio link, plus the
         sample's number over the nominal rate.
@@ -98,8 +97,6 @@ class Reply:
 
     Attributes
     ----------
-    command
-    accepted
     subject
         The stream of a subscription, ON or OFF of a pause; else empty.
     reason

@@ -42,7 +42,6 @@ class Client(asyncio.Protocol):
         Id of a wristband, or empty.
     subscriptions
         Words of streams.
-    is_paused
     """
 
     def __init__(self, door: Door, hear: Hear) -> None:

@@ -57,7 +57,6 @@ class Commands:
     ----------
     wristbands
         All that there are, by id in small letters.
-    manners
     connect
         Makes the radio link of a wristband.
 

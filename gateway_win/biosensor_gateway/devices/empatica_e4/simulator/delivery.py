@@ -63,10 +63,6 @@ class Delivery:
         Who is connected.
     style
         How numbers are written.
-
-    Attributes
-    ----------
-    mishaps, style
     """
 
     def __init__(self, clients: Callable[[], Iterable[Client]], style: NumberFormat) -> None:

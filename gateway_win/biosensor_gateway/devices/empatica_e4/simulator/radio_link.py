@@ -45,7 +45,6 @@ class Timing:
     bvp_delay_s
         How much later than GSR and temperature BVP and acceleration come; 0.065 would
         fit what was recorded, and no client can know it.
-    battery_interval_s
     jitter_s
         Bound of a packet's delay by the radio.
     """
@@ -62,10 +61,8 @@ class RadioLink:
 
     Parameters
     ----------
-    signals, crystal
     begin_s
         LSL time at which the wearer's time is 0.
-    timing
     rng
         Of the radio's delays.
     arrive

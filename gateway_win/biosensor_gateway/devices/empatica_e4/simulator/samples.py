@@ -64,7 +64,6 @@ class Sample(NamedTuple):
 
     Attributes
     ----------
-    stream
     measured_s
         True time [s, LSL clock].
     after_s

@@ -159,7 +159,6 @@ class Server:
 
     Attributes
     ----------
-    listener, delivery, commands, manners
     wristbands
         By id in small letters; to be filled before `start`.
     """

@@ -28,13 +28,8 @@ _OPEN = 0.0
 class Signals:
     """The sensors of one wristband; every time is that of the wearer [s].
 
-    Parameters
-    ----------
-    wearer
-
     Attributes
     ----------
-    is_worn
     battery
         Charge, 0 to 1.
     """

@@ -36,10 +36,6 @@ class Stamps:
 
     The first packet's arrival, plus a sample's number by the nominal rate. Samples
     that do not arrive have no number, so what follows them is stamped too early.
-
-    Parameters
-    ----------
-    clock
     """
 
     def __init__(self, clock: WallClock) -> None:

@@ -28,7 +28,6 @@ class Wristband:
         Six hexadecimal digits.
     specimen
         Who wears it, and what its crystal is like.
-    timing
     is_allowed
         It is registered to the owner of the server's key.
     truth
@@ -38,7 +37,6 @@ class Wristband:
 
     Attributes
     ----------
-    device_id, signals, truth, is_allowed
     crystal
         From the wristband's first moment on.
     stamps

@@ -55,7 +55,6 @@ class Place:
 
     Attributes
     ----------
-    order
     value
         Lines, or seconds, since the first one.
     step

@@ -80,7 +80,6 @@ class MovesenseDriver:
 
     Parameters
     ----------
-    session
     silent
         Data names of the streams that are switched off.
     rates

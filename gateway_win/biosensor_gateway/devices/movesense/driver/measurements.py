@@ -35,7 +35,6 @@ class Measurement(NamedTuple):
     ----------
     reference
         Which the device sends with its packets.
-    path
     streams
         Data names, in the order of the arrays in a packet.
     rate_hz
@@ -73,7 +72,6 @@ def movement(wanted: Collection[str], rate_hz: int) -> Measurement:
     ----------
     wanted
         Some of `MOVEMENT`.
-    rate_hz
     """
     path, streams = _SHARED.get(frozenset(wanted), _ALL)
     sample = VECTOR_BYTES * len(streams)

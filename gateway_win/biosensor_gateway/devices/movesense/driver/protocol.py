@@ -75,7 +75,6 @@ def parse_ecg(payload: bytes, width: int) -> Block | None:
 
     Parameters
     ----------
-    payload
     width
         Bytes a sample: 4 for counts, 2 for microvolts. A packet that has as many samples as it
         always has tells its width by itself.
@@ -149,10 +148,8 @@ class Message(NamedTuple):
 
     Attributes
     ----------
-    kind
     reference
         Of the command that it answers, or that asked for the data.
-    payload
     """
 
     kind: Kind

@@ -36,12 +36,7 @@ RESTART_ADVICE = "restart the device: take it out of its strap for a minute"
 
 
 class _Conversation:
-    """What is said over one connection.
-
-    Parameters
-    ----------
-    link
-    """
+    """What is said over one connection."""
 
     def __init__(self, link: BleLink) -> None:
         self._link = link
@@ -153,8 +148,6 @@ class MovesenseSession:
 
     Parameters
     ----------
-    link
-    emitter
     sink
         Its ``dropped_bytes`` are counted here.
     wanted

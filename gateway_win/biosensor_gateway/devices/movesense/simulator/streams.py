@@ -49,8 +49,6 @@ class SampledStream:
     ----------
     strap
         Who measures.
-    resource
-    send
     deviation
         By which share the true rate is above the nominal one.
     """

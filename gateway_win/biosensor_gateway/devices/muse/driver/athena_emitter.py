@@ -55,12 +55,7 @@ class _Numbered:
 
 
 class AthenaEmitter:
-    """Emits what an Athena sends, over all its connections.
-
-    Parameters
-    ----------
-    sink, log
-    """
+    """Emits what an Athena sends, over all its connections."""
 
     def __init__(self, sink: Sink, log: DeviceLog) -> None:
         self._sink, self._log = sink, log
@@ -93,7 +88,6 @@ class AthenaEmitter:
 
         Parameters
         ----------
-        data
         arrival_s
             LSL clock when it came.
         """

@@ -144,10 +144,6 @@ class ClassicEmitter:
     """Emits what a Muse 2 or Muse S sends, over all its connections.
 
     They send no time: samples are counted, and placed by the earliest arrivals.
-
-    Parameters
-    ----------
-    sink, log
     """
 
     def __init__(self, sink: Sink, log: DeviceLog) -> None:
@@ -176,7 +172,6 @@ class ClassicEmitter:
 
         Parameters
         ----------
-        uuid, data
         arrival_s
             LSL clock when it came.
         """

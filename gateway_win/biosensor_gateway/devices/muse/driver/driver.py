@@ -25,12 +25,7 @@ _SEPARATORS = re.compile(r"[^0-9A-Fa-f]")
 
 
 class MuseDriver:
-    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`.
-
-    Parameters
-    ----------
-    session
-    """
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
     # Silent streams are noticed long before.
     silence_limit_s = 30.0

@@ -28,12 +28,7 @@ class Started(NamedTuple):
 
 
 class MuseEmitter:
-    """Turns packets into samples; one instance a device, over all its connections.
-
-    Parameters
-    ----------
-    sink
-    """
+    """Turns packets into samples; one instance a device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink

@@ -69,12 +69,10 @@ class Block(NamedTuple):
 
     Attributes
     ----------
-    kind
     number
         Counts the blocks of its kind, modulo `NUMBERS`.
     stamp_s
         The device's clock when it was handed on.
-    payload
     """
 
     kind: Kind
@@ -90,7 +88,6 @@ class Frame(NamedTuple):
     ----------
     counter
         Counts frames, modulo `COUNTERS`.
-    blocks
     unread_bytes
         What follows the last block that makes sense.
     """

@@ -71,7 +71,6 @@ def parse_motion(data: bytes, unit: float) -> Packet | None:
 
     Parameters
     ----------
-    data
     unit
         What a count is: `ACC_G` or `GYRO_DPS`.
     """

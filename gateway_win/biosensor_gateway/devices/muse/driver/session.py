@@ -109,12 +109,7 @@ ANSWER_LIMIT_S = 5.0
 
 
 class _Conversation:
-    """What is said over one connection.
-
-    Parameters
-    ----------
-    link
-    """
+    """What is said over one connection."""
 
     def __init__(self, link: BleLink) -> None:
         self._link = link
@@ -142,7 +137,6 @@ class _Conversation:
 
         Parameters
         ----------
-        command
         key
             A field that the answer has, and no other one: an earlier one may come late.
 
@@ -204,7 +198,6 @@ class Opened(NamedTuple):
 
     Attributes
     ----------
-    info
     silent
         Data names of streams that the settings switch off, or that it does not have.
     refused
@@ -217,12 +210,7 @@ class Opened(NamedTuple):
 
 
 class MuseSession:
-    """Everything that lasts as long as one link.
-
-    Parameters
-    ----------
-    link, emitter, sink, settings
-    """
+    """Everything that lasts as long as one link."""
 
     def __init__(
         self, link: BleLink, emitter: MuseEmitter, sink: Sink, settings: MuseSettings

@@ -42,7 +42,6 @@ class _Source(NamedTuple):
 
     Attributes
     ----------
-    tag
     rate_hz
         True one: that of recordings.
     ticks

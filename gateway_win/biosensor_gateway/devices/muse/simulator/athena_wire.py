@@ -30,10 +30,8 @@ class Block(NamedTuple):
 
     Attributes
     ----------
-    tag, number
     stamp_us
         The device's clock when it was handed on.
-    payload
     """
 
     tag: int

@@ -81,7 +81,6 @@ class _Source(NamedTuple):
 
     Attributes
     ----------
-    rate_hz
     samples
         In a packet.
     measure

@@ -41,10 +41,6 @@ _LIGHT = {
 class _Signals:
     """The wearer's signals at true times on the LSL clock.
 
-    Parameters
-    ----------
-    wearer
-
     Attributes
     ----------
     origin_s

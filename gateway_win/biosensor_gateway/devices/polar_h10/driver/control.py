@@ -28,7 +28,6 @@ class ControlPoint:
 
     Parameters
     ----------
-    link
     receive
         Waits for what the device sends, by its replies and by itself.
     """
@@ -72,7 +71,6 @@ class ControlPoint:
 
         Parameters
         ----------
-        command
         note
             Gets the reply before anybody gets what the device sends behind it.
 

@@ -73,8 +73,6 @@ class PolarDriver:
     ----------
     meet
         Makes the session; a second time where the device demands to be paired.
-    pairing
-    emitter
     silent
         Data names of the streams that the settings switch off.
     fallback_rates

@@ -71,7 +71,6 @@ class PolarEmitter:
 
     Parameters
     ----------
-    sink
     data_names
         By measurement, the streams of the declaration; frames of others are passed over.
     strap
@@ -81,7 +80,6 @@ class PolarEmitter:
 
     Attributes
     ----------
-    data_names, strap
     log
         Also for what is to be said once, and not at every connection.
     clock_runs
@@ -129,7 +127,6 @@ class PolarEmitter:
 
         Parameters
         ----------
-        measurement
         rate_hz
             Nominal rate; None where samples come when they happen.
         factor
@@ -162,7 +159,6 @@ class PolarEmitter:
 
         Parameters
         ----------
-        data
         arrival_s
             LSL clock when it arrived.
         """

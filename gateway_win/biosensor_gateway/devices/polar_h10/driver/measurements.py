@@ -36,7 +36,6 @@ class Wanted:
 
     Attributes
     ----------
-    measurement
     settings
         Preferred value of each setting, the sample rate at least; empty for a
         measurement without settings.
@@ -68,7 +67,6 @@ class Refusal:
 
     Attributes
     ----------
-    wanted
     why
         What it answers, and what to do about it; a clause.
     rate_hz
@@ -82,11 +80,6 @@ class Refusal:
 
 class Measurements:
     """The measurements of one connection.
-
-    Parameters
-    ----------
-    control
-    emitter
 
     Attributes
     ----------

@@ -66,14 +66,7 @@ class Plan:
 
 
 class PolarSession:
-    """Everything that lasts as long as one link.
-
-    Parameters
-    ----------
-    link
-    emitter
-    plan
-    """
+    """Everything that lasts as long as one link."""
 
     def __init__(self, link: BleLink, emitter: PolarEmitter, plan: Plan) -> None:
         self._link = link

@@ -46,7 +46,6 @@ class ControlPoint:
 
     Parameters
     ----------
-    product
     running
         Measurements that a former host has left on, with the first settings on offer.
     minimum_mtu

@@ -47,7 +47,6 @@ def manufacturer_data(*, battery_low: bool, contact: bool, counter: int, bpm: in
 
     Parameters
     ----------
-    battery_low, contact
     counter
         Of payloads; shows that the sensor is alive.
     bpm
@@ -79,7 +78,6 @@ class SimulatedPolarH10(StrapDevice):
         Bluetooth address; that of `usual` by default, as the next two.
     device_id
         Eight hexadecimal digits, as printed on the module.
-    product
     quirks
         Firmware and circumstances.
     off_body_drop_s

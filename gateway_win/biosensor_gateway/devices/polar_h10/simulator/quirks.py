@@ -26,7 +26,6 @@ class Quirks:
 
     Attributes
     ----------
-    firmware
     demands_pairing
         The control point answers ATT error 0x05 until the host has paired.
     left_streaming

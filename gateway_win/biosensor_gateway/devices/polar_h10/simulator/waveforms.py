@@ -86,8 +86,6 @@ def waveform(
 
     Parameters
     ----------
-    product, measurement, settings
-    wearer
     compressed
         Send acceleration compressed where the product would not; it must measure in mg.
     """

@@ -115,7 +115,6 @@ def true_ppg_rates(info: DeviceInfo, *, sdk_mode: bool) -> Mapping[int, int]:
     ----------
     info
         What the device says of itself.
-    sdk_mode
 
     References
     ----------
@@ -145,11 +144,6 @@ class _SdkMode:
 
     A device is taken out of the mode, too: a host before us may have left it there, and then
     no heart rate would come.
-
-    Parameters
-    ----------
-    is_wanted
-    log
     """
 
     def __init__(self, *, is_wanted: bool, log: DeviceLog) -> None:
@@ -161,7 +155,6 @@ class _SdkMode:
 
         Parameters
         ----------
-        control
         offered
             Numbers of what the device can measure, or switch like a measurement.
 

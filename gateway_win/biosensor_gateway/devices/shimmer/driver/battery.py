@@ -43,7 +43,6 @@ def emit_charge(sink: Sink, reading: BatteryReading, arrival_s: float) -> None:
 
     Parameters
     ----------
-    sink, reading
     arrival_s
         LSL clock when it came.
     """

@@ -76,8 +76,6 @@ class ShimmerDriver:
     ----------
     port
         What to open, and what messages call the device.
-    sink
-    emitter
     prepare
         Sets an identified device up.
     """

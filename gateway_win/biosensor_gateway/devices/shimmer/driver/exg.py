@@ -55,12 +55,7 @@ Registers = tuple[bytes, bytes]
 
 @dataclass(frozen=True, slots=True)
 class Exg:
-    """How both chips are set up.
-
-    Attributes
-    ----------
-    registers
-    """
+    """How both chips are set up."""
 
     registers: Registers
 
@@ -91,7 +86,6 @@ def registers_for(use: Use, gain: int, rate_hz: float, *, lead_off: bool) -> Reg
 
     Parameters
     ----------
-    use
     gain
         One of `GAINS`.
     rate_hz

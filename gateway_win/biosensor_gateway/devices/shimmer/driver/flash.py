@@ -50,7 +50,6 @@ async def make_right(
 
     Parameters
     ----------
-    talk
     changes_to
         Returns the commands that are needed, by what they set.
     name

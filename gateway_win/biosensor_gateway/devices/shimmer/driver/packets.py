@@ -108,8 +108,6 @@ class PacketTimes:
 
     Parameters
     ----------
-    sink
-    log
     emit
         Takes the samples of a read, once the clock has been told of them.
     """

@@ -32,7 +32,6 @@ def compensation(coefficients: PressureCoefficients, oversampling: int) -> Compe
 
     Parameters
     ----------
-    coefficients
     oversampling
         Setting of a BMP180, 0 to 3.
     """

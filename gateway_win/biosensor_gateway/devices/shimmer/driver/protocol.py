@@ -103,7 +103,6 @@ class ShimmerProtocol:
 
         Parameters
         ----------
-        data
         arrival_s
             LSL clock when they arrived; handed back with the messages that end in them.
         """

@@ -106,7 +106,6 @@ class Signal:
 
     Attributes
     ----------
-    data_name
     at
         Where its channels are within a packet.
     convert

@@ -48,12 +48,7 @@ _AT_CHANGES = "quality"
 
 
 class _Notes:
-    """Writes samples into a truth: each of them, and ``quality`` at each change.
-
-    Parameters
-    ----------
-    truth
-    """
+    """Writes samples into a truth: each of them, and ``quality`` at each change."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
@@ -79,7 +74,6 @@ class Conversation:
 
     Parameters
     ----------
-    firmware, interpreter
     write
         Sends bytes; tells whether the link took them.
     obeyed

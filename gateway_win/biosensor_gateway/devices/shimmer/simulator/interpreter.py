@@ -65,10 +65,6 @@ class Hardware(Protocol):
 class Interpreter:
     """One device's command processor.
 
-    Parameters
-    ----------
-    firmware, flash, hardware, memory
-
     Attributes
     ----------
     sensing

@@ -20,7 +20,6 @@ class Memory:
 
     Attributes
     ----------
-    model
     card
         Number, revision and special revision of the expansion board.
     calibration

@@ -115,7 +115,6 @@ def data_packet(
         Of 1/32768 s; the packet holds the low 24 bits.
     channels, values
         Ids as of `channels_of` and a count for each, in its width's two's complement.
-    model
     """
     body = b"".join(
         _encoded(channel, value, model) for channel, value in zip(channels, values, strict=True)

@@ -80,7 +80,6 @@ class Sampling(NamedTuple):
         And the count of ticks at its power-on.
     rng, jitter_s
         Of the radio's delay, uniform from 0 on.
-    model
     """
 
     channels: tuple[int, ...]

@@ -135,7 +135,6 @@ class _UnitMeter:
         Ids in packet order; those of sensors that the unit has not read 0.
     motion, air, exg
         What it has.
-    wearer
     is_worn
         Asked once a block.
     """

@@ -171,7 +171,6 @@ class GsrMeter:
         Of the range: 0 to 3 for a fixed resistor, 4 for auto-range.
     divider
         Ticks between two samples.
-    wearer
     conditions
         Asked once a block.
     """

@@ -74,12 +74,7 @@ class _Fit:
 
 
 class VernierEmitter:
-    """Turns messages into samples; one instance a device, over all its connections.
-
-    Attributes
-    ----------
-    log
-    """
+    """Turns messages into samples; one instance a device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink

@@ -47,7 +47,6 @@ class Arrived(NamedTuple):
 
     Attributes
     ----------
-    measurement
     samples
         Number of samples a channel, at least 1.
     arrival_s
@@ -67,7 +66,6 @@ class Placed(NamedTuple):
 
     Attributes
     ----------
-    measurement
     arrival_s
         LSL clock, in seconds.
     last_s

@@ -49,7 +49,6 @@ class Reply:
         Id of the command that is answered.
     echo
         Counter of the command that is answered.
-    payload
     """
 
     counter: int
@@ -66,7 +65,6 @@ class Measurement:
     ----------
     counter
         The device's packet counter, 0 to 255.
-    kind
     samples
         By channel number, in the channel's unit; NaN is "no value". All channels
         have the same number of samples.
@@ -113,7 +111,6 @@ class Status:
         Version of the main processor, ``major.minor.build``.
     ble_firmware
         Version of the radio.
-    battery_percent
     charger
         0 idle, 1 charging, 2 complete, 3 error.
     """
@@ -141,8 +138,6 @@ class Channel:
 
     Attributes
     ----------
-    number
-    description
     unit
         As the device writes it; may be empty.
     min_period_us, max_period_us, granularity_us
@@ -227,7 +222,6 @@ class Packet(NamedTuple):
 
     Attributes
     ----------
-    head
     counter
         The sender's own, one byte.
     data

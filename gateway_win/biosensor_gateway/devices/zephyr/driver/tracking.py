@@ -53,10 +53,6 @@ class PacketTrack:
     stamped_at_end
         The stamp is that of the moment when the packet is complete, not of its
         first sample.
-
-    Attributes
-    ----------
-    samples
     """
 
     def __init__(self, samples: int, period_s: float, *, stamped_at_end: bool = False) -> None:

@@ -43,12 +43,7 @@ Integers = NDArray[np.int64]
 
 
 class Inputs:
-    """A wearer as the device's converters see them.
-
-    Parameters
-    ----------
-    wearer
-    """
+    """A wearer as the device's converters see them."""
 
     def __init__(self, wearer: Wearer) -> None:
         self._wearer = wearer

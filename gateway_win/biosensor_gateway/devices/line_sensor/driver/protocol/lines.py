@@ -62,7 +62,6 @@ class BadLine:
 
     Attributes
     ----------
-    flaw
     raw
         The line, or its beginning.
     size

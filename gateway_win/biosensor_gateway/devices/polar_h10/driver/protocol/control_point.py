@@ -98,7 +98,6 @@ class Reply:
         One of `Status`, or an unknown code.
     more
         Further packets follow; their parameters continue these.
-    parameters
     """
 
     operation: int

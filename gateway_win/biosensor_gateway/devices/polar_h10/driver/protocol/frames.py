@@ -29,7 +29,6 @@ def expand(data: bytes, channels: int, resolution_bits: int) -> list[Sample] | N
     ----------
     data
         All behind the frame's header.
-    channels
     resolution_bits
         Of the reference sample.
 
@@ -173,7 +172,6 @@ class PulseInterval:
 
     Attributes
     ----------
-    bpm
     interval_ms, error_ms
         The interval and the device's estimate of its error.
     moved

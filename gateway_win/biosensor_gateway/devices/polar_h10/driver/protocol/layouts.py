@@ -39,7 +39,6 @@ def parse_frame(data: bytes, factors: Mapping[int, float]) -> Frame | Rejected:
 
     Parameters
     ----------
-    data
     factors
         By measurement, what the device named when it was started: physical units
         (g, deg/s or gauss) a count of compressed frames; 1 where it named none.
