@@ -1,0 +1,90 @@
+"""The wheel on 64-bit ARM, emulated: installed, tried, recorded and exported."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+
+from tests.wheel.arm64 import ROOT, Arm64, arm64, needs
+from tests.wheel.conftest import Installed, build
+
+MISSING = needs()
+FORMATS = ("bids", "csv", "edf", "mcap")
+UNIT = ("tests/common", "tests/xdf", "tests/recording_export", "tests/polar_h10")
+
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.system,
+    pytest.mark.timeout(1500),
+    pytest.mark.skipif(bool(MISSING), reason=f"NOT RUN: {MISSING}"),
+]
+
+
+@pytest.fixture(scope="module")
+def arm_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = ROOT / ".uv" / "bin" / "python"
+    subprocess.run([pip, "-m", "installer.liblsl", folder], cwd=ROOT, check=True)
+    return build(ROOT, folder / "built", "--wheel", liblsl=folder / "aarch64")
+
+
+@pytest.fixture(scope="module")
+def arm(arm_wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Generator[Arm64]:
+    folder = tmp_path_factory.mktemp("arm64")
+    with arm64(folder, arm_wheel) as debian:
+        yield debian
+    shutil.rmtree(folder)
+
+
+def test_it_shows_itself_in_one_command(arm: Arm64) -> None:
+    assert "aarch64" in arm.run("doctor", codes=(0, 1))
+    said = arm.run("try", "--no-open", "--seconds", "20")
+    assert "3 sensors stream." in said
+    assert re.search(r"^(green|amber): ", said, re.MULTILINE), said
+
+
+def test_a_recording_is_exported_as_on_other_computers(
+    arm: Arm64, wheel: Path, tmp_path: Path
+) -> None:
+    agent = arm.start("run", "--simulate", "polar_h10,shimmer3_gsr")
+    arm.run("wait-ready", "--timeout", "120")
+    arm.run("record", "start", "--here", "--file", "/root/study.xdf")
+    arm.run("record", "stop")
+    arm.run("stop")
+    arm.ended(agent)
+    recorded = tmp_path / "study.xdf"
+    recorded.write_bytes((arm.root / "root/study.xdf").read_bytes())
+    here = Installed(tmp_path / "pc", wheel)
+    here.run("xdf", "check", str(recorded))
+    for each in FORMATS:
+        arm.run("xdf", "export", "/root/study.xdf", "--to", each)
+        here.run("xdf", "export", str(recorded), "--to", each)
+        assert _made(arm.root / "root") == _made(tmp_path), each
+
+
+def test_unit_tests_pass_there(arm: Arm64) -> None:
+    """Those of the rooms in which a processor could matter; all of them would take an hour."""
+    tests = arm.start_python(
+        *("-m", "pytest", "--tier", "unit", "-q", "-n", "2", "-p", "no:cacheprovider", *UNIT),
+        folder="/repository",
+        PYTHONPATH="/tools:/site:/repository",
+        PYLSL_LIB="/site/biosensor_liblsl/liblsl.so",
+    )
+    said = arm.ended(tests)
+    print(said[-2000:])
+    assert re.search(r"\d+ passed", said)
+
+
+def _made(folder: Path) -> dict[str, bytes]:
+    """Return what was made beside a recording."""
+    return {
+        str(each.relative_to(folder)): each.read_bytes()
+        for place in folder.glob("study_*")
+        for each in (place.rglob("*") if place.is_dir() else (place,))
+        if each.is_file()
+    }
