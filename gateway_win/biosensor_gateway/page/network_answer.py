@@ -40,7 +40,6 @@ class AnswerView(BaseModel):
 
     Attributes
     ----------
-    state
     code, address, port
         What is typed there.
     others

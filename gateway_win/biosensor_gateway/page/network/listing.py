@@ -27,7 +27,6 @@ class Listing:
 
     Attributes
     ----------
-    streams
     refusals
         What is not listed, and why.
     """

@@ -57,7 +57,6 @@ class SeenStreamView(ScreenStream):
         What is wrong with it; empty if nothing is.
     is_lost_estimated
         Whether `lost` is what the stamps show, and only since it is received.
-    is_text
     texts
         Its newest entries, the newest first.
     channel_count

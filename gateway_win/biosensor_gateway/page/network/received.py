@@ -96,7 +96,6 @@ class Received:
 
         Parameters
         ----------
-        block
         now
             Local LSL time.
         """

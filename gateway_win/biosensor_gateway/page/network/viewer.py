@@ -76,7 +76,6 @@ class Viewer:
 
         Parameters
         ----------
-        listing
         not_received
             How many streams are looked at and not received.
         wanted

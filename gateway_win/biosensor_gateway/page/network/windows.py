@@ -43,7 +43,6 @@ def window(
 
     Parameters
     ----------
-    key
     times : shape (n,)
         Local LSL time.
     samples : shape (n, n_channels)

@@ -18,7 +18,6 @@ def excused(devices: Devices | None, started: float) -> frozenset[str]:
 
     Parameters
     ----------
-    devices
     started
         Unix time in s at which the recording began.
     """
@@ -39,7 +38,6 @@ def findings(
 
     Parameters
     ----------
-    devices
     recorded
         The source_ids that the file has; empty while nobody knows them.
     started

@@ -43,7 +43,6 @@ class ReceivedStream:
     ----------
     first, last
         Stamps of the first and the last sample, 0 without samples.
-    sample_count
     is_lost
         Whether its outlet has gone; another one may go on with it.
     clock_offsets
