@@ -9,8 +9,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.streaming.jumps import SAID, SAID_S, JumpReports, Jumps
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.streaming.sink import SAID, SAID_S, DeviceSink, JumpReports, Jumps
 from tests.rigs.set_clock import SetClock
 
 

@@ -10,7 +10,7 @@ from edfio import read_bdf
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.recording.export.edf.annotations import Annotation, annotation_records
+from biosensor_gateway.recording.export.edf.exporter import Annotation, annotation_records
 from biosensor_gateway.recording.export.edf.layout import channel, layout
 from biosensor_gateway.recording.export.exporter import Clock
 from tests.recording_export.conftest import Exporting

@@ -22,7 +22,7 @@ import serial
 
 from biosensor_gateway.devices.emotibit.driver import link as emotibit_link
 from biosensor_gateway.devices.empatica_e4.driver import driver as e4_driver
-from biosensor_gateway.devices.line_sensor.driver import links
+from biosensor_gateway.devices.line_sensor.driver import driver as line_driver
 from biosensor_gateway.simulation import async_serial
 from biosensor_gateway.simulation.async_serial import TcpSerialPort
 from biosensor_gateway.system.clock import LSL_CLOCK
@@ -269,7 +269,7 @@ def links_in_memory() -> Generator[None]:
             patch.setattr(serial, opened, MemorySerial)
         for user in (byte_links, e4_driver):
             patch.setattr(user, "TcpLink", MemoryTcpLink)
-        for user in (links, emotibit_link):
+        for user in (line_driver, emotibit_link):
             patch.setattr(user, "UdpPort", MemoryUdpPort)
         patch.setattr(MemoryPort, "tcp_ports", {})
         patch.setattr(MemoryPort, "held", set[str]())

@@ -29,12 +29,12 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     PressureChip,
     PressureCoefficients,
 )
-from biosensor_gateway.devices.shimmer.driver.pressure import compensation
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS, ShimmerProtocol
 from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 from biosensor_gateway.devices.shimmer.driver.setup import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.signals import (
     air_signals,
+    compensation,
     exg_signal,
     motion_signals,
     status_places,

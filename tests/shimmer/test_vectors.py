@@ -22,10 +22,9 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     PressureChip,
     PressureCoefficients,
 )
-from biosensor_gateway.devices.shimmer.driver.pressure import are_real, compensation
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
 from biosensor_gateway.devices.shimmer.driver.setup import typical_calibrations
-from biosensor_gateway.devices.shimmer.driver.signals import motion_signals
+from biosensor_gateway.devices.shimmer.driver.signals import are_real, compensation, motion_signals
 
 Vector = dict[str, Any]
 VECTORS: list[Vector] = json.loads(

@@ -29,11 +29,12 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     PressureChip,
     PressureCoefficients,
 )
-from biosensor_gateway.devices.shimmer.driver.pressure import are_real, compensation
 from biosensor_gateway.devices.shimmer.driver.signals import (
     MOTION,
     Signal,
     air_signals,
+    are_real,
+    compensation,
     exg_signal,
     has_air,
     has_exg,
