@@ -270,10 +270,6 @@ def _conclude(node: LiveTable, waiting: Waiting, reasons: Mapping[str, str]) -> 
     return code if waiting.has_begun or code else EXIT_MISSING
 
 
-if __name__ == "__main__":
-    main()
-
-
 def fitted(lines: Sequence[Line], width: int) -> Sequence[Line]:
     """Return the lines of a table, the headings first, so that they fit.
 
@@ -327,3 +323,7 @@ def _short_value(text: str, width: int) -> str:
     if len(brief) <= width and not text.startswith(("{", "[")):
         return brief
     return f"{text[: width - 3]}..."
+
+
+if __name__ == "__main__":
+    main()
