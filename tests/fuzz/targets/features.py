@@ -13,6 +13,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.announcements import MAX_RATE_HZ
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, foreign_header
 from biosensor_gateway.features.errors import FeatureError
@@ -47,6 +48,9 @@ def check(data: bytes) -> None:
 
 def _source(kind: int, unit: int, rate: float) -> Source | None:
     content_type, said = TYPES[kind % len(TYPES)].value, _UNITS[unit % len(_UNITS)]
+    if not 0 <= rate <= MAX_RATE_HZ:
+        # No such stream is taken from the network, or out of a file.
+        return None
     core = CoreFields("any", content_type, "id", "host", 3, rate, ChannelFormat.FLOAT32)
     try:
         return judge("any", "id", foreign_header(core, ("x",) * 3, (said,) * 3))
