@@ -100,6 +100,15 @@ def test_quality_is_told_every_ten_seconds(sink: EmitterSink) -> None:
     assert len(sink.emitted["quality"]) == 4
 
 
+@pytest.mark.parametrize(("unheard_s", "lost"), [(0.4 * PERIOD_S, 0), (PERIOD_S, 1), (1.0, 128)])
+def test_what_it_measured_unheard_is_lost(sink: EmitterSink, unheard_s: float, lost: int) -> None:
+    emitter = measuring(sink)
+    emitter.take([packet(0)])
+    emitter.kept_measuring_until(ARRIVAL_S + unheard_s)
+    emitter.take([packet(1)])
+    assert sink.losses.get("ecg", 0) == lost
+
+
 def test_a_lost_packet_is_lost_to_all_its_streams(sink: EmitterSink) -> None:
     emitter = measuring(sink)
     emitter.take([packet(0)])
