@@ -11,7 +11,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from tests.wheel.conftest import LOCK, ROOT, uv
@@ -88,6 +88,14 @@ class Arm64:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self._started: list[subprocess.Popen[str]] = []
+
+    def close(self) -> None:
+        """End what still runs."""
+        for each in self._started:
+            if each.poll() is None:
+                each.kill()
+                each.wait()
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start the product's program there."""
@@ -116,13 +124,15 @@ class Arm64:
         program = ["env", "-i", *(f"{name}={value}" for name, value in known.items())]
         program += ["/usr/sbin/chroot", str(self.root), *python]
         inside = f"{mounts} && exec {shlex.join(program)}"
-        return subprocess.Popen(
+        started = subprocess.Popen(
             ["unshare", "--mount", "--propagation", "private", "sh", "-c", inside],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
         )
+        self._started.append(started)
+        return started
 
     @staticmethod
     def ended(process: subprocess.Popen[str], codes: Sequence[int] = (0,)) -> str:
@@ -154,8 +164,8 @@ def arm64(folder: Path, wheel: Path) -> Generator[Arm64]:
     for each in ("proc", "dev", "sys", "tmp", "run", "root"):
         (root / each).mkdir(exist_ok=True)
     (root / "lsl.cfg").write_bytes(Path(os.environ["LSLAPICFG"]).read_bytes())
-    with _registered(qemu):
-        yield Arm64(root)
+    with _registered(qemu), closing(Arm64(root)) as debian:
+        yield debian
 
 
 def needs() -> str:
