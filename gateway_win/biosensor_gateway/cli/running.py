@@ -12,8 +12,8 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.questions import can_ask
+from biosensor_gateway.system.child import start_beside
 from biosensor_gateway.system.keep_alive import restart_facts
-from biosensor_gateway.system.own_command import start_beside
 from biosensor_gateway.system.standby import is_standby
 
 _END_AFTER_MIN = "1"

@@ -31,9 +31,9 @@ from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
+from biosensor_gateway.system.child import close_input, start_for
 from biosensor_gateway.system.keep_alive import ending_in_words, next_delay_s
 from biosensor_gateway.system.logs import console_relayed
-from biosensor_gateway.system.own_command import close_input, start_for
 from biosensor_gateway.system.quick_edit import quick_edit_off
 from biosensor_gateway.system.shutdown import until_signalled
 from biosensor_gateway.system.terminal import shows_colours

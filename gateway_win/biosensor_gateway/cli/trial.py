@@ -52,7 +52,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict, check
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.browser import open_page
-from biosensor_gateway.system.own_command import own_command
+from biosensor_gateway.system.child import own_command
 
 RECORDED_S, _LEAST_RECORDED_S = 10.0, 3.0
 _READY_S, _PAGE_S = 90.0, 90.0

@@ -28,7 +28,7 @@ from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings.file import load_or_defaults
 from biosensor_gateway.settings.places import settings_path
 from biosensor_gateway.streaming.room import Room
-from biosensor_gateway.system.own_command import own_command
+from biosensor_gateway.system.child import own_command
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
 CHUNK_LENGTH = 32

@@ -29,7 +29,7 @@ from biosensor_gateway.recording.going_on import file_going_on
 from biosensor_gateway.settings import editing
 from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE
-from biosensor_gateway.system.own_command import start_beside
+from biosensor_gateway.system.child import start_beside
 
 BACK_WITHIN_S = 30.0
 """A sensor that was renamed is connected again, which by Bluetooth takes some seconds."""

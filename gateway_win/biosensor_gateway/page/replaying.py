@@ -18,7 +18,7 @@ from biosensor_gateway.page.replay_models import NewReplay
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.told import Phase, ReplayJob, ReplayProgress, Told
-from biosensor_gateway.system.own_command import close_input, start_for
+from biosensor_gateway.system.child import close_input, start_for
 
 PLAYER = "play-recording"
 """First argument of the command line that is a player."""

@@ -16,7 +16,7 @@ from types import FrameType
 from biosensor_common import relay
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system import restart_notice
-from biosensor_gateway.system.own_command import own_command
+from biosensor_gateway.system.child import own_command
 from biosensor_gateway.system.restart_notice import RestartNotice
 from biosensor_gateway.system.standby import Standby
 

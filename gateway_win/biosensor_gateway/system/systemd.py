@@ -11,7 +11,7 @@ from pathlib import Path
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.system_programs import full_path
 from biosensor_gateway.system import state_file
-from biosensor_gateway.system.own_command import own_command
+from biosensor_gateway.system.child import own_command
 
 UNIT = "biosensor-gateway.service"
 

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from biosensor_gateway.settings.places import state_folder
-from biosensor_gateway.system.own_command import own_command
+from biosensor_gateway.system.child import own_command
 
 TITLE = "Biosensor Gateway"
 PAGE = ("page", "--window", "--end-after", "2")

@@ -22,8 +22,8 @@ from biosensor_gateway.recording.here.program import library_folder
 from biosensor_gateway.recording.here.said import Said
 from biosensor_gateway.recording.here.ways import OWN
 from biosensor_gateway.system.ansi_path import ansi_folder
+from biosensor_gateway.system.child import own_command
 from biosensor_gateway.system.keep_alive import ending_in_words
-from biosensor_gateway.system.own_command import own_command
 
 KEEPER = "keep-recording"
 """First argument of the command line that is a keeper; the second is the state folder."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from biosensor_gateway.recording.here.errors import RecorderError
 from biosensor_gateway.recording.here.program import find_program
 from biosensor_gateway.system.ansi_path import ansi_folder
-from biosensor_gateway.system.own_command import own_command
+from biosensor_gateway.system.child import own_command
 
 RECORD_STREAMS = "record-streams"
 """First argument of the command line that records by our own means."""
