@@ -12,8 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from biosensor_gateway.system.keep_alive import LAST_END, RESTARTS
-from biosensor_gateway.system.standby import await_turn, is_standby
+from biosensor_gateway.system.keep_alive import LAST_END, RESTARTS, await_turn, is_standby
 
 RECORD = Path(sys.argv[1])
 

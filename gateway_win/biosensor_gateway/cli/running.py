@@ -13,8 +13,7 @@ from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.questions import can_ask
 from biosensor_gateway.system.child import start_beside
-from biosensor_gateway.system.keep_alive import restart_facts
-from biosensor_gateway.system.standby import is_standby
+from biosensor_gateway.system.keep_alive import is_standby, restart_facts
 
 _END_AFTER_MIN = "1"
 
@@ -47,7 +46,7 @@ def run(
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
     if is_standby():
-        from biosensor_gateway.cli.standing_by import stand_by  # takes a second
+        from biosensor_gateway.cli.streaming import stand_by  # takes a second
 
         stand_by(simulate)
     if ask and restart_facts(os.environ):

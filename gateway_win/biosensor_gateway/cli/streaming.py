@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import subprocess
 import threading
@@ -16,6 +15,7 @@ from typing import IO, Any, Self
 
 import structlog
 
+from biosensor_common.child import Backoff, close_input, ending_in_words, send
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
@@ -31,8 +31,8 @@ from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
-from biosensor_gateway.system.child import close_input, start_for
-from biosensor_gateway.system.keep_alive import ending_in_words, next_delay_s
+from biosensor_gateway.system.child import start_for
+from biosensor_gateway.system.keep_alive import await_turn
 from biosensor_gateway.system.logs import console_relayed
 from biosensor_gateway.system.quick_edit import quick_edit_off
 from biosensor_gateway.system.shutdown import until_signalled
@@ -85,6 +85,23 @@ def stream(
         read = None if simulate else _reader(settings)
         loaded = read() if read else stack.enter_context(_virtual(simulate, faults, settings))
         _run_agent(loaded, read, log, unguarded, features=features, verbose=verbose)
+
+
+def stand_by(simulate: str) -> None:
+    """Wait for the turn with everything imported; claim and open nothing before.
+
+    Parameters
+    ----------
+    simulate
+        Virtual devices that will run, as `run` has it; empty for those of the settings.
+    """
+    if simulate:
+        from biosensor_gateway.demo import virtual_devices  # only on request
+
+        virtual_devices.import_all(simulate.split(","))
+    # To look each of them up imports its driver.
+    dict(settings_models())
+    await_turn()
 
 
 def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
@@ -211,13 +228,13 @@ class FeaturesBeside:
             self._thread.join(END_S)
 
     def _keep(self) -> None:
-        delay_s: float | None = None
+        backoff = Backoff()
         while not self._stopping.is_set():
             began = time.monotonic()
             ending = self._run_once()
             if self._stopping.is_set():
                 return
-            delay_s = next_delay_s(delay_s, time.monotonic() - began)
+            delay_s = backoff.next_s(time.monotonic() - began)
             when = f"in {delay_s:g} s" if delay_s else "now"
             _log.warning(f"live features have ended ({ending}) and are started again {when}")
             self._stopping.wait(delay_s)
@@ -244,11 +261,7 @@ class FeaturesBeside:
                 return None
             process = start_for([SEND_FEATURES])
             self._process = process
-            assert process.stdin is not None
-            # If it has died already, its exit code says so.
-            with contextlib.suppress(OSError):
-                process.stdin.write(f"{self._lsl.model_dump_json(exclude_unset=True)}\n".encode())
-                process.stdin.flush()
+            send(process, f"{self._lsl.model_dump_json(exclude_unset=True)}\n".encode())
             return process
 
 

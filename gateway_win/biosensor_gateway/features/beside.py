@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from io import FileIO
 
 from biosensor_common.ending import end_within
 from biosensor_gateway.agent.feature_refusals import FeatureRefusals
@@ -18,25 +17,23 @@ from biosensor_gateway.features.sources import Source
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.streaming.outlets import configure_lsl
+from biosensor_gateway.system.child import first_line, when_input_ends
 
 
 def send_for_another() -> int:
     """Compute and send until the input ends; return the exit code of this process."""
-    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
-    asked = FileIO(sys.stdin.fileno(), closefd=False)
-    line = asked.readline()
+    line = first_line()
     if not line:
         return 0
     lsl = LslSettings.model_validate_json(line)
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
 
-    def read_to_the_end() -> None:
-        asked.read()
+    def end() -> None:
         stopping.set()
         end_within()
 
-    threading.Thread(target=read_to_the_end, daemon=True).start()
+    when_input_ends(end)
     refusals = FeatureRefusals(state_folder())
     try:
         Live(_Telling(), report=refusals.write).run(stopping)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
+from biosensor_common.child import close_input, send
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent.feed_frames import HEAD, FrameKind
 from biosensor_gateway.agent.sample_frames import read_samples
@@ -18,7 +19,7 @@ from biosensor_gateway.page.replay_models import NewReplay
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.told import Phase, ReplayJob, ReplayProgress, Told
-from biosensor_gateway.system.child import close_input, start_for
+from biosensor_gateway.system.child import start_for
 
 PLAYER = "play-recording"
 """First argument of the command line that is a player."""
@@ -118,11 +119,9 @@ class Replaying:
                 loop.call_soon_threadsafe(function)
 
         def listen() -> None:
-            assert process.stdin is not None
             assert process.stdout is not None
             with process.stdout as output, contextlib.suppress(OSError, EOFError, ValueError):
-                process.stdin.write(job.model_dump_json(exclude_unset=True).encode() + b"\n")
-                process.stdin.flush()
+                send(process, job.model_dump_json(exclude_unset=True).encode() + b"\n")
                 while True:
                     kind, content = _read_frame(output)
                     on_loop(lambda kind=kind, content=content: self._take(kind, content))

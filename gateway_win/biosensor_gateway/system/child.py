@@ -1,21 +1,20 @@
-"""Starts this program again, for another task."""
+"""Starts this program again for another task, and tells that one when this one has ended."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from io import FileIO
 from pathlib import Path
+from typing import IO
+
+from biosensor_common import child
 
 _PROGRAM = "biosensor-gateway.exe"
-
-if sys.platform == "win32":
-    NO_WINDOW = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
-else:
-    NO_WINDOW = 0
-"""Flags of a process that has neither a window nor this one's Ctrl-C."""
+_STDIN = 0
 
 
 def own_command(arguments: Sequence[str]) -> list[str]:
@@ -28,7 +27,13 @@ def own_command(arguments: Sequence[str]) -> list[str]:
     return [sys.executable, "-P", "-m", "biosensor_gateway.cli", *arguments]
 
 
-def start_beside(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+def start_beside(
+    arguments: Sequence[str],
+    environment: Mapping[str, str] | None = None,
+    *,
+    output: int | IO[bytes] = subprocess.DEVNULL,
+    cwd: Path | None = None,
+) -> None:
     """Run this program with arguments, without a terminal; it outlives this one.
 
     Parameters
@@ -41,42 +46,42 @@ def start_beside(arguments: Sequence[str], environment: Mapping[str, str] | None
     OSError
         The system cannot start it.
     """
-    subprocess.Popen(
+    # Nothing that this one has open may be held open by it.
+    process = child.start(
         own_command(arguments),
+        stdout=output,
+        stderr=output,
         env=os.environ | (environment or {}),
-        # Nothing that this one has open may be held open by it.
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        creationflags=NO_WINDOW,
-        # Ctrl-C at this one's terminal is meant for this one.
-        start_new_session=True,
+        cwd=cwd,
     )
+    # On POSIX a child that ended stays until somebody has waited for it.
+    threading.Thread(target=process.wait, name=f"{arguments[0]} beside", daemon=True).start()
 
 
 def start_for(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
     """Run this program with arguments and pipes to and from it, for as long as this one runs.
 
-    What it runs ends when its input ends, which the system sees to if this one is killed.
-
-    Raises
-    ------
-    OSError
-        The system cannot start it.
+    The other side has `first_line` and `when_input_ends`. Raises ``OSError`` if the system cannot
+    start it.
     """
-    return subprocess.Popen(
-        own_command(arguments),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        creationflags=NO_WINDOW,
-        # Ctrl-C at this one's terminal is meant for this one, which ends the other.
-        start_new_session=True,
-    )
+    return child.start(own_command(arguments), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
-def close_input(process: subprocess.Popen[bytes]) -> None:
-    """Ask what :func:`start_for` has started to end; nothing if it has ended."""
-    if process.stdin is not None:
-        with suppress(OSError):
-            process.stdin.close()
+def first_line() -> bytes:
+    """Return the first line that came from whoever started this process; empty if it has gone."""
+    return _input().readline()
+
+
+def when_input_ends(call: Callable[[], object]) -> None:
+    """Call a function, in a thread, when whoever started this process closes its input or dies."""
+
+    def read() -> None:
+        _input().read()
+        call()
+
+    threading.Thread(target=read, name="input", daemon=True).start()
+
+
+def _input() -> FileIO:
+    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
+    return FileIO(_STDIN, closefd=False)

@@ -1,8 +1,15 @@
-"""Keeps a program running: starts it again whenever it dies, from a standby if there is one."""
+"""Keeps a program running: starts it again whenever it dies, from a standby if there is one.
+
+What a start takes is Python and its imports. A standby has them behind it: it is started with
+`STANDBY` in its environment, and `await_turn` keeps it from going on until its keeper gives it
+the turn, as one line of JSON on its standard input. The end of that input says that the keeper
+has gone.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import signal
@@ -14,21 +21,23 @@ from pathlib import Path
 from types import FrameType
 
 from biosensor_common import relay
+from biosensor_common.child import Backoff, ending_in_words
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system import restart_notice
-from biosensor_gateway.system.child import own_command
+from biosensor_gateway.system.child import first_line, own_command
 from biosensor_gateway.system.restart_notice import RestartNotice
-from biosensor_gateway.system.standby import Standby
 
-LONGEST_DELAY_S = 30.0
-STABLE_AFTER_S = 60.0
-"""Who lived so long did not die of its start, and is started again at once."""
 STANDBY_AFTER_S = 5.0
 """Who lived so long is worth a standby. While it starts, it has the processor for itself."""
 
 RESTARTS, LAST_END = "BIOSENSOR_GATEWAY_RESTARTS", "BIOSENSOR_GATEWAY_LAST_END"
 """Environment of the program: how often it was started again, and how it had ended before."""
 
+STANDBY = "BIOSENSOR_GATEWAY_STANDBY"
+"""Environment of a process that is to wait for its turn."""
+
+_STDIN = 0
+_TERMINAL = "CONIN$" if sys.platform == "win32" else "/dev/tty"
 _AS_IT_SHOULD, _WRONG_SETTINGS = 0, 2
 _LOOK_S = 0.2
 # Handlers of signals run between two waits. POSIX interrupts a wait, Windows does not.
@@ -43,21 +52,6 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
     return {"restarts": int(count), "last_end": environment.get(LAST_END, "")}
 
 
-def next_delay_s(last_s: float | None, lived_s: float) -> float:
-    """Return how long to wait before a program that has died is started again.
-
-    Parameters
-    ----------
-    last_s
-        How long it was the last time; None if it dies for the first time.
-    lived_s
-        How long the program lived.
-    """
-    if last_s is None or lived_s >= STABLE_AFTER_S:
-        return 0.0
-    return min(max(1.0, 2 * last_s), LONGEST_DELAY_S)
-
-
 def keep_alive(arguments: Sequence[str]) -> int:
     """Keep this program running with other arguments; see :class:`KeepAlive`."""
     console = relay.console(relay.STDERR, "console")
@@ -67,6 +61,44 @@ def keep_alive(arguments: Sequence[str]) -> int:
             console.put(f"biosensor-gateway: {sentence}\n".encode())
 
     return KeepAlive(own_command(arguments), tell, state_folder()).run()
+
+
+class Standby:
+    """A second process of the program, which waits until it is needed.
+
+    Raises ``OSError`` if it cannot be started.
+
+    Parameters
+    ----------
+    command
+        Program and arguments; it must call `await_turn` before it opens or claims anything.
+    """
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, bufsize=0, env={**os.environ, STANDBY: "1"}
+        )
+
+    def take_turn(self, environment: Mapping[str, str]) -> subprocess.Popen[bytes] | None:
+        """Have it go on, with more in its environment; return None if it has died meanwhile."""
+        terminal = sys.stdin is not None and sys.stdin.isatty()
+        turn = json.dumps({"environment": dict(environment), "terminal": terminal})
+        assert self._process.stdin is not None
+        try:
+            if self._process.poll() is None:
+                self._process.stdin.write(f"{turn}\n".encode())
+                self._process.stdin.close()
+                return self._process
+        except OSError:
+            # It has died, and nobody reads any more.
+            pass
+        self.end()
+        return None
+
+    def end(self) -> None:
+        """End it; it holds nothing that it would have to give back."""
+        with self._process as process:
+            process.kill()
 
 
 class KeepAlive:
@@ -132,10 +164,9 @@ class KeepAlive:
     def _delays(self) -> Iterator[float]:
         """Yield how long to wait before each start; the first time, not at all."""
         yield 0.0
-        delay_s: float | None = None
+        backoff = Backoff()
         while True:
-            delay_s = next_delay_s(delay_s, self._lived_s)
-            yield delay_s
+            yield backoff.next_s(self._lived_s)
 
     def _wait(self, seconds: float, last_end: str) -> None:
         """Let time pass before the next start, unless somebody asks for the end."""
@@ -213,18 +244,36 @@ def _ask_to_end(process: subprocess.Popen[bytes]) -> None:
         process.terminate()
 
 
-_CRASHES = 0xC0000000
-"""From here on Windows' exit codes are errors that end programs."""
+def is_standby() -> bool:
+    """Whether this process is to call `await_turn`."""
+    return STANDBY in os.environ
 
 
-def ending_in_words(code: int) -> str:
-    """Say how a process ended, by its exit code."""
-    if code >= _CRASHES:
-        # Windows' own names of what ends a program are of this form.
-        return f"crash {code:#010X}".replace("0X", "0x")
-    if code >= 0:
-        return f"exit code {code}"
+def await_turn() -> None:
+    """Wait until this process is needed, and then be like one that was started just now.
+
+    Raises
+    ------
+    SystemExit
+        With code 0: the keeper has gone.
+    """
+    del os.environ[STANDBY]
+    line = first_line()
+    if not line.endswith(b"\n"):
+        raise SystemExit(0)
+    turn = json.loads(line)
+    os.environ.update(turn["environment"])
+    _lead_stdin(_TERMINAL if turn["terminal"] else os.devnull)
+
+
+def _lead_stdin(path: str) -> None:
+    """Have standard input come from elsewhere than from the keeper."""
     try:
-        return f"killed by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"killed by signal {-code}"
+        opened = os.open(path, os.O_RDWR)
+    except OSError:
+        opened = os.open(os.devnull, os.O_RDWR)
+    os.dup2(opened, _STDIN)
+    os.close(opened)
+    if sys.platform == "win32":
+        # Python's own object for a pipe cannot read from a console.
+        sys.stdin = open(_STDIN, encoding="utf-8", errors="replace", closefd=False)  # noqa: SIM115 - for as long as it lives

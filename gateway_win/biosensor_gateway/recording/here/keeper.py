@@ -11,19 +11,18 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
 from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import library_folder
 from biosensor_gateway.recording.here.said import Said
 from biosensor_gateway.recording.here.ways import OWN
 from biosensor_gateway.system.ansi_path import ansi_folder
-from biosensor_gateway.system.child import own_command
-from biosensor_gateway.system.keep_alive import ending_in_words
+from biosensor_gateway.system.child import start_beside
 
 KEEPER = "keep-recording"
 """First argument of the command line that is a keeper; the second is the state folder."""
@@ -45,18 +44,7 @@ def launch(state: Path) -> None:
     """
     folder = RecorderFolder(state)
     with folder.keeper_log.open("wb") as log:
-        process = subprocess.Popen(
-            own_command([KEEPER, str(state)]),
-            cwd=folder.path,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            # Neither Ctrl+C nor the end of this terminal is meant for it.
-            start_new_session=sys.platform != "win32",
-            creationflags=_windows_flags(),
-        )
-    # On POSIX a child that ended stays until somebody has waited for it.
-    threading.Thread(target=process.wait, name="recorder-keeper", daemon=True).start()
+        start_beside([KEEPER, str(state)], output=log, cwd=folder.path)
 
 
 def keep(state: Path) -> int:
@@ -109,7 +97,7 @@ class _Keeper:
                 # On Windows a path that it is given loses letters, its folder does not.
                 cwd=file.parent,
                 env=_environment(self._folder.lsl_config),
-                creationflags=_windows_flags(),
+                creationflags=NO_WINDOW,
                 # Else a limit on the size of files would kill it.
                 restore_signals=False,
             )
@@ -120,10 +108,9 @@ class _Keeper:
     def _end(self, process: subprocess.Popen[bytes], kept: Kept) -> str:
         """Have the program close its file; return what went wrong."""
         limit_s = _GIVEN_UP_S if self._folder.is_given_up() else END_S
-        try:
-            process.communicate(b"\n", limit_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
+        send(process, b"\n")
+        close_input(process)
+        if wait_or_kill(process, limit_s):
             return f"{kept.recorder} did not end within {limit_s:g} s, and was killed"
         return ""
 
@@ -152,9 +139,3 @@ def _requests() -> list[signal.Signals]:
     if sys.platform == "win32":
         return [signal.SIGINT, signal.SIGBREAK]
     return [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-
-
-def _windows_flags() -> int:
-    if sys.platform == "win32":
-        return subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP
-    return 0

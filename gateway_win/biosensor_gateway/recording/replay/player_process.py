@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
-from io import FileIO
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -32,6 +31,7 @@ from biosensor_gateway.recording.replay.told import (
     played_streams,
 )
 from biosensor_gateway.streaming.outlets import configure_lsl
+from biosensor_gateway.system.child import first_line, when_input_ends
 
 FLUSH_S = 0.04
 _TOLD_EVERY = 12
@@ -40,12 +40,10 @@ _ALLOWED_BY = "tick 'also beside the real sensors'"
 
 def play_for_another() -> int:
     """Play what the input asks for; return the exit code of this process."""
-    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
-    asked = FileIO(sys.stdin.fileno(), closefd=False)
-    job = ReplayJob.model_validate_json(asked.readline())
+    job = ReplayJob.model_validate_json(first_line())
     configure_lsl(job.lsl.overrides)
     stopping = threading.Event()
-    threading.Thread(target=_read_to_the_end, args=(asked, stopping), daemon=True).start()
+    when_input_ends(stopping.set)
     teller = _Teller(sys.stdout.buffer)
     try:
         said = _play(job, stopping, teller)
@@ -55,11 +53,6 @@ def play_for_another() -> int:
     ended = teller.progress.model_copy(update={"phase": Phase.ENDED, "said": said})
     teller.tell(Told(progress=ended))
     return 0
-
-
-def _read_to_the_end(asked: FileIO, stopping: threading.Event) -> None:
-    asked.read()
-    stopping.set()
 
 
 def _play(job: ReplayJob, stopping: threading.Event, teller: _Teller) -> list[str]:
