@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,6 +12,8 @@ import pytest
 
 from biosensor_common import child
 from biosensor_common.child import LONGEST_DELAY_S, STABLE_AFTER_S, Backoff
+from biosensor_gateway.devices.brainflow.driver import process as board
+from biosensor_gateway.devices.brainflow.driver.settings import BrainFlowSettings
 from biosensor_gateway.system.child import start_beside
 
 WAITS = [sys.executable, "-c", "import sys; sys.stdin.read()"]
@@ -66,6 +69,15 @@ def test_what_is_sent_to_a_process_that_has_ended_is_no_error() -> None:
         process.wait()
         child.send(process, b"nobody reads this\n")
         child.close_input(process)
+
+
+@pytest.mark.seam
+@posix
+def test_ctrl_c_at_the_agents_terminal_does_not_reach_the_program_that_reads_a_board() -> None:
+    settings = BrainFlowSettings(sensor="brainflow", unit="1", board="SYNTHETIC_BOARD")
+    with board.start(settings, "stream") as process:
+        assert os.getsid(process.pid) == process.pid
+        process.kill()
 
 
 @pytest.mark.seam

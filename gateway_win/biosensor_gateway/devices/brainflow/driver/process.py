@@ -15,6 +15,7 @@ from typing import Any
 
 from pylsl import local_clock
 
+from biosensor_common import child
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.devices.brainflow.declaration import Description
 from biosensor_gateway.devices.brainflow.driver.settings import BrainFlowSettings
@@ -28,7 +29,6 @@ _END_LIMIT_S = 3.0
 _OUTSIDE = "biosensor_gateway.devices.brainflow.outside"
 _DESCRIBE_LIMIT_S = 20.0
 _MISSING = "missing"
-_NO_WINDOW = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 
 def start(settings: BrainFlowSettings, command: str) -> subprocess.Popen[bytes]:
@@ -41,17 +41,10 @@ def start(settings: BrainFlowSettings, command: str) -> subprocess.Popen[bytes]:
     """
     program = [str(_python(settings)), "-I", str(files(_OUTSIDE) / "board.py"), command]
     try:
-        process = subprocess.Popen(
-            program,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            creationflags=_NO_WINDOW,
-        )
+        return child.start(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     except OSError as error:
         message = f"{program[0]} cannot be started ({error.strerror or error}); is python right?"
         raise TransportError(TransportReason.UNAVAILABLE, message) from error
-    return process
 
 
 def _order(settings: BrainFlowSettings, presets: tuple[int, ...] = ()) -> bytes:
@@ -167,11 +160,7 @@ class ProcessLink:
     def _end(self) -> None:
         process = self._process
         assert process is not None
-        try:
-            process.wait(_END_LIMIT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        child.wait_or_kill(process, _END_LIMIT_S)
         self._traffic.join_reader(_END_LIMIT_S)
 
     def _read_forever(self, process: subprocess.Popen[bytes]) -> None:
