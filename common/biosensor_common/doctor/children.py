@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
+from biosensor_common.child import wait_or_kill
+
 PROBE_COMMAND = "doctor-probe"
 """Hidden command of the frozen program, which is its own Python."""
 _LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
@@ -104,11 +106,7 @@ class Probe:
     def _end(self) -> None:
         # What takes its leave from a network does so now.
         self.process.terminate()
-        try:
-            self.process.wait(_END_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        wait_or_kill(self.process, _END_PATIENCE_S)
 
     def _keep_log(self) -> None:
         assert self.process.stderr is not None

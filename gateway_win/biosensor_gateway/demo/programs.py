@@ -13,6 +13,7 @@ from collections.abc import Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from biosensor_common.child import wait_or_kill
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.settings.places import STATE_VARIABLE
 
@@ -105,8 +106,4 @@ def stop(process: subprocess.Popen[bytes]) -> None:
             process.terminate()
         else:
             process.send_signal(signal.SIGINT)
-        try:
-            process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        wait_or_kill(process, STOP_TIMEOUT_S)
