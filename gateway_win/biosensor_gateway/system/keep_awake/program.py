@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from biosensor_common import child
 
 
 class ProgramInhibitor:
@@ -37,24 +38,17 @@ class ProgramInhibitor:
     def begin(self) -> None:
         """Start the program; raises ``OSError`` if it cannot be."""
         self._answered = not self._echoes
-        self._process = process = subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            bufsize=0,
-            # Ctrl-C is for the agent, which still has devices to close.
-            process_group=0,
+        pipe = subprocess.PIPE
+        self._process = process = child.start(
+            self._command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0
         )
-        assert process.stdin is not None
         assert process.stdout is not None
         assert process.stderr is not None
         if sys.platform != "win32":  # which has no such program
             os.set_blocking(process.stdout.fileno(), False)
             os.set_blocking(process.stderr.fileno(), False)
         # If it has ended already, held() knows why.
-        with contextlib.suppress(BrokenPipeError):
-            process.stdin.write(b"\n")
+        child.send(process, b"\n")
 
     def held(self) -> bool:
         """Whether the program holds off sleep; raises ``OSError`` if it has ended."""
