@@ -7,11 +7,11 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from biosensor_common.child import STABLE_AFTER_S, Backoff, start, wait_or_kill
 from lsl_to_ros.command_line import FURTHER
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.processes.link import Link
@@ -21,12 +21,7 @@ from lsl_to_ros.reports.processes import ProcessFacts
 from lsl_to_ros.reports.survey import Part
 from lsl_to_ros.topics.register import Claim
 
-"""Stands first on the command line of a further process, before the socket to the first one."""
-
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-# One that has run for so long has not failed because of how it was started; and so long it is
-# said that it was.
-RAN_WELL_S = 60.0
+FIRST_PAUSE_S = 0.5
 # Until then a process that was started again has found its streams.
 SETTLED_S = 10.0
 # It reports once a second, and first has to start.
@@ -82,7 +77,7 @@ class Child:
         self._begun_s = self._due_s = 0.0
         self._has_reported = False
         self._silent_s = self._looked_s = 0.0
-        self._pause_s = FIRST_PAUSE_S
+        self._backoff = Backoff(FIRST_PAUSE_S)
         self._restarts = 0
         self._end = self._why_killed = ""
         self.start()
@@ -179,7 +174,7 @@ class Child:
     def _recovered(self) -> str:
         """Say that it was started again; empty if it was not lately."""
         ran_s = monotonic() - self._begun_s
-        is_recent = self._end and ran_s < RAN_WELL_S
+        is_recent = self._end and ran_s < STABLE_AFTER_S
         return f"{self._end}, and was started again {ran_s:.0f} s ago" if is_recent else ""
 
     def close(self) -> None:
@@ -192,11 +187,7 @@ class Child:
         process = self._process
         if process is None:
             return
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(max(0.0, until_s - monotonic()))
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+        wait_or_kill(process, max(0.0, until_s - monotonic()))
 
     def _kill_if_hung(self, process: subprocess.Popen[bytes]) -> None:
         limit_s = HUNG_AFTER_S if self._has_reported else HUNG_AT_START_S
@@ -208,8 +199,6 @@ class Child:
         code = process.poll()
         if code is None:
             return False
-        if monotonic() - self._begun_s > RAN_WELL_S:
-            self._pause_s = FIRST_PAUSE_S
         self._claims_before, self._claims = self.claims, {}
         self.close()
         self._process = self._link = None
@@ -218,22 +207,21 @@ class Child:
         return True
 
     def _failed(self, how: str) -> None:
-        self._due_s = monotonic() + self._pause_s
-        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+        now = monotonic()
+        self._due_s = now + self._backoff.next_s(now - self._begun_s)
         self._end = f"{name_of(self.share)} {how}"
         self._warn(f"{self._end}; its streams are not published until it is started again")
 
 
 def _popen(descriptor: int, name: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
+    return start(
         [
             *(sys.executable, "-P", "-m", "lsl_to_ros.node", FURTHER, str(descriptor)),
             *for_further(sys.argv[1:], name),
         ],
         pass_fds=[descriptor],
-        # Nobody types for it, not even Ctrl+C: it ends with the first process.
-        stdin=subprocess.DEVNULL,
-        process_group=0,
+        stdout=None,
+        stderr=None,
     )
 
 
