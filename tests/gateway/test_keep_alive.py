@@ -9,12 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.system.keep_alive import (
-    LONGEST_DELAY_S,
-    STABLE_AFTER_S,
-    next_delay_s,
-    restart_facts,
-)
+from biosensor_gateway.system.keep_alive import restart_facts
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 
@@ -57,17 +52,6 @@ def kept(folder: Path, *ends: str) -> tuple[int, list[str], list[str]]:
     ]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     return done.returncode, done.stdout.splitlines(), log.read_text().splitlines()
-
-
-def test_each_pause_before_a_new_start_is_twice_the_last_one_up_to_a_limit() -> None:
-    pauses: list[float] = []
-    last_s = None
-    for _ in range(12):
-        last_s = next_delay_s(last_s, 0.1)
-        pauses.append(last_s)
-    assert pauses[:5] == [0.0, 1.0, 2.0, 4.0, 8.0]
-    assert pauses[-1] == LONGEST_DELAY_S
-    assert next_delay_s(last_s, STABLE_AFTER_S) == 0.0
 
 
 @pytest.mark.nightly

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from functools import partial
-from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.features import quality
 from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.activity import Activity
 from biosensor_gateway.features.breathing import Breathing
-from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.heart import Heart
+from biosensor_gateway.features.pulse import PulsesOfAnyRate
 from biosensor_gateway.features.r_peaks import RPeaks
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
-from biosensor_gateway.pulses.filters import MovingMean
-from biosensor_gateway.pulses.finding import Beat, Pulses
+from biosensor_gateway.features.skin import Skin
 
 _MOST_S = 10.0
 """In blocks no longer than this, qualities are kept until the beats of their time are found."""
@@ -130,178 +127,3 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
     if factor > 1:
         return Runs(lambda: _Averaged(factor, make()), rate, foreign=foreign)
     return Runs(make, rate, foreign=foreign)
-
-
-class Activity:
-    """Gives `activity_live`: the mean amplitude deviation of each epoch, stamped with its end.
-
-    It is the mean distance of the vector's length from its own mean, in g, and needs no
-    calibration: Vaha-Ypya 2015, see :mod:`.thresholds`.
-
-    Parameters
-    ----------
-    rate
-        Nominal, in Hz; values are three axes in g.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._hops = Hops(max(2, round(at.ACTIVITY_EPOCH_S * rate)))
-
-    def take(self, stamps: Array, values: Array) -> list[Event]:
-        """Take samples of one run in; shapes (n,) and (n, 3)."""
-        events: list[Event] = []
-        for times, epoch in self._hops.take(stamps, values):
-            length = np.sqrt(np.square(epoch).sum(axis=1))
-            deviation = float(np.abs(length - length.mean()).mean())
-            events.append(Event("activity_live", float(times[-1]), (deviation,)))
-        return events
-
-
-class PulsesOfAnyRate:
-    """Gives the apex of each pulse.
-
-    Parameters
-    ----------
-    rate
-        Nominal, in Hz.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._decimator = Decimator(rate, at.PULSE_RATE_HZ)
-        self._pulses = Pulses(self._decimator.rate)
-
-    def take(self, stamps: Array, values: Array) -> list[Beat]:
-        """Return the pulses that are decided by now; both of shape (n,)."""
-        found: list[Beat] = []
-        for stamp, value in self._decimator.take(stamps, values):
-            found += self._pulses.take(stamp, value)
-        return found
-
-
-class _Point(NamedTuple):
-    stamp: float
-    level: float
-
-
-class Skin:
-    """Gives `scl` every second, and `scr` and `scr_prominent` once the peak of each is passed.
-
-    A response is what the smoothed signal rises from a trough to a peak, the classic way of
-    Boucsein 2012. A prominent one has at least a tenth of the largest ones of late, much as in
-    NeuroKit2; what is less is part of the rise or the fall of another.
-
-    Parameters
-    ----------
-    rate
-        Nominal, in Hz; the values are in microsiemens.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._decimator = Decimator(rate, at.EDA_RATE_HZ)
-        slow = self._decimator.rate
-        length = max(1, round(at.SCR_SMOOTHING_S * slow))
-        self._smooth = MovingMean(length)
-        self._late_s = (length - 1) / 2 / slow
-        # nothing is dropped: what a median slides over
-        self._levels: deque[float] = deque(maxlen=round(at.SCL_WINDOW_S * slow))
-        self._every = max(1, round(at.SCL_EVERY_S * slow))
-        self._count = 0
-        self._responses = _Responses(at.SCR_LEAST_MICROSIEMENS / 2)
-        self._prominent = _Responses(at.SCR_LEAST_MICROSIEMENS)
-        self._largest = _Largest(max(1, round(at.SCR_STEEP_S * slow)))
-
-    def take(self, stamps: Array, values: Array) -> list[Event]:
-        """Take samples of one run in; both of shape (n,)."""
-        events: list[Event] = []
-        for stamp, value in self._decimator.take(stamps, values):
-            self._count += 1
-            self._levels.append(value)
-            if len(self._levels) == self._levels.maxlen and self._count % self._every == 0:
-                events.append(Event("scl", stamp, (median(self._levels),)))
-            events += self._response(_Point(stamp - self._late_s, self._smooth.take(value)))
-        return events
-
-    def _response(self, here: _Point) -> list[Event]:
-        events: list[Event] = []
-        largest = self._largest.take(here)
-        if found := self._responses.take(here):
-            events.append(Event("scr", *found))
-        self._prominent.raise_limit(at.SCR_PROMINENT_SHARE * largest)
-        if found := self._prominent.take(here):
-            self._largest.add(found[0])
-            events.append(Event("scr_prominent", *found))
-        return events
-
-
-_Found = tuple[float, tuple[float, float, float]]
-
-
-class _Responses:
-    """Finds what rises from a trough by a limit and falls again."""
-
-    def __init__(self, fall: float) -> None:
-        self._limit, self._fall = at.SCR_LEAST_MICROSIEMENS, fall
-        self._trough: _Point | None = None
-        self._peak: _Point | None = None
-
-    def raise_limit(self, limit: float) -> None:
-        """Have what is smaller be none, whatever the smallest ones are."""
-        self._limit = self._fall = max(at.SCR_LEAST_MICROSIEMENS, limit)
-
-    def take(self, here: _Point) -> _Found | None:
-        """Return the stamp of the peak of a response that is over, and its three values."""
-        if self._trough is None or self._peak is None:
-            self._trough = self._peak = here
-            return None  # nothing is dropped: the first level of all
-        if here.level > self._peak.level:
-            self._peak = here
-            return None  # nothing is dropped: the response still rises
-        height = self._peak.level - self._trough.level
-        if self._peak is self._trough or height < self._limit:
-            # Not a response yet: a lower trough is a later onset.
-            if here.level <= self._trough.level:
-                self._trough = self._peak = here
-            return None  # nothing is dropped: there is no response yet
-        if self._peak.level - here.level < self._fall:
-            return None  # nothing is dropped: the response is not over yet
-        trough, peak = self._trough, self._peak
-        self._trough = self._peak = here
-        rise_s = peak.stamp - trough.stamp
-        if not at.SCR_RISE_S[0] <= rise_s <= at.SCR_RISE_S[1]:
-            # nothing is dropped: what rises so fast or slowly is no response, by definition
-            return None
-        return peak.stamp, (height, rise_s, trough.level)
-
-
-class _Largest:
-    """Tells how high the second largest response of late was.
-
-    It is the second, for one touch of an electrode is larger than all responses. What the level
-    rose before a response does not count.
-    """
-
-    def __init__(self, length: int) -> None:
-        # nothing is dropped: what a filter slides over
-        self._before: deque[float] = deque(maxlen=length + 1)
-        # nothing is dropped: no response rises for longer
-        self._rises: deque[_Point] = deque(maxlen=round(2 * at.SCR_RISE_S[1] * length))
-        self._kept: deque[_Point] = deque()
-        self._second = 0.0
-
-    def take(self, here: _Point) -> float:
-        """Take a point in; return the height, 0 before there are two."""
-        self._before.append(here.level)
-        self._rises.append(_Point(here.stamp, here.level - min(self._before)))
-        if self._kept and self._kept[0].stamp <= here.stamp - at.SCR_LARGEST_S:
-            self._kept.popleft()
-            self._update()
-        return self._second
-
-    def add(self, stamp: float) -> None:
-        """Take note that there is a response with its peak at this stamp."""
-        self._kept.extend(each for each in self._rises if each.stamp == stamp)
-        self._update()
-
-    def _update(self) -> None:
-        heights = sorted(each.level for each in self._kept)
-        self._second = heights[-2] if len(heights) > 1 else 0.0

@@ -1,0 +1,86 @@
+"""Tells how much the beats in a window are like each other: Orphanidou 2015.
+
+References are in :mod:`.thresholds`. A window has one length, so results are the same to the last
+bit however a stream was cut.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.runs import Array
+from biosensor_gateway.pulses import thresholds as pulses
+
+
+def ecg_likeness(values: Array, rate: float) -> float:
+    """Return the mean correlation of QRS complexes, with what is around them, with their template.
+
+    It is 0 where fewer than three are found.
+    """
+    slow, rate = averaged(values, rate, at.TEMPLATE_RATE_HZ)
+    width = 2 * round(at.QRS_S * rate / 2) + 1
+    energy = np.convolve(
+        np.square(_band(slow, rate, at.ECG_BAND_HZ)), np.full(width, 1 / width), "same"
+    )
+    return _likeness(slow, _tops(energy, rate), rate, at.ECG_TEMPLATE_S)
+
+
+def ppg_likeness(values: Array, rate: float) -> float:
+    """Return the mean correlation of pulses with their template; 0 with fewer than three."""
+    slow, rate = averaged(values, rate, at.TEMPLATE_RATE_HZ)
+    tops = _tops(_band(slow, rate, pulses.BAND_HZ), rate)
+    return _likeness(slow, tops, rate, at.PPG_TEMPLATE_S)
+
+
+def averaged(values: Array, rate: float, wanted_hz: float) -> tuple[Array, float]:
+    """Return means of neighbours, at the wanted rate or up to twice that, and their rate."""
+    factor = max(1, int(rate // wanted_hz))
+    whole = len(values) // factor * factor
+    return values[:whole].reshape(-1, factor).mean(axis=1), rate / factor
+
+
+def unevenness(values: Array, rate: float, block_s: float) -> float:
+    """Return how many times as much the wildest block spans as the usual one; 1 if none does."""
+    length = min(len(values), max(1, round(block_s * rate)))
+    blocks = values[: len(values) // length * length].reshape(-1, length)
+    spans = np.ptp(blocks, axis=1)
+    usual = float(np.median(spans))
+    return float(spans.max()) / usual if usual > 0 else 1.0
+
+
+def _band(values: Array, rate: float, band_hz: tuple[float, float]) -> Array:
+    spectrum = np.fft.rfft(values - values.mean())
+    frequencies = np.fft.rfftfreq(len(values), 1 / rate)
+    spectrum[(frequencies < band_hz[0]) | (frequencies > band_hz[1])] = 0
+    return np.fft.irfft(spectrum, len(values))
+
+
+def _tops(values: Array, rate: float) -> NDArray[np.intp]:
+    """Return where values are the largest around, and a share of what is usual for such."""
+    near = max(1, round(at.TEMPLATE_APART_S * rate))
+    padded = np.pad(values, near, constant_values=-np.inf)
+    largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
+    second = min(len(values), round(rate))
+    usual = np.median(values[: len(values) // second * second].reshape(-1, second).max(axis=1))
+    return np.flatnonzero((values == largest) & (values > at.TEMPLATE_SHARE * usual))
+
+
+def _likeness(
+    values: Array, tops: NDArray[np.intp], rate: float, around_s: tuple[float, float]
+) -> float:
+    before, after = (round(each * rate) for each in around_s)
+    inside = tops[(tops >= before) & (tops + after < len(values))]
+    if len(inside) < at.TEMPLATE_LEAST:
+        return 0.0
+    beats = values[inside[:, np.newaxis] + np.arange(-before, after + 1)]
+    beats = beats - beats.mean(axis=1, keepdims=True)
+    sizes = np.sqrt(np.square(beats).sum(axis=1))
+    if not sizes.min() > 0:
+        return 0.0
+    shapes = beats / sizes[:, np.newaxis]
+    # Of a mean, one artefact would make a template of its own.
+    template = np.median(shapes, axis=0)
+    size = float(np.sqrt(np.square(template).sum()))
+    return float((shapes * template).sum(axis=1).mean()) / size if size > 0 else 0.0
