@@ -51,8 +51,10 @@ def pulse(rate: float, seconds: float) -> tuple[Array, Array]:
     signal = 0.1 * np.sin(2 * np.pi * 0.1 * t)
     for beat in beats:
         near = slice(*np.searchsorted(t, [beat - 0.5, beat + 1.0]).tolist())
-        width = np.where(t[near] < beat, 0.08, 0.16)
+        width = np.where(t[near] < beat, 0.08, 0.13)
         signal[near] += np.exp(-0.5 * ((t[near] - beat) / width) ** 2)
+        # Real pulses have a second wave.
+        signal[near] += 0.3 * np.exp(-0.5 * ((t[near] - beat - 0.33) / 0.07) ** 2)
     return signal, beats
 
 

@@ -125,6 +125,42 @@ def test_the_light_of_a_lamp_is_no_good_pulse(hertz: float) -> None:
     assert np.nanmax(qualities) < 0.5
 
 
+@pytest.mark.parametrize("overtone", [0.1, 0.2])
+@pytest.mark.parametrize("phase", [0, 2, 4])
+def test_the_light_of_a_lamp_with_overtones_is_no_good_pulse(phase: float, overtone: float) -> None:
+    noise = 0.02 * np.random.default_rng(2).standard_normal(round(30 * PULSE_HZ))
+    t = 2 * np.pi * np.arange(len(noise)) / PULSE_HZ
+    for hertz in (0.8, 1.3, 2.0):
+        light = np.sin(hertz * t) + overtone * np.sin(2 * hertz * t + phase) + noise
+        events = signals.events_of("PPG", light, PULSE_HZ)
+        assert signals.values_of(events, "sqi")[:, 0].max() < 0.5
+        rectified = signals.events_of("PPG", np.abs(np.sin(hertz / 2 * t)) + noise, PULSE_HZ)
+        assert signals.values_of(rectified, "sqi")[:, 0].max() < 0.5
+
+
+@pytest.mark.parametrize(("bpm", "hertz"), [(70, 1.0), (90, 1.7), (70, 1.9)])
+def test_an_arm_that_swings_by_twice_the_pulse_is_no_good_one(bpm: float, hertz: float) -> None:
+    # Without an accelerometer, by the shape alone. Other cadences and smaller ones still pass.
+    beats = hearts.regular(bpm, 40)
+    swing = hearts.swing_of(40, PULSE_HZ, hertz, height=2.0)
+    events = signals.events_of("PPG", hearts.pulse_of(beats, PULSE_HZ, 40) + swing, PULSE_HZ)
+    assert told_of(events, beats).wrong == 0
+    assert signals.values_of(events, "sqi")[:, 0].max() < 0.5
+
+
+@pytest.mark.parametrize("rate", [130.0, 250.0])
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("bpm", [26, 30, 32])
+def test_of_a_slow_ecg_nothing_but_its_beats_is_told_from_the_first_on(
+    bpm: float, seed: int, rate: float
+) -> None:
+    beats = hearts.regular(bpm, 40, seed=seed)
+    events = signals.events_of("ECG", hearts.ecg_of(beats, rate, 40, seed), rate)
+    found = signals.stamps_of(events, "beats")
+    assert max(np.abs(beats - each).min() for each in found) < 0.02
+    assert len(found) == pytest.approx(np.sum(beats < 39), abs=1)
+
+
 def _rmssd_ms(intervals_s: Array) -> float:
     steps = np.diff(intervals_s)
     return float(np.sqrt(np.mean(steps * steps))) * 1e3

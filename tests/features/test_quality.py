@@ -88,14 +88,35 @@ def test_quality_is_worse_in_nearly_all_windows_where_something_was_added(
 def test_skin_that_loses_its_electrode_or_is_shaken_is_told() -> None:
     signal = signals.skin(128, 120)[0]
     lost = signal.copy()
-    lost[:: 128 * 5] = 0.0
     lost[128 * 50 : 128 * 60] = 0.0
     assert _qualities("GSR", signal, 128).min() == 1.0
-    assert _qualities("GSR", lost, 128)[10:12].max() < 0.5
+    # A window ends each second from the tenth on.
+    assert _qualities("GSR", lost, 128)[42:52].max() < 0.5
     shaken = signal + 4 * np.sin(2 * np.pi * 1.3 * np.arange(len(signal)) / 128)
     assert _qualities("GSR", shaken, 128).max() < 0.5
     fine_noise = signal + 0.05 * np.random.default_rng(1).standard_normal(len(signal))
     assert _qualities("GSR", fine_noise, 128).min() == 1.0
+
+
+@pytest.mark.parametrize("rate", [4.0, 15.0, 128.0])
+@pytest.mark.parametrize("level", [0.5, 1.5, 5.0, 20.0])
+def test_a_jump_of_skin_spoils_what_is_within_five_seconds(level: float, rate: float) -> None:
+    # Kleckner 2018, rule 4; and at a wrist, where 10 uS/s cannot be, less is a jump.
+    signal = level + (signals.skin(rate, 60)[0] - 5) * min(1.0, level / 5)
+    assert _qualities("GSR", signal, rate).min() == 1.0
+    jumps = signal.copy()
+    jumps[round(30.5 * rate) :] += level / 2
+    told = _qualities("GSR", jumps, rate)
+    ends_s = 10 + np.arange(len(told))
+    assert told[(ends_s > 31) & (ends_s < 36)].max() == 0
+    assert told[(ends_s < 30) | (ends_s > 42)].min() == 1
+
+
+@pytest.mark.parametrize(("kind", "first_s"), [("GSR", 10), ("Respiration", 30)])
+def test_quality_is_told_each_second_once_its_window_is_full(kind: str, first_s: int) -> None:
+    signal = signals.skin(16, 60)[0] if kind == "GSR" else signals.breath(16, 60)
+    stamps = signals.stamps_of(signals.events_of(kind, signal, 16), "sqi")
+    assert stamps + 1 / 16 == pytest.approx(np.arange(first_s, 61))
 
 
 def test_breathing_with_a_cough_is_told() -> None:
@@ -104,5 +125,6 @@ def test_breathing_with_a_cough_is_told() -> None:
     cough[1000:1010] += 60.0
     assert _qualities("Respiration", signal, 20).min() > 0.9
     told = _qualities("Respiration", cough, 20)
-    assert told[1] < 0.5
-    assert np.delete(told, 1).min() > 0.9
+    # The cough is in the second at 50 s, and windows have 30 s.
+    assert told[21:50].max() < 0.5
+    assert np.concatenate([told[:20], told[51:]]).min() > 0.9

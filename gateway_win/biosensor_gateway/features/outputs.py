@@ -14,7 +14,7 @@ from biosensor_gateway.features.breathing import BR_QUALITY
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
 
-VERSION = "3"
+VERSION = "4"
 """Of all algorithms here; another one where a value may differ for the same samples."""
 
 
@@ -124,7 +124,7 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
 def _sqi(content_type: str, data_name: str, algorithm: str) -> Feature:
     stream = hardware(f"{data_name}_sqi", ContentType.QUALITY, _SQI)
     window_s = at.QUALITY_WINDOW_S[content_type]
-    return Feature("sqi", stream, algorithm, window_s, 0, at.QUALITY_EVERY_S[content_type])
+    return Feature("sqi", stream, algorithm, window_s, 0, at.QUALITY_EVERY_S)
 
 
 def _skin() -> tuple[Feature, ...]:

@@ -125,19 +125,22 @@ def _upright(values: Array, rate: float) -> Array:
     return -values if moment(np.fft.irfft(spectrum, len(values)), 3) < -pulses.SKEWNESS else values
 
 
-def _overtones(values: Array, rate: float) -> float:
-    """Return the power above the strongest frequency of a pulse, of that within its band.
+def _waves(values: Array, rate: float) -> float:
+    """Return how sure it is that these are no plain waves, as of a lamp or of an arm that swings.
 
-    A pulse rises faster than it falls; the light of a lamp that is sampled too slowly does not.
+    A pulse has much of its power in overtones; the light of a lamp that is sampled too slowly has
+    little, and a limb that swings not much more. The faster a pulse, the rounder it is.
     """
     low, high = pulses.BAND_HZ
     spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))))
     frequencies = np.fft.rfftfreq(len(values), 1 / rate)
     inside = (frequencies >= low) & (frequencies < high)
     spectrum, frequencies = spectrum[inside], frequencies[inside]
-    strongest = frequencies[spectrum.argmax()]
-    above = frequencies > at.PPG_OVERTONE_FROM * strongest
-    return _share(float(spectrum[above].sum()), float(spectrum.sum()))
+    strongest = float(frequencies[spectrum.argmax()])
+    others = np.abs(frequencies - strongest) > at.PPG_LINE_HZ
+    share = _share(float(spectrum[others].sum()), float(spectrum.sum()))
+    rounder = min(1.0, at.PPG_ROUND_HZ / strongest) ** 3
+    return _scaled(share / rounder, at.PPG_OTHER_WAVES)
 
 
 def ppg(values: Array, rate: float) -> Judged:
@@ -152,23 +155,35 @@ def ppg(values: Array, rate: float) -> Judged:
     shape = _scaled(moment(values, 3), at.PPG_SKEWNESS)
     like = _scaled(ppg_likeness(values, rate), at.PPG_LIKENESS)
     even = _even(values, rate, at.PPG_UNEVENNESS)
-    waves = _scaled(_overtones(values, rate), at.PPG_OVERTONES)
+    waves = _waves(values, rate)
     return _judged({"noisy": min(noisy, shape, like, even, waves)}, _held(values, rate))
 
 
 def gsr(values: Array, rate: float) -> Judged:
-    """Return the share of samples of skin conductance, in microsiemens, that can be: Kleckner.
+    """Return which share of the last seconds of skin conductance, in microsiemens, is valid.
 
-    Slopes are those of means of neighbours, since noise of single samples is steeper the faster
-    they are taken.
+    Rules 1, 2 and 4 of Kleckner 2018: its range, its slope, and nothing of either close by. Slopes
+    are those of means of neighbours, since noise of single samples is steeper the faster they are
+    taken; where little is conducted, as at a wrist, less is a jump.
     """
     slow, slow_hz = averaged(values, rate, at.EDA_RATE_HZ)
     low, high = at.EDA_RANGE_MICROSIEMENS
     is_out = (slow < low) | (slow > high)
-    jumps = np.abs(np.diff(slow, prepend=slow[0])) * slow_hz > at.EDA_SLOPE_MICROSIEMENS_PER_S
-    good = {"out_of_range": 1 - float(is_out.mean()), "noisy": 1 - float(jumps.mean())}
-    quality, reasons = _judged(good, {})
-    return min(quality, 1 - float((is_out | jumps).mean())), reasons
+    least, most = at.EDA_SLOPE_MICROSIEMENS_PER_S
+    steepest = min(most, max(least, at.EDA_SLOPE_LEVELS_PER_S * float(np.median(slow))))
+    jumps = np.abs(np.diff(slow, prepend=slow[0])) * slow_hz > steepest
+    near = round(at.EDA_INVALID_NEAR_S * slow_hz)
+    last = slice(-near, None)
+    quality = 1 - float(_spread(is_out | jumps, near)[last].mean())
+    reasons = {"out_of_range": is_out, "noisy": jumps}
+    poor = {name: 1 - float(_spread(each, near)[last].mean()) for name, each in reasons.items()}
+    return quality, _judged(poor, {})[1]
+
+
+def _spread(flags: NDArray[np.bool_], near: int) -> NDArray[np.bool_]:
+    """Return what is so near to a flag, or is one."""
+    counts = np.cumsum(np.pad(flags, (near + 1, near)))
+    return counts[2 * near + 1 :] > counts[: -2 * near - 1]
 
 
 def respiration(values: Array, rate: float) -> Judged:
@@ -204,7 +219,7 @@ class Quality:
 
     def __init__(self, content_type: str, rate: float) -> None:
         self._judge, self._rate = JUDGES[content_type], rate
-        piece = max(1, round(at.QUALITY_EVERY_S[content_type] * rate))
+        piece = max(1, round(at.QUALITY_EVERY_S * rate))
         self._hops = Hops(piece)
         self._window_s = at.QUALITY_WINDOW_S[content_type]
         # nothing is dropped: what a window slides over

@@ -116,7 +116,7 @@ class _Hamilton:
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
-        self._learns_until = round(at.LEARNING_S * rate)
+        self._learns = [round(each * rate) for each in at.LEARNING_S]
         self._begin_anew(0)
         self._last: _Peak | None = None
         # nothing is dropped: a memory of beats
@@ -149,14 +149,22 @@ class _Hamilton:
         return beats
 
     def _learn(self, place: int) -> list[Beat]:
-        if place - self._learns_from < self._learns_until or not self._learnt:
+        least, most = self._learns
+        if place - self._learns_from < least or not self._learnt:
             return []  # nothing is dropped: it goes on learning
         second = round(self._rate)
         largest: dict[int, float] = {}
         for peak in self._learnt:
             number = (peak.place - self._learns_from) // second
             largest[number] = max(largest.get(number, 0.0), peak.energy)
-        self._beats.extend(largest.values())
+        heights = sorted(largest.values(), reverse=True)
+        if heights[-1] < at.LEARNING_ALIKE * heights[0]:
+            # Some of these seconds had no beat, as of a slow heart, or one had an artefact.
+            if place - self._learns_from < most:
+                return []  # nothing is dropped: it goes on learning
+            usual = heights[min(at.LEARNING_ARTEFACTS, len(heights) - 1)]
+            heights = [each for each in heights if each >= at.LEARNING_ALIKE * usual]
+        self._beats.extend(heights)
         peaks, self._learnt = self._learnt, None
         self._learns_from = place
         return [beat for peak in peaks for beat in self._judge(peak)]

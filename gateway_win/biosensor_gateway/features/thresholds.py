@@ -66,8 +66,9 @@ SEARCH_BACK_INTERVALS, SEARCH_BACK_SHARE = 1.5, 0.5
 """[1]_: after so many usual intervals, a peak above this share of the threshold is a beat."""
 PEAKS_KEPT = 8
 """[1]_: of which medians are taken."""
-LEARNING_S = 3.0
-"""[1]_ learns from 8 s; the largest peaks of each second, as there."""
+LEARNING_S, LEARNING_ALIKE, LEARNING_ARTEFACTS = (3.0, 8.0), 0.1, 2
+"""[1]_ learns from 8 s; the largest peaks of each second, as there. Shorter where none of them has
+less than this share of the largest; else, so many may be artefacts, and the next one counts."""
 LOST_S = 4.0
 """Without a beat for so long, learning begins anew: electrodes may have been changed."""
 APEX_S = 0.08
@@ -129,9 +130,9 @@ MOTION_QUALITY = 0.4
 """The quality of a pulse is not above it while its wearer moves."""
 MOTION_KEPT_S = max(HRV_WINDOWS_S) + 60.0
 
-QUALITY_WINDOW_S = {"ECG": 10.0, "PPG": 10.0, "GSR": 5.0, "Respiration": 30.0}
-QUALITY_EVERY_S = {"ECG": 1.0, "PPG": 1.0, "GSR": 5.0, "Respiration": 30.0}
-"""A window ends so long after the one before: what a heart rate is of is known soon."""
+QUALITY_WINDOW_S = {"ECG": 10.0, "PPG": 10.0, "GSR": 10.0, "Respiration": 30.0}
+QUALITY_EVERY_S = 1.0
+"""A window ends so long after the one before: what a value is of is known soon."""
 GOOD_QUALITY = 0.5
 FLAT_SHARE, FLAT_RUN_S = 0.5, 1.0
 """Of the time, in runs of one value that last so long."""
@@ -150,8 +151,11 @@ ECG_HUM_SHARE = (0.5, 0.8)
 """Power of 1 to 40 Hz to that of everything above 1 Hz."""
 PPG_BAND_SHARE = (0.6, 0.9)
 """Power of 0.5 to 8 Hz to that of everything."""
-PPG_OVERTONES, PPG_OVERTONE_FROM = (0.002, 0.012), 1.5
-"""Power above so many times the strongest frequency, to that of the whole band: a sine has none."""
+PPG_OTHER_WAVES, PPG_LINE_HZ = (0.06, 0.2), 0.35
+"""Power further from the strongest frequency, to that of the whole band. Sines with overtones of a
+fifth have 0.04, those of arms that swing 0.08 to 0.12, and real pulses 0.2 and more."""
+PPG_ROUND_HZ = 2.0
+"""From this rate on, a pulse has the less of it the faster it is, by the third power."""
 PPG_SKEWNESS = (-1.0, 0.0)
 """[9]_: a good pulse is skewed to the right."""
 ECG_LIKENESS, PPG_LIKENESS = (0.5, 0.82), (0.76, 0.96)
@@ -168,8 +172,11 @@ BREATH_UNEVENNESS = (3.0, 6.0)
 """The same of `BREATH_BLOCK_S`; a sigh is three times as deep as a breath."""
 EDA_RANGE_MICROSIEMENS = (0.05, 60.0)
 """[7]_."""
-EDA_SLOPE_MICROSIEMENS_PER_S = 10.0
-"""[7]_."""
+EDA_SLOPE_MICROSIEMENS_PER_S, EDA_SLOPE_LEVELS_PER_S = (0.5, 10.0), 1.0
+"""[7]_ has the larger limit, which nothing reaches at a wrist of 0 to 1.5 uS. Below 10 uS it is so
+many times the level in a second, but not less than the smaller one."""
+EDA_INVALID_NEAR_S = 5.0
+"""[7]_: what is so close to something invalid is not valid either."""
 BREATH_BAND_SHARE = (0.4, 0.8)
 """Power of 0.05 to 0.8 Hz to that of everything but the mean."""
 
