@@ -9,6 +9,7 @@ import statistics
 import subprocess
 import sys
 import time
+from array import array
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ from typing import Any
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
-from std_msgs.msg import Float32
+from std_msgs.msg import Float32, Float32MultiArray
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "acting-on-features.md"
 HEART_RATE = "/P01/biosensors/polar_h10/hr_live"
+HEART_STATE = "/P01/biosensors/polar_h10/hr_state"
 DEADLINE_S = 30.0
 # The library of trees, and what it imports; of the other peers, nothing may be found.
 TREES = ("py_trees", "pydot", "pyparsing")
@@ -52,15 +54,24 @@ def start(tmp_path: Path) -> Generator[Start]:
 
 
 class Strap:
-    """The topic of a heart rate."""
+    """The topics of a heart rate, and of what is known of it."""
 
     def __init__(self, listener: Any) -> None:
         self._node = listener.node
         self._publisher = self._node.create_publisher(Float32, HEART_RATE, 10)
+        self._states = self._node.create_publisher(Float32MultiArray, HEART_STATE, 10)
 
     @property
     def is_heard(self) -> bool:
         return self._publisher.get_subscription_count() > 0
+
+    @property
+    def is_state_heard(self) -> bool:
+        return self._states.get_subscription_count() > 0
+
+    def tell_state(self, rate: float, quality: float = 1.0) -> None:
+        """Tell a rate of now, that of somebody at rest, with this quality."""
+        self._states.publish(Float32MultiArray(data=array("f", [rate, 0.5, quality, 0.0, 11.0])))
 
     def meet(self) -> None:
         """Return once a subscriber hears it: one that is seen may not see the publisher yet."""
@@ -127,19 +138,20 @@ def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
         wait_until(lambda: speeds and speeds[-1].data == pytest.approx(speed), what)
 
     start("tree.py")
-    wait_until(lambda: strap.is_heard, "the condition's subscription")
-    strap.meet()
+    wait_until(lambda: strap.is_state_heard, "the condition's subscription")
     comes(0.3, "slow without a heart rate")
-    strap.tell(70.0)
-    comes(1.0, "fast with a calm one")
-    strap.tell(130.0)
-    comes(0.3, "slow with a fast one")
-    strap.tell(70.0)
-    comes(1.0, "fast again")
-    strap.tell(math.nan)
-    comes(0.3, "slow with none")
-    strap.tell(70.0)
-    comes(1.0, "fast again")
+
+    def is_fast() -> bool:
+        # A subscriber that is seen may not see the publisher yet.
+        strap.tell_state(70.0)
+        return speeds[-1].data == pytest.approx(1.0)
+
+    wait_until(is_fast, "fast with a calm one")
+    for rate, quality in ((130.0, 1.0), (60.0, 0.4), (60.0, math.nan), (math.nan, 1.0)):
+        strap.tell_state(rate, quality)
+        comes(0.3, f"slow with {rate} of quality {quality}")
+        strap.tell_state(70.0)
+        comes(1.0, "fast again")
     comes(0.3, "slow when the newest one is of long ago")
 
 

@@ -24,6 +24,7 @@ SIGNALS = {
     "RR": (np.diff(signals.beat_times(50)), 0.0),
 }
 CUTS = st.lists(st.integers(0, 6000), max_size=40)
+UNKNOWN = ("beats", "hrv_live", "hr_live_quality", "hr_state", "br_state")
 LEAST = {"ECG": 40, "PPG": 40, "GSR": 30, "Respiration": 20, "Accelerometer": 7, "RR": 50}
 
 
@@ -72,7 +73,7 @@ def test_whatever_finite_comes_nothing_raises_and_no_value_is_missing(
     for event in events:
         # The first beat of a run has no interval, and a window that is not full has no value; of
         # motion nothing is known, and of quality nothing before its window is full.
-        if event.feature not in ("beats", "hrv_live", "hr_live_quality"):
+        if event.feature not in UNKNOWN:
             known = event.values[:-1] if event.feature == "sqi" else event.values
             assert all(map(math.isfinite, known)), event
 

@@ -80,6 +80,9 @@ def test_cadence_is_never_a_heart_rate_of_good_quality(bpm: float, hertz: float)
     # The quality of the signal falls as well, and says why.
     assert _column(events, "sqi", 0).max() < 0.5
     assert _column(events, "sqi", 6).min() == 1
+    stamps = signals.stamps_of(list(events), "hr_state")
+    assert _column(events, "hr_state", 2)[stamps > 12].max() < 0.5
+    assert _column(events, "hr_state", 3)[stamps > 12].min() == 1
     assert np.nanmin(_column(events, "hrv_live", 15)) == 1
     assert np.nanmax(_column(events, "hrv_live", 14)) < 0.5
 
@@ -111,7 +114,7 @@ def test_the_same_comes_when_all_acceleration_is_there_before() -> None:
     computer = PULSE.new_computer({PULSE.identity: motion})
     whole = computer.take(100 + np.arange(len(pulse)) / PULSE_HZ, pulse) + computer.finish()
     live = _together(pulse, acceleration)
-    for feature in ("beats", "hr_live", "hr_live_quality", "sqi", "hrv_live"):
+    for feature in ("beats", "hr_live", "hr_live_quality", "hr_state", "sqi", "hrv_live"):
         told, before = ([e for e in each if e.feature == feature] for each in (live, whole))
         assert len(before) - len(told) <= 3, feature
         assert str(told) == str(before[: len(told)]), feature

@@ -12,37 +12,71 @@ from biosensor_common.quantities import ContentType
 from biosensor_gateway.features import quality
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.activity import Activity
-from biosensor_gateway.features.breathing import Breathing
-from biosensor_gateway.features.heart import Heart
+from biosensor_gateway.features.breathing import BR_QUALITY, Breathing
+from biosensor_gateway.features.heart import HR_QUALITY, Heart
 from biosensor_gateway.features.pulse import PulsesOfAnyRate
 from biosensor_gateway.features.r_peaks import RPeaks
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
 from biosensor_gateway.features.skin import Skin
-
-_MOST_S = 10.0
-"""In blocks no longer than this, qualities are kept until the beats of their time are found."""
+from biosensor_gateway.features.state import BR_STATE, HR_STATE, State
 
 
-class _Beating:
-    """Beats of a waveform, and its quality."""
+class _EachSecond:
+    """Stages of one waveform and its quality; says each second what is known of now.
 
-    def __init__(self, content_type: str, find: RPeaks | PulsesOfAnyRate, rate: float) -> None:
-        self._quality = quality.Quality(content_type, rate)
-        self._find, self._heart = find, Heart(self._quality)
-        self._apex_s = math.nan
-        self._most = max(1, round(_MOST_S * rate))
+    Nothing of a later second goes in before, so the same is said however a stream was cut, and
+    what is told beside a beat is of windows that have ended before it.
+    """
+
+    def __init__(self, rate: float, judge: quality.Quality, find: Stage, state: State) -> None:
+        self._judge, self._find, self._state = judge, find, state
+        self._length = max(1, round(at.STATE_EVERY_S * rate))
+        self._count = 0
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         column = values[:, 0]
         events: list[Event] = []
-        for begin in range(0, len(stamps), self._most):
-            here = slice(begin, begin + self._most)
-            # What is told beside a beat is of windows that have ended before it.
-            events += self._quality.take(stamps[here], column[here])
-            for beat in self._find.take(stamps[here], column[here]):
-                events += self._heart.beat(beat.stamp, beat.apex_s - self._apex_s)
-                self._apex_s = beat.apex_s
+        begin = 0
+        while begin < len(stamps):
+            end = min(len(stamps), begin + self._length - self._count)
+            here = slice(begin, end)
+            new = self._judge.take(stamps[here], column[here])
+            new += self._find.take(stamps[here], column[here])
+            events += new
+            self._state.note(new)
+            self._count += end - begin
+            if self._count == self._length:
+                self._count = 0
+                events.append(self._state.at(float(stamps[end - 1])))
+            begin = end
         return events
+
+
+class _Beating:
+    """Beats of a waveform, one column, and what is made of them."""
+
+    def __init__(self, find: RPeaks | PulsesOfAnyRate, trust: quality.Quality) -> None:
+        self._find, self._heart = find, Heart(trust)
+        self._apex_s = math.nan
+
+    def take(self, stamps: Array, values: Array) -> list[Event]:
+        events: list[Event] = []
+        for beat in self._find.take(stamps, values):
+            events += self._heart.beat(beat.stamp, beat.apex_s - self._apex_s)
+            self._apex_s = beat.apex_s
+        return events
+
+
+def _heart(content_type: str, find: RPeaks | PulsesOfAnyRate, rate: float) -> Stage:
+    judge = quality.Quality(content_type, rate)
+    state = State(HR_STATE, "hr_live", HR_QUALITY, at.INTERVAL_S[1])
+    return _EachSecond(rate, judge, _Beating(find, judge), state)
+
+
+def _breath(rate: float) -> Stage:
+    judge = quality.Quality("Respiration", rate)
+    state = State(BR_STATE, "br_live", BR_QUALITY, at.BREATH_INTERVAL_S[1])
+    return _EachSecond(rate, judge, Breathing(rate), state)
 
 
 class _Intervals:
@@ -95,12 +129,6 @@ class _Together:
         return [event for stage in self._stages for event in stage.take(stamps, column)]
 
 
-def _waveform(
-    content_type: str, first: Callable[[float], Stage], rate: float
-) -> Callable[[], Stage]:
-    return lambda: _Together(first(rate), quality.Quality(content_type, rate))
-
-
 def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
     """Return what takes the samples of a stream, as they come, and gives events of features.
 
@@ -116,10 +144,10 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
     factor = max(1, math.ceil(rate / at.MOST_HZ))
     slow = rate / factor
     makers: dict[str, Callable[[], Stage]] = {
-        ContentType.ECG: lambda: _Beating("ECG", RPeaks(slow), slow),
-        ContentType.PPG: lambda: _Beating("PPG", PulsesOfAnyRate(slow), slow),
-        ContentType.GSR: _waveform("GSR", Skin, slow),
-        ContentType.RESPIRATION: _waveform("Respiration", Breathing, slow),
+        ContentType.ECG: lambda: _heart("ECG", RPeaks(slow), slow),
+        ContentType.PPG: lambda: _heart("PPG", PulsesOfAnyRate(slow), slow),
+        ContentType.GSR: lambda: _Together(Skin(slow), quality.Quality("GSR", slow)),
+        ContentType.RESPIRATION: partial(_breath, slow),
         ContentType.RR: lambda: _Together(_Intervals()),
         ContentType.ACCELEROMETER: partial(Activity, slow),
     }

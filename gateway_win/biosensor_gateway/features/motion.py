@@ -19,6 +19,7 @@ from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs
+from biosensor_gateway.features.state import BR_STATE, HR_STATE
 
 _PIECES = round(at.MOTION_WINDOW_S / at.MOTION_PIECE_S)
 
@@ -35,6 +36,8 @@ _HRV_CHANNELS = 4
 _TOLD = {
     "sqi": (_Place(0, 1 + len(REASONS), at.MOTION_WINDOW_S),),
     HR_QUALITY: (_Place(3, 4, at.HR_WINDOW_S),),
+    HR_STATE: (_Place(2, 3, at.HR_WINDOW_S),),
+    BR_STATE: (_Place(2, 3, at.MOTION_WINDOW_S),),
     "hrv_live": tuple(
         _Place(_HRV_CHANNELS * place + 2, _HRV_CHANNELS * place + 3, window_s)
         for place, window_s in enumerate(at.HRV_WINDOWS_S, len(at.HRV_WINDOWS_S))

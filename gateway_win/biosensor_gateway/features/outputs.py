@@ -13,6 +13,7 @@ from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.breathing import BR_QUALITY
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
+from biosensor_gateway.features.state import BR_STATE, HR_STATE
 
 VERSION = "4"
 """Of all algorithms here; another one where a value may differ for the same samples."""
@@ -46,6 +47,12 @@ _HR_QUALITY = (
     *channels(Unit.COUNTS, "intervals"),
     *channels(Unit.FRACTION, "valid", "covered", "quality"),
     *channels(Unit.BOOLEAN, "motion"),
+)
+_BESIDE = (
+    *channels(Unit.SECONDS, "age"),
+    *channels(Unit.FRACTION, "quality"),
+    *channels(Unit.BOOLEAN, "motion"),
+    *channels(Unit.COUNTS, "intervals"),
 )
 _BEATS = (*channels(Unit.SECONDS, "interval"), *channels(Unit.BOOLEAN, "artefact"))
 _SCR = (
@@ -121,6 +128,16 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
     )
 
 
+def _state(name: str, label: str, unit: Unit, window_s: float) -> Feature:
+    stream = hardware(name, ContentType.QUALITY, (*channels(unit, label), *_BESIDE))
+    algorithm = "the newest rate, its age, and the quality of its signal"
+    return Feature(name, stream, algorithm, window_s, 0, at.STATE_EVERY_S)
+
+
+_HR_STATE = _state(HR_STATE, "HR", Unit.BEATS_PER_MINUTE, at.HR_WINDOW_S)
+_BR_STATE = _state(BR_STATE, "rate", Unit.BREATHS_PER_MINUTE, at.BR_WINDOW_S)
+
+
 def _sqi(content_type: str, data_name: str, algorithm: str) -> Feature:
     stream = hardware(f"{data_name}_sqi", ContentType.QUALITY, _SQI)
     window_s = at.QUALITY_WINDOW_S[content_type]
@@ -188,11 +205,11 @@ def features_of(content_type: str, data_name: str, unit: str) -> tuple[Feature, 
         Of its values, as it says.
     """
     of_type: Mapping[str, tuple[Feature, ...]] = {
-        ContentType.ECG: _heart("Hamilton 2002 on 8 to 20 Hz", 0.3),
-        ContentType.PPG: _heart("Elgendi 2013", 0.35),
+        ContentType.ECG: (*_heart("Hamilton 2002 on 8 to 20 Hz", 0.3), _HR_STATE),
+        ContentType.PPG: (*_heart("Elgendi 2013", 0.35), _HR_STATE),
         ContentType.RR: _heart("intervals of the device", 0),
         ContentType.GSR: _skin(),
-        ContentType.RESPIRATION: _breathing(unit),
+        ContentType.RESPIRATION: (*_breathing(unit), _BR_STATE),
         ContentType.ACCELEROMETER: _activity(),
     }
     judged = {

@@ -133,6 +133,7 @@ MOTION_KEPT_S = max(HRV_WINDOWS_S) + 60.0
 QUALITY_WINDOW_S = {"ECG": 10.0, "PPG": 10.0, "GSR": 10.0, "Respiration": 30.0}
 QUALITY_EVERY_S = 1.0
 """A window ends so long after the one before: what a value is of is known soon."""
+STATE_EVERY_S = 1.0
 GOOD_QUALITY = 0.5
 FLAT_SHARE, FLAT_RUN_S = 0.5, 1.0
 """Of the time, in runs of one value that last so long."""
