@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any, Protocol
 
 import numpy as np
 import pylsl
@@ -18,7 +18,9 @@ from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source
 
 _OPEN_S = 5.0
-_CLOCK_S, _CLOCK_EVERY_S = 1.0, 5.0
+_CLOCK_S, _CLOCK_EVERY_S, _CLOCK_AT_MOST_S = 1.0, 5.0, 60.0
+"""A computer that hangs is asked the less often the longer it does: others wait for the same
+threads."""
 _MOST_HELD = 4096
 """Runs of events that wait for the first correction of their stamps."""
 _BUFFER_S = 360
@@ -29,24 +31,36 @@ Remark = tuple[Refusal, int, str]
 """What was left out, how much, and why."""
 
 
-class _Correction:
+class Clock(Protocol):
+    """An inlet, as far as it says what the time is at its sender."""
+
+    def time_correction(self, timeout: float, /) -> float:
+        """Return the seconds to add to a stamp; raises TimeoutError after this time."""
+        ...
+
+
+class Correction:
     """What brings the stamps of one stream to the clock of this computer; asked in a thread."""
 
-    def __init__(self, inlet: pylsl.StreamInlet, asking: ThreadPoolExecutor) -> None:
+    def __init__(self, inlet: Clock, asking: Executor) -> None:
         self._inlet, self._asking = inlet, asking
         self._asked: Future[float] | None = None
         self._next_s = 0.0
+        self._every_s = _CLOCK_EVERY_S
         self._last_s: float | None = None
 
     def seconds(self, now_s: float) -> float | None:
         """Return the last one that is known, None before the first; never waits."""
         if self._asked is None and now_s >= self._next_s:
             self._asked = self._asking.submit(self._inlet.time_correction, _CLOCK_S)
-            self._next_s = now_s + _CLOCK_EVERY_S
+            self._next_s = now_s + self._every_s
         if self._asked is not None and self._asked.done():
             # Where there is no answer the last one holds meanwhile: clocks drift slowly.
             if self._asked.exception() is None:
                 self._last_s = self._asked.result()
+                self._every_s = _CLOCK_EVERY_S
+            else:
+                self._every_s = min(2 * self._every_s, _CLOCK_AT_MOST_S)
             self._asked = None
         return self._last_s
 
@@ -83,7 +97,7 @@ class Link:
         self._opening = asking.submit(open_inlet, info, _OPEN_S, _BUFFER_S)
         # On one computer stamps stay as they are, to the last bit.
         self._is_here = info.hostname() == socket.gethostname()
-        self._correction: _Correction | None = None
+        self._correction: Correction | None = None
         self._computer = source.new_computer(motions)
         self._told = self._gone = self._told_gone = self._told_values = 0
         # nothing is dropped: what is given up is counted in `read` and told by `remarks`
@@ -148,5 +162,5 @@ class Link:
             self._opening.result().close_stream()
 
     def _seconds(self, inlet: pylsl.StreamInlet, now_s: float) -> float | None:
-        self._correction = self._correction or _Correction(inlet, self._asking)
+        self._correction = self._correction or Correction(inlet, self._asking)
         return self._correction.seconds(now_s)
