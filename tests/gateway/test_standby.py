@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from biosensor_gateway.system import restart_notice
-from biosensor_gateway.system.processes import lives
+from biosensor_gateway.system.child import lives
 from biosensor_gateway.system.restart_notice import RESTARTING_FILE
 
 if TYPE_CHECKING:

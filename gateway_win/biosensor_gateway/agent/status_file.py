@@ -13,7 +13,7 @@ from typing import Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.system import restart_notice, state_file
-from biosensor_gateway.system.processes import lives
+from biosensor_gateway.system.child import lives
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0

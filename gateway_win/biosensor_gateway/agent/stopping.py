@@ -9,7 +9,7 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import wait_until_free
 from biosensor_gateway.system import restart_notice
-from biosensor_gateway.system.processes import lives
+from biosensor_gateway.system.child import lives
 
 USUAL_LIMIT_S = 10.0
 _ASK_AGAIN_S = 0.2

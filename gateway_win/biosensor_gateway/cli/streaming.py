@@ -15,7 +15,7 @@ from typing import IO, Any, Self
 
 import structlog
 
-from biosensor_common.child import Backoff, close_input, ending_in_words, send
+from biosensor_common.child import Backoff, close_input, ending_in_words, send, wait_or_kill
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
@@ -220,12 +220,12 @@ class FeaturesBeside:
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._stopping.set()
-            if self._process is not None:
-                close_input(self._process)
+            process = self._process
+            if process is not None:
+                close_input(process)
+        if process is not None:
+            wait_or_kill(process, END_S)
         self._thread.join(END_S)
-        if self._process is not None and self._thread.is_alive():
-            self._process.kill()
-            self._thread.join(END_S)
 
     def _keep(self) -> None:
         backoff = Backoff()

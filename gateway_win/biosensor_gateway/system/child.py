@@ -85,3 +85,15 @@ def when_input_ends(call: Callable[[], object]) -> None:
 def _input() -> FileIO:
     # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
     return FileIO(_STDIN, closefd=False)
+
+
+def lives(process: object) -> bool:
+    """Whether a process of that number lives; if that cannot be known, it does."""
+    import psutil
+
+    try:
+        return psutil.Process(int(str(process))).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+    except (psutil.Error, ValueError, OverflowError):
+        return True

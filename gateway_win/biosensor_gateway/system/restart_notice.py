@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from biosensor_gateway.system import state_file
-from biosensor_gateway.system.processes import lives
+from biosensor_gateway.system.child import lives
 
 RESTARTING_FILE = "restarting.json"
 
