@@ -420,6 +420,7 @@ class JumpReports:
     def __init__(self, clock: Clock, say: Callable[[Jumps], None]) -> None:
         self._clock = clock
         self._say = say
+        # nothing is dropped: these are times
         self._said_s: deque[float] = deque(maxlen=SAID)
         self._gathered: Jumps | None = None
 
@@ -431,7 +432,7 @@ class JumpReports:
     def release(self) -> None:
         """Say what was gathered, if it may be said by now; to be called once a second or so."""
         if self._gathered is None:
-            return
+            return  # nothing is dropped: there is nothing to say
         now = self._clock()
         if len(self._said_s) < SAID or now - self._said_s[0] >= SAID_S:
             self._said_s.append(now)
@@ -441,6 +442,7 @@ class JumpReports:
         """Say what was gathered, whenever it was."""
         gathered, self._gathered = self._gathered, None
         if gathered is not None:
+            # nothing is dropped: it tells of times
             self._say(gathered)
 
 
