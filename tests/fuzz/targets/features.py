@@ -27,6 +27,7 @@ _PART = struct.Struct("<BBe")
 _UNITS = ("mV", "uS", "s", "ms", "g", "", "kohm")
 _MOST_SAMPLES = 3000
 _MAY_LACK = ("beats", "hrv_live")
+_MAY_LACK_ALL = ("hrv_live", "hr_state", "br_state")
 _QUALITY = "hr_live_quality"
 
 Array = NDArray[np.float64]
@@ -126,7 +127,7 @@ def _judge(events: list[Event], source: Source, stamps: Array) -> None:
         if feature in ("sqi", _QUALITY):
             # Of motion nothing is known, and of quality nothing before its window is full.
             numbers = values[: 3 if feature == _QUALITY else -1]
-        is_finite = feature == "hrv_live" or all(map(math.isfinite, numbers))
+        is_finite = feature in _MAY_LACK_ALL or all(map(math.isfinite, numbers))
         ensure(is_finite and not any(map(math.isinf, values)), "no number", feature, values)
         ensure(feature != "sqi" or _in_unit(values[:-1]), "no quality", feature, values)
 
