@@ -12,7 +12,7 @@ from rich.console import Console
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.terminal import wrapped
-from biosensor_gateway.cli import clocks, guide, scan, status
+from biosensor_gateway.cli import clocks, device_test, scan, status
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.doctor.device_test import DeviceTest, StreamTest
@@ -63,7 +63,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     monkeypatch.setattr(shown, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     monkeypatch.setenv("TERM", "dumb")
-    for module in (status, guide):
+    for module in (status, device_test):
         monkeypatch.setattr(module, "console", lambda: Console(width=WIDTH, file=shown))
     return shown
 
@@ -114,7 +114,7 @@ def test_device_test(terminal: io.StringIO, name: str) -> None:
     info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
     outcome = DeviceTest(info, streams, [REASON])
     with redirect_stdout(terminal):
-        guide.print_outcome(outcome)
+        device_test.print_outcome(outcome)
     words = fits(terminal.getvalue()).split()
     assert set(streams) <= set(words)
     assert UNIT in words

@@ -127,7 +127,7 @@ COMMANDS = (
     ),
     _command(
         "test",
-        "guide:test",
+        "device_test:test",
         "Connect to one device, show what it sends and what is wrong; nothing is streamed.",
     ),
     _command(
