@@ -21,6 +21,7 @@ from biosensor_gateway.simulation.expected import Contact
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports import ble_choice
 from tests.contracts.conftest import ON_AIR, class_of, every, is_outside_time
 from tests.rigs.driver_run import NotedSink, Run, connected, driver_maker, streaming
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 VALUES = {FaultKind.LOW_BATTERY: 4.0, FaultKind.GARBAGE: 20.0, FaultKind.DRIFT: 150.0}
 SHORT_S = 0.5
 SILENT_S = 3.0
+MESSAGE_S = 1.0
+"""What comes most rarely of all that has to come."""
 LONG_S = 3600.0
 COUNT = 5
 LOW_PERCENT = 10.0
@@ -153,8 +156,11 @@ async def test_data_that_nobody_can_read_are_a_state_and_a_reason(
     if not is_outside_time(device):
         monkeypatch.setattr(reviving, "PATIENCE_S", 1.0)
     async with told_the_truth(device) as run:
+        begin_s = run.sink.clock()
         device.apply(Fault(kind, LONG_S))
         await until(lambda: run.supervisor.state is not State.STREAMING)
+        if is_outside_time(device):
+            assert run.sink.clock() - begin_s <= PATIENCE_S + MESSAGE_S
         assert "bytes came that cannot be read" in str(run.supervisor.last_error)
         count = len(run.sink.rows[name])
         # Some drivers connect only to what they can read.

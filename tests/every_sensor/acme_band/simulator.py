@@ -43,7 +43,7 @@ class SimulatedAcmeBand(VirtualDevice):
         self._port: AsyncSerialPort | None = None
         self._measuring: asyncio.Task[None] | None = None
         self._sends, self._stalled, self._worn, self._battery = False, False, True, 80
-        self._check = 0
+        self._is_another_version = False
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -78,13 +78,16 @@ class SimulatedAcmeBand(VirtualDevice):
             counts = round(100 * force) if self._worn else -(2**15)
             value = counts / 100 if self._worn else nan
             taken = self._sends and not self._stalled and port.write(self._frame(number, counts))
-            if taken and not self._check:
+            if taken and not self._is_another_version:
                 self.truth.sent("force", [time_s], [[value]])
             number += 1
 
     def _frame(self, number: int, counts: int) -> bytes:
+        if self._is_another_version:
+            # No byte of a text is the marker: of wrong sums alone one is right by chance.
+            return f"{number},{counts}\r\n".encode("ascii")
         frame = struct.pack("<BHhBB", 0xAC, number % 2**16, counts, self._worn, self._battery)
-        return frame + bytes([(sum(frame) + self._check) % 256])
+        return frame + bytes([sum(frame) % 256])
 
     def _hang_up(self) -> None:
         self._left()
@@ -105,11 +108,11 @@ class SimulatedAcmeBand(VirtualDevice):
         if self._port is not None:
             self._port.write(self._rng.bytes(int(count)))
 
-    def _check_otherwise(self) -> None:
-        self._check = 1
+    def _speak_as_another_version(self) -> None:
+        self._is_another_version = True
 
-    def _check_as_ever(self) -> None:
-        self._check = 0
+    def _speak_as_ever(self) -> None:
+        self._is_another_version = False
 
     def _discharge(self, percent: float) -> None:
         self._battery = round(percent)
@@ -128,7 +131,7 @@ class SimulatedAcmeBand(VirtualDevice):
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.STALL: lasting(_stall, _resume),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.UNREADABLE: lasting(_check_otherwise, _check_as_ever),
+            FaultKind.UNREADABLE: lasting(_speak_as_another_version, _speak_as_ever),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.DRIFT: Effect(_drift),
