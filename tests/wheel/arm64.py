@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Generator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from tests.wheel.conftest import LOCK, ROOT, uv
@@ -19,6 +20,7 @@ from tests.wheel.conftest import LOCK, ROOT, uv
 BINFMT = Path("/proc/sys/fs/binfmt_misc")
 PLATFORM, PYTHON, RELEASE = "aarch64-manylinux_2_36", "3.11", "bookworm"
 QEMU_RELEASE = "trixie"
+HOME = "home"
 DEV_LOCK = ROOT / "requirements" / "dev.txt"
 TEST_TOOLS = ("pytest", "pytest-asyncio", "pytest-timeout", "pytest-xdist", "hypothesis")
 KEYRING = "/usr/share/keyrings/debian-archive-keyring.gpg"
@@ -87,15 +89,18 @@ class Arm64:
     """The folder with the product, and how its programs are run."""
 
     def __init__(self, root: Path) -> None:
-        self.root = root
+        self.root, self.home = root, root / HOME
         self._started: list[subprocess.Popen[str]] = []
 
     def close(self) -> None:
-        """End what still runs."""
+        """End what still runs there, also what its programs have started."""
+        for each in Path("/proc").glob("[0-9]*"):
+            # It may end meanwhile.
+            with suppress(OSError):
+                if (each / "root").readlink() == self.root:
+                    os.kill(int(each.name), signal.SIGKILL)
         for each in self._started:
-            if each.poll() is None:
-                each.kill()
-                each.wait()
+            each.wait(LIMIT_S)
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start the product's program there."""
@@ -106,11 +111,11 @@ class Arm64:
         return self.ended(self.start(*arguments), codes)
 
     def start_python(
-        self, *arguments: str, folder: str = "/root", **variables: str
+        self, *arguments: str, folder: str = f"/{HOME}", **variables: str
     ) -> subprocess.Popen[str]:
         """Start Python there."""
         known = {
-            "HOME": "/root",
+            "HOME": f"/{HOME}",
             "PATH": "/usr/bin:/bin",
             "LANG": "C.UTF-8",
             "PYTHONPATH": "/site",
@@ -161,7 +166,7 @@ def arm64(folder: Path, wheel: Path) -> Generator[Arm64]:
     uv("pip", "install", "--quiet", *tools, "--only-binary=:all:", *TEST_TOOLS)
     repository = root / "repository"
     _run("git", "clone", "--quiet", ROOT, repository)
-    for each in ("proc", "dev", "sys", "tmp", "run", "root"):
+    for each in ("proc", "dev", "sys", "tmp", "run", HOME):
         (root / each).mkdir(exist_ok=True)
     (root / "lsl.cfg").write_bytes(Path(os.environ["LSLAPICFG"]).read_bytes())
     with _registered(qemu), closing(Arm64(root)) as debian:

@@ -53,18 +53,18 @@ def test_a_recording_is_exported_as_on_other_computers(
 ) -> None:
     agent = arm.start("run", "--simulate", "polar_h10,shimmer3_gsr")
     arm.run("wait-ready", "--timeout", "120")
-    arm.run("record", "start", "--here", "--file", "/root/study.xdf")
+    arm.run("record", "start", "--here", "--file", "study.xdf")
     arm.run("record", "stop")
     arm.run("stop")
     arm.ended(agent)
     recorded = tmp_path / "study.xdf"
-    recorded.write_bytes((arm.root / "root/study.xdf").read_bytes())
+    recorded.write_bytes((arm.home / "study.xdf").read_bytes())
     here = Installed(tmp_path / "pc", wheel)
     here.run("xdf", "check", str(recorded))
     for each in FORMATS:
-        arm.run("xdf", "export", "/root/study.xdf", "--to", each)
+        arm.run("xdf", "export", "study.xdf", "--to", each)
         here.run("xdf", "export", str(recorded), "--to", each)
-        assert _made(arm.root / "root") == _made(tmp_path), each
+        assert _made(arm.home) == _made(tmp_path), each
 
 
 def test_unit_tests_pass_there(arm: Arm64) -> None:
