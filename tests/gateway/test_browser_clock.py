@@ -8,8 +8,8 @@ import random
 import pytest
 
 from biosensor_gateway.page.experiments.conversation import (
-    DRIFT,
-    ENOUGH,
+    CLOCK_DRIFT,
+    EXCHANGES_NEEDED,
     BrowserClock,
     Exchange,
 )
@@ -40,7 +40,7 @@ class Browser:
 
 
 @pytest.mark.parametrize("offset_s", [0.0, TWO_HOURS_S, -1.7e9])
-@pytest.mark.parametrize("drift", [0.0, 0.9 * DRIFT, -0.9 * DRIFT])
+@pytest.mark.parametrize("drift", [0.0, 0.9 * CLOCK_DRIFT, -0.9 * CLOCK_DRIFT])
 @pytest.mark.parametrize("step_s", [0.0, 1e-4, 0.1])
 def test_the_truth_is_within_what_is_said(offset_s: float, drift: float, step_s: float) -> None:
     chance = random.Random(1)
@@ -63,7 +63,7 @@ def test_the_truth_is_within_what_is_said(offset_s: float, drift: float, step_s:
 
 def test_nothing_is_said_before_enough_is_known() -> None:
     browser, clock = Browser(5.0), BrowserClock(0.0)
-    for count in range(ENOUGH):
+    for count in range(EXCHANGES_NEEDED):
         assert clock.newest_uncertainty_s is None
         with pytest.raises(ValueError, match="not measured yet"):
             clock.to_lsl(5.0)
@@ -90,7 +90,7 @@ def test_a_clock_that_was_set_is_noticed_and_measured_anew(by_s: float) -> None:
     browser.offset_s += by_s
     assert not clock.note(browser.asked(40.0, 0.001, 0.002))
     assert not clock.is_known
-    for count in range(ENOUGH):
+    for count in range(EXCHANGES_NEEDED):
         assert clock.note(browser.asked(41.0 + count, 0.001, 0.002))
     known = clock.to_lsl(browser.shows(45.0))
     assert abs(known.lsl_time - 45.0) <= known.uncertainty_s
@@ -99,7 +99,7 @@ def test_a_clock_that_was_set_is_noticed_and_measured_anew(by_s: float) -> None:
 def test_a_resolution_that_nobody_has_is_not_believed() -> None:
     for said_s in (-1.0, 1e9):
         clock = BrowserClock(said_s)
-        for count in range(ENOUGH):
+        for count in range(EXCHANGES_NEEDED):
             clock.note(Exchange(count, count, count))
         uncertainty = clock.newest_uncertainty_s
         assert uncertainty is not None

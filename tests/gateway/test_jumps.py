@@ -9,7 +9,13 @@ from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.streaming.sink import SAID, SAID_S, DeviceSink, JumpReports, Jumps
+from biosensor_gateway.streaming.sink import (
+    JUMPS_SAID,
+    JUMPS_SAID_WITHIN_S,
+    DeviceSink,
+    JumpReports,
+    Jumps,
+)
 from tests.rigs.set_clock import SetClock
 
 
@@ -45,13 +51,13 @@ def test_few_are_said_one_by_one(reports: JumpReports, said: list[Jumps]) -> Non
 def test_many_are_said_together_when_their_time_has_come(
     reports: JumpReports, said: list[Jumps], clock: SetClock
 ) -> None:
-    for number in range(SAID + 500):
+    for number in range(JUMPS_SAID + 500):
         clock.now_s += 0.01
         reports.note("below" if number % 2 else "device_backward", -3.0 if number % 2 else 3.5)
         reports.release()
-    assert len(said) == SAID
+    assert len(said) == JUMPS_SAID
     del said[:]
-    clock.now_s += SAID_S
+    clock.now_s += JUMPS_SAID_WITHIN_S
     reports.release()
     ((cause, seconds, times),) = said
     assert (cause, times) == ("device_backward", 500)
@@ -61,12 +67,12 @@ def test_many_are_said_together_when_their_time_has_come(
 
 
 def test_what_is_not_said_yet_is_said_at_the_end(reports: JumpReports, said: list[Jumps]) -> None:
-    for _ in range(SAID + 2):
+    for _ in range(JUMPS_SAID + 2):
         reports.note("below", 1.0)
     reports.note("device_restarted", None)
     reports.finish()
     reports.finish()
-    assert said[SAID:] == [Jumps("device_restarted", None, 3)]
+    assert said[JUMPS_SAID:] == [Jumps("device_restarted", None, 3)]
 
 
 def test_a_clock_that_jumps_there_and_back_is_said_a_few_times_and_counted_always(
@@ -78,4 +84,4 @@ def test_a_clock_that_jumps_there_and_back_is_said_a_few_times_and_counted_alway
         sink.close()
     told = [entry for entry in logs if "jumped" in entry["event"]]
     assert sink.clock_state.reanchors == 999
-    assert [entry.get("times", 1) for entry in told] == [1] * SAID + [999 - SAID]
+    assert [entry.get("times", 1) for entry in told] == [1] * JUMPS_SAID + [999 - JUMPS_SAID]

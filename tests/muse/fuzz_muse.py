@@ -6,6 +6,12 @@ of samples is lost.
 
 from __future__ import annotations
 
+from biosensor_gateway.devices.muse.driver.commands import (
+    Answers,
+    battery_percent,
+    return_code,
+    text_of,
+)
 from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter, Started
 from biosensor_gateway.devices.muse.driver.gatt import (
     ACC,
@@ -18,12 +24,6 @@ from biosensor_gateway.devices.muse.driver.gatt import (
     TELEMETRY,
 )
 from biosensor_gateway.devices.muse.driver.series import PacketSeries
-from biosensor_gateway.devices.muse.driver.session import (
-    Answers,
-    battery_percent,
-    return_code,
-    text_of,
-)
 from biosensor_gateway.transports.ble import Notification
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink

@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from biosensor_gateway.page.sharing import FILE, own_certificate
+from biosensor_gateway.page.sharing import CERTIFICATE_FILE, own_certificate
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Answer, Programs, Server
 
@@ -202,7 +202,7 @@ def test_a_certificate_is_made_anew_where_it_does_not_serve(tmp_path: Path) -> N
     first = own_certificate(tmp_path, ["192.0.2.7", "lab-pc"])
     assert own_certificate(tmp_path, ["192.0.2.7"]) == first
     assert own_certificate(tmp_path, ["192.0.2.8"]) != first
-    (tmp_path / FILE).write_text("nonsense")
+    (tmp_path / CERTIFICATE_FILE).write_text("nonsense")
     assert own_certificate(tmp_path, ["192.0.2.7"]).fingerprint.count(":") == 31
 
 

@@ -10,7 +10,7 @@ from edfio import read_bdf
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.recording.export.edf.exporter import Span, dealt
+from biosensor_gateway.recording.export.edf.exporter import Span, dealt_to_spans
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.recording_export.bids_tables import read
 from tests.recording_export.conftest import Exporting
@@ -113,7 +113,7 @@ def test_each_marker_is_in_one_file_at_least(
 ) -> None:
     spans = [Span(begin, begin + length) for begin, length in begins]
     happened = sorted((time, str(number)) for number, time in enumerate(times))
-    found, outside = dealt(happened, spans)
+    found, outside = dealt_to_spans(happened, spans)
     assert {each for file in found for each in file} == set(happened)
     inside = {(time, text) for time, text in happened if any(a <= time < b for a, b in spans)}
     assert outside == len(happened) - len(inside)

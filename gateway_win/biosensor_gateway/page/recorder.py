@@ -34,7 +34,7 @@ from biosensor_gateway.recording.xdf.findings import Finding, Level
 
 LOOK_S = 1.0
 _FOLDER = "Biosensor recordings"
-_MOST = 20
+_MOST_TOLD_OF = 20
 """Of a sensor that comes and goes, the newest are enough."""
 
 
@@ -288,7 +288,7 @@ class Story:
         here = {f"{each['sensor']}/{each['unit']}" for each in devices}
         for device, before in self._away.items():
             if device in here and device not in now:
-                self._over = [*self._over[1 - _MOST :], _was_away(before, time.time())]
+                self._over = [*self._over[1 - _MOST_TOLD_OF :], _was_away(before, time.time())]
         # While the agent is away, nobody knows of its sensors.
         kept = {device: each for device, each in self._away.items() if device not in here}
         self._away = kept | now

@@ -36,10 +36,10 @@ _REFUSED = (
     "The address to look on here is shown on the page of the computer that the sensors are "
     "connected to. It is another one each time the page is started there."
 )
-FILE = "page-certificate.pem"
-_VALID = datetime.timedelta(days=365)
-_RENEWED = datetime.timedelta(days=30)
-_TITLE = "Biosensor Gateway"
+CERTIFICATE_FILE = "page-certificate.pem"
+_CERTIFICATE_HOLDS = datetime.timedelta(days=365)
+_RENEWED_BEFORE_END = datetime.timedelta(days=30)
+_ISSUER = "Biosensor Gateway"
 
 
 class Sharing:
@@ -206,7 +206,7 @@ def own_certificate(folder: Path, names: Sequence[str]) -> Certificate:
     OSError
         The folder cannot be written.
     """
-    file = folder / FILE
+    file = folder / CERTIFICATE_FILE
     kept = _kept(file)
     if kept is None or not _serves(kept, names):
         kept = _made(file, names)
@@ -226,12 +226,12 @@ def _kept(file: Path) -> x509.Certificate | None:
 def _serves(certificate: x509.Certificate, names: Sequence[str]) -> bool:
     left = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
     kept = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    return left > _RENEWED and set(_alternatives(names)) <= set(kept)
+    return left > _RENEWED_BEFORE_END and set(_alternatives(names)) <= set(kept)
 
 
 def _made(file: Path, names: Sequence[str]) -> x509.Certificate:
     key = ec.generate_private_key(ec.SECP256R1())
-    title = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, _TITLE)])
+    title = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, _ISSUER)])
     now = datetime.datetime.now(datetime.UTC)
     certificate = (
         x509.CertificateBuilder()
@@ -241,7 +241,7 @@ def _made(file: Path, names: Sequence[str]) -> x509.Certificate:
         .serial_number(x509.random_serial_number())
         # Clocks of two computers differ.
         .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + _VALID)
+        .not_valid_after(now + _CERTIFICATE_HOLDS)
         .add_extension(x509.SubjectAlternativeName(_alternatives(names)), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(

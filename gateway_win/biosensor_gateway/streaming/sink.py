@@ -29,7 +29,7 @@ from biosensor_gateway.system.device_log import DeviceLog, Once
 
 DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
-SAID, SAID_S = 3, 60.0
+JUMPS_SAID, JUMPS_SAID_WITHIN_S = 3, 60.0
 """So many are said in so many seconds."""
 
 
@@ -421,7 +421,7 @@ class JumpReports:
         self._clock = clock
         self._say = say
         # nothing is dropped: these are times
-        self._said_s: deque[float] = deque(maxlen=SAID)
+        self._said_s: deque[float] = deque(maxlen=JUMPS_SAID)
         self._gathered: Jumps | None = None
 
     def note(self, cause: str, seconds: float | None) -> None:
@@ -434,7 +434,7 @@ class JumpReports:
         if self._gathered is None:
             return  # nothing is dropped: there is nothing to say
         now = self._clock()
-        if len(self._said_s) < SAID or now - self._said_s[0] >= SAID_S:
+        if len(self._said_s) < JUMPS_SAID or now - self._said_s[0] >= JUMPS_SAID_WITHIN_S:
             self._said_s.append(now)
             self.finish()
 

@@ -28,12 +28,12 @@ PING_EVERY_S, UNTIL_KNOWN_EVERY_S = 2.0, 0.25
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200, 400
 MARKS_WAITING = 64
 _PINGS_OPEN = 16
-DRIFT = 1e-4
+CLOCK_DRIFT = 1e-4
 """By how much a browser's clock may run faster or slower than LSL's."""
-KEPT = 32
-ENOUGH = 5
+EXCHANGES_KEPT = 32
+EXCHANGES_NEEDED = 5
 """As many exchanges must have been made before a time is taken from them."""
-COARSEST_S = 0.2
+COARSEST_CLOCK_S = 0.2
 """A browser that protects its user from being recognised shows its time in steps of 0.1 s."""
 
 
@@ -311,13 +311,13 @@ class BrowserClock:
     """
 
     def __init__(self, resolution_s: float) -> None:
-        self._resolution_s = min(max(resolution_s, 0.0), COARSEST_S)
-        self._exchanges: deque[Exchange] = deque(maxlen=KEPT)
+        self._resolution_s = min(max(resolution_s, 0.0), COARSEST_CLOCK_S)
+        self._exchanges: deque[Exchange] = deque(maxlen=EXCHANGES_KEPT)
 
     @property
     def is_known(self) -> bool:
         """Whether times can be taken from it."""
-        return len(self._exchanges) >= ENOUGH
+        return len(self._exchanges) >= EXCHANGES_NEEDED
 
     @property
     def newest_uncertainty_s(self) -> float | None:
@@ -364,4 +364,4 @@ class BrowserClock:
 
 
 def _error_s(exchange: Exchange, at: float) -> float:
-    return exchange.half_s + DRIFT * abs(at - exchange.at)
+    return exchange.half_s + CLOCK_DRIFT * abs(at - exchange.at)

@@ -285,7 +285,7 @@ def candidates(place: Place, *, is_run_given: bool) -> tuple[Path, ...]:
     ConfigError
         ``WRONG_VALUE``, if `place` says too little or contradicts itself.
     """
-    return tuple(_candidates(place, is_run_given=is_run_given))
+    return tuple(_free_names(place, is_run_given=is_run_given))
 
 
 def take_file(files: Sequence[Path]) -> Path:
@@ -314,7 +314,7 @@ def take_file(files: Sequence[Path]) -> Path:
     raise RecorderError(RecorderReason.EXISTS, message)
 
 
-def _candidates(place: Place, *, is_run_given: bool) -> Iterator[Path]:
+def _free_names(place: Place, *, is_run_given: bool) -> Iterator[Path]:
     if place.recorder_folder:
         message = "--recorder-folder is for a LabRecorder on another computer; leave it out"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)

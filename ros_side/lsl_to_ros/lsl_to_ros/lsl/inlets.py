@@ -35,7 +35,7 @@ BUFFER_S = 120
 BUFFER_HUNDREDS = 360
 # What other programs announce may be anything, and liblsl would reserve memory for it.
 BUFFER_SAMPLES = 4_000_000
-KEPT = 10
+CORRECTIONS_KEPT = 10
 
 
 @unique
@@ -326,7 +326,7 @@ class Corrections:
     def __init__(self) -> None:
         self.newest: float | None = None
         # nothing is dropped: these are corrections
-        self._recent: deque[float] = deque(maxlen=KEPT)
+        self._recent: deque[float] = deque(maxlen=CORRECTIONS_KEPT)
 
     @property
     def spread(self) -> float:

@@ -60,13 +60,13 @@ LOOKS_TO_SETTLE = 8
 FOUND_AFTER_S = 5.0
 REPORT_PERIOD_S = 1.0
 HEARTBEAT_S = 5.0
-ANSWERS = 5
+OFFSET_ANSWERS = 5
 """So many make a measurement."""
-PERIOD_S = 30.0
+OFFSET_EVERY_S = 30.0
 """Between the end of a measurement and the begin of the next."""
-GIVE_UP_S = 5.0
+OFFSET_GIVE_UP_S = 5.0
 """A node that has not answered for so long does not answer: it may have no such service."""
-_ASKED = "use_sim_time"
+_ASKED_FOR = "use_sim_time"
 
 
 class RosToLsl(Node):
@@ -253,7 +253,7 @@ class Events:
         self._stamps = MonotonicStamps()
         self._due_s, self._had_consumers = -math.inf, False
         self._outlet = events_outlet(node, "ros_to_lsl")
-        self._send("started", _clock())
+        self._send("started", _clock_facts())
 
     def notice(self, topic: str, text: str) -> None:
         """Say what the log says of a topic."""
@@ -265,7 +265,7 @@ class Events:
         has_come, self._had_consumers = has_consumers and not self._had_consumers, has_consumers
         if has_come or now >= self._due_s:
             self._due_s = now + HEARTBEAT_S
-            self._send("heartbeat", {"topics": dict(self._topics()), **_clock()})
+            self._send("heartbeat", {"topics": dict(self._topics()), **_clock_facts()})
 
     def _send(self, event: str, facts: Mapping[str, object]) -> None:
         with self._lock:
@@ -275,7 +275,7 @@ class Events:
             self._outlet.push_sample([json.dumps(content, separators=(",", ":"))], stamp)
 
 
-def _clock() -> dict[str, object]:
+def _clock_facts() -> dict[str, object]:
     return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
 
 
@@ -364,13 +364,13 @@ class SenderOffset:
         now_s = monotonic()
         if self._asked_ns:
             self._take(now_s)
-        if self._bounds.answers >= ANSWERS:
+        if self._bounds.answers >= OFFSET_ANSWERS:
             offset = self._bounds.offset
-            self._bounds, self._due_s = Bounds(), now_s + PERIOD_S
+            self._bounds, self._due_s = Bounds(), now_s + OFFSET_EVERY_S
             return offset
         if not self._asked_ns and now_s >= self._due_s and self._client.service_is_ready():
             self._asked_ns, self._asked_s = time_ns(), now_s
-            self._number = self._handle.send_request(GetParameters.Request(names=[_ASKED]))
+            self._number = self._handle.send_request(GetParameters.Request(names=[_ASKED_FOR]))
         return None  # nothing is dropped: there is no offset yet
 
     def stop(self) -> None:
@@ -383,6 +383,6 @@ class SenderOffset:
         if answer is not None and told.request_id.sequence_number == self._number:
             self._bounds.take(self._asked_ns, told)
             self._asked_ns = 0
-        elif now_s - self._asked_s > GIVE_UP_S:
-            self._asked_ns, self._due_s = 0, now_s + PERIOD_S
+        elif now_s - self._asked_s > OFFSET_GIVE_UP_S:
+            self._asked_ns, self._due_s = 0, now_s + OFFSET_EVERY_S
             self._bounds = Bounds()

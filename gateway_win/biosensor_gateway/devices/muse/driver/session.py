@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.muse.driver import commands
+from biosensor_gateway.devices.muse.driver.commands import Answer, Answers, text_of
 from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter, Started
 from biosensor_gateway.devices.muse.driver.gatt import (
     ACC,
@@ -26,100 +27,6 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.dialogue import Dialogue
 from biosensor_gateway.transports.nearby import Advertisement
-
-HALT = "h"
-STATUS = "s"
-KEEP_ALIVE = "k"
-START, START_FRAMES = "d", "dc001"
-VERSION, VERSION_OF_FRAMES = "v1", "v6"
-"""They offer a version of the protocol: the first one is of headbands before the Athena."""
-_LONGEST_BODY = 19
-_COUNT_MASK = 0x1F
-_LONGEST_ANSWER = 1024
-_DECODER = json.JSONDecoder()
-
-Answer = Mapping[str, Any]
-
-
-def encode(command: str) -> bytes:
-    """Return the bytes of a command.
-
-    Raises
-    ------
-    ValueError
-        It is empty, too long or no ASCII.
-    """
-    body = (command + "\n").encode("ascii")
-    if not 1 < len(body) <= _LONGEST_BODY:
-        raise ValueError(f"{command!r} is no command: 1 to {_LONGEST_BODY - 1} characters fit")
-    return bytes((len(body),)) + body
-
-
-class Answers:
-    """Puts the pieces of answers together, wherever they were cut.
-
-    Attributes
-    ----------
-    complete
-        Answers that a piece ended besides the one that it was asked for.
-    """
-
-    def __init__(self) -> None:
-        self._text = ""
-        self.complete: list[Answer] = []
-
-    def feed(self, piece: bytes) -> Answer | None:
-        """Take a piece; return the answer that it ends, None if it ends none.
-
-        A piece may end several: the others are `complete`, until the next piece.
-        """
-        count = piece[0] & _COUNT_MASK if piece else 0
-        self._text += piece[1 : 1 + count].decode("ascii", "replace")
-        self.complete = list(self._cut_off())
-        return self.complete.pop(0) if self.complete else None
-
-    def _cut_off(self) -> Iterator[Answer]:
-        """Return the answers that are whole, and keep what is behind the last one."""
-        begin = self._text.find("{")
-        while begin >= 0:
-            found = _first_of(self._text[begin:])
-            # An answer whose end was lost must not spoil the next one.
-            begin = self._text.find("{", begin + 1)
-            if found is not None:
-                answer, rest = found
-                self._text = rest
-                begin = rest.find("{")
-                yield answer
-        self._text = self._text[-_LONGEST_ANSWER:]
-
-
-def text_of(answer: Answer, key: str) -> str:
-    """Return a field as printable text, empty if there is none."""
-    return "".join(each for each in str(answer.get(key, "")) if each.isprintable())
-
-
-def return_code(answer: Answer) -> int:
-    """Return what an answer says of its command: 0 for success, also where it says nothing."""
-    code = answer.get("rc", 0)
-    return code if isinstance(code, int) else -1
-
-
-def battery_percent(answer: Answer) -> float | None:
-    """Return what is left in the battery; None where a status does not tell."""
-    percent = answer.get("bp")
-    if isinstance(percent, bool) or not isinstance(percent, int | float):
-        return None
-    return float(percent) if 0 <= percent <= 100 else None
-
-
-def _first_of(text: str) -> tuple[Answer, str] | None:
-    """Return the object that a text begins with, and what is behind; None if it is not whole."""
-    try:
-        found, end = _DECODER.raw_decode(text)
-    except (ValueError, RecursionError):
-        return None
-    return (cast("Answer", found), text[end:]) if isinstance(found, dict) else None
-
 
 KEEP_ALIVE_S = 10.0
 """Headbands that hear nothing end the stream after some minutes (muse-lsl, issue 184)."""
@@ -202,7 +109,12 @@ ANSWER_LIMIT_S = 5.0
 
 
 class _Conversation:
-    """What is said over one connection."""
+    """What is said over one connection.
+
+    Parameters
+    ----------
+    link
+    """
 
     def __init__(self, link: BleLink) -> None:
         self._link = link
@@ -230,6 +142,7 @@ class _Conversation:
 
         Parameters
         ----------
+        command
         key
             A field that the answer has, and no other one: an earlier one may come late.
 
@@ -244,14 +157,14 @@ class _Conversation:
         def match(notification: Notification) -> Answer | None:
             if notification.uuid != CONTROL:
                 return None
-            fits = (each for each in self._fresh if key in each or return_code(each))
+            fits = (each for each in self._fresh if key in each or commands.return_code(each))
             return next(fits, None)
 
         answer = await self._dialogue.ask(command, match, ANSWER_LIMIT_S)
         if answer is None:
             message = f"{self._link.what}: no answer to the command {command}; switch it off and on"
             raise ProtocolError(ProtocolReason.NO_REPLY, message)
-        code = return_code(answer)
+        code = commands.return_code(answer)
         if code:
             message = (
                 f"{self._link.what} refuses the command {command} ({code}); switch it off and on, "
@@ -262,7 +175,7 @@ class _Conversation:
 
     async def tell(self, command: str) -> None:
         """Send a command without waiting for its answer; raises as `ask` does."""
-        await self._link.write(CONTROL, encode(command), response=False)
+        await self._link.write(CONTROL, commands.encode(command), response=False)
 
     async def stream(self, listener: Callable[[Sequence[Notification]], None]) -> None:
         """Pass on all notifications since `begin`.
@@ -291,6 +204,7 @@ class Opened(NamedTuple):
 
     Attributes
     ----------
+    info
     silent
         Data names of streams that the settings switch off, or that it does not have.
     refused
@@ -303,7 +217,12 @@ class Opened(NamedTuple):
 
 
 class MuseSession:
-    """Everything that lasts as long as one link."""
+    """Everything that lasts as long as one link.
+
+    Parameters
+    ----------
+    link, emitter, sink, settings
+    """
 
     def __init__(
         self, link: BleLink, emitter: MuseEmitter, sink: Sink, settings: MuseSettings
@@ -333,12 +252,12 @@ class MuseSession:
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         await self._conversation.begin()
-        offer = VERSION_OF_FRAMES if self._is_athena else VERSION
+        offer = commands.VERSION_OF_FRAMES if self._is_athena else commands.VERSION
         version = await self._conversation.ask(offer, "fw")
-        status = await self._conversation.ask(STATUS, "sn")
+        status = await self._conversation.ask(commands.STATUS, "sn")
         serial = text_of(status, "sn")
         self._preset, wanted = self._chosen(serial)
-        self._started = Started(_ALWAYS | wanted, battery_percent(status))
+        self._started = Started(_ALWAYS | wanted, commands.battery_percent(status))
         for uuid in self._sources(wanted):
             await self._link.subscribe(uuid)
         await self._start()
@@ -381,7 +300,7 @@ class MuseSession:
         """Stop everything, for a moment, and disconnect; never raises."""
         with suppress(GatewayError, TimeoutError):
             async with asyncio.timeout(GOODBYE_LIMIT_S):
-                await self._conversation.tell(HALT)
+                await self._conversation.tell(commands.HALT)
         await self._conversation.close()
         await self._link.close()
 
@@ -390,11 +309,11 @@ class MuseSession:
         return self._link.has(FRAMES[0])
 
     async def _start(self) -> None:
-        await self._conversation.ask(HALT)
+        await self._conversation.ask(commands.HALT)
         await self._conversation.ask(self._preset)
         # Before the command: packets may come before its answer.
         self._emitter.started(self._started)
-        await self._conversation.ask(START_FRAMES if self._is_athena else START)
+        await self._conversation.ask(commands.START_FRAMES if self._is_athena else commands.START)
 
     def _chosen(self, serial: str) -> tuple[str, frozenset[str]]:
         """Return the preset, and which optional streams are to come with it."""
@@ -433,7 +352,7 @@ class MuseSession:
     async def _keep_alive(self) -> None:
         while True:
             await asyncio.sleep(KEEP_ALIVE_S)
-            await self._conversation.tell(KEEP_ALIVE)
+            await self._conversation.tell(commands.KEEP_ALIVE)
 
     def _take(self, found: Sequence[Notification]) -> None:
         for notification in found:

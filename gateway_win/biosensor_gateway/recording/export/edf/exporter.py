@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left, bisect_right
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from edfio import Bdf, BdfSignal, EdfAnnotation, Patient, Recording
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.edf.layout import (
-    GREATEST,
-    LEAST,
-    RATES_HZ,
-    Channel,
-    Layout,
-    channel,
-    layout,
+from biosensor_gateway.recording.export.edf.header import Facts, header
+from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
+from biosensor_gateway.recording.export.edf.records import (
+    Annotation,
+    annotation_records,
+    digital,
+    records,
 )
-from biosensor_gateway.recording.export.edf.records import digital, records
 from biosensor_gateway.recording.export.exporter import (
     Clock,
     Missing,
@@ -45,20 +39,7 @@ _LABEL = 16
 _MOST_CHANNELS = 4000
 Happened = tuple[float, str]
 """Time on the recorder's clock, in s, and text."""
-_RECORDS_AT = 236
-_FIELD = 8
-# Label, transducer and dimension come before the ranges, those and the filter before the samples.
-_BEFORE_RANGES = 16 + 80 + 8
-_BEFORE_SAMPLES = _BEFORE_RANGES + 4 * _FIELD + 80
-_FIXED = 256
-_NOT_PLAIN = re.compile(r"[^!-~]+")
-_MOST_CODE = 24
 _MOST_TOLD = 1000
-BYTES_PER_SAMPLE = 3
-_MOST_CHARACTERS = 256
-_USUAL_BYTES = 60
-# What separates times and texts.
-_SEPARATORS = str.maketrans({0x14: " ", 0x15: " ", 0x00: " "})
 
 
 @dataclass(slots=True)
@@ -149,7 +130,7 @@ def _dealt(job: _Job, stream: Stream, runs: Sequence[Run]) -> list[list[Annotati
     if not runs:
         return []
     spans = [Span(run.begin_s, run.begin_s + _length_s(stream, run)) for run in runs]
-    found, outside = dealt(job.happened, spans)
+    found, outside = dealt_to_spans(job.happened, spans)
     if outside:
         job.notes.append(
             f"{stream.header.name}: {outside} of the markers came outside of its samples; they "
@@ -246,7 +227,9 @@ class Span(NamedTuple):
     end_s: float
 
 
-def dealt(happened: Sequence[Happened], spans: Sequence[Span]) -> tuple[list[list[Happened]], int]:
+def dealt_to_spans(
+    happened: Sequence[Happened], spans: Sequence[Span]
+) -> tuple[list[list[Happened]], int]:
     """Return what stands in each file, and how much of it happened outside of all of them.
 
     That stands in the file before, or in the first one: an annotation may be of any time.
@@ -273,79 +256,6 @@ def dealt(happened: Sequence[Happened], spans: Sequence[Span]) -> tuple[list[lis
         place = bisect_right(begins, (each[0], len(spans)))
         found[begins[max(0, place - 1)][1]].append(each)
     return found, len(outside)
-
-
-@dataclass(frozen=True, slots=True)
-class Facts:
-    """What the header tells of the recording.
-
-    Attributes
-    ----------
-    participant, equipment
-        Empty if not known.
-    begun_ns
-        Unix time of the first sample; None if the file is to tell no time of day.
-    """
-
-    participant: str
-    equipment: str
-    begun_ns: int | None
-
-    @property
-    def start_s(self) -> float:
-        """Time of the first sample since the whole second that the header tells."""
-        return 0.0 if self.begun_ns is None else self.begun_ns % 1_000_000_000 / 1e9
-
-
-def header(
-    channels: Sequence[Channel], layout: Layout, facts: Facts, annotation_bytes: int
-) -> bytes:
-    """Return the bytes before the data records."""
-    signals = [
-        BdfSignal(
-            np.full(layout.samples, each.least),
-            layout.rate_hz,
-            label=each.label,
-            physical_dimension=each.dimension,
-            physical_range=(each.least, each.greatest),
-            digital_range=(LEAST, GREATEST),
-        )
-        for each in channels
-    ]
-    begun = None
-    if facts.begun_ns is not None:
-        begun = datetime.fromtimestamp(facts.begun_ns // 1_000_000_000, UTC)
-    made = Bdf(
-        signals,
-        patient=Patient(code=_code(facts.participant)),
-        recording=Recording(
-            startdate=begun.date() if begun else None, equipment_code=_code(facts.equipment)
-        ),
-        starttime=begun.time() if begun else None,
-        data_record_duration=layout.record_s,
-        annotations=[EdfAnnotation(0, None, "begin")],
-    )
-    content = bytearray(made.to_bytes()[: made.bytes_in_header_record])
-    _put(content, _RECORDS_AT, layout.records)
-    # The annotations are the last signal.
-    count = len(channels) + 1
-    place = _FIXED + count * _BEFORE_SAMPLES + (count - 1) * _FIELD
-    _put(content, place, annotation_bytes // BYTES_PER_SAMPLE)
-    # edfio rounds them once more.
-    place = _FIXED + count * _BEFORE_RANGES
-    for number, each in enumerate(channels):
-        _put(content, place + number * _FIELD, each.least)
-        _put(content, place + (count + number) * _FIELD, each.greatest)
-    return bytes(content)
-
-
-def _put(content: bytearray, place: int, number: float) -> None:
-    text = f"{number:.6f}".rstrip("0").rstrip(".")
-    content[place : place + _FIELD] = text.encode().ljust(_FIELD)
-
-
-def _code(text: str) -> str:
-    return _NOT_PLAIN.sub("_", text)[:_MOST_CODE] or "X"
 
 
 class Holes:
@@ -410,68 +320,3 @@ class Holes:
         begin_s -= self._begins[self._number]
         length_s = max(0.0, end_s - self._begins[self._number] - begin_s)
         told.append(Annotation(begin_s, length_s, f"no value: {label}"))
-
-
-class Annotation(NamedTuple):
-    """What happened, in s since the first sample; `length_s` is 0 for a moment."""
-
-    begin_s: float
-    length_s: float
-    text: str
-
-
-def annotation_records(
-    annotations: Sequence[Annotation], records: int, record_s: float, start_s: float
-) -> tuple[list[bytes], int]:
-    """Return what stands in each record, and the bytes that each is to have.
-
-    Parameters
-    ----------
-    annotations
-        In the order of time.
-    records, record_s
-        How many data records, and how long each is.
-    start_s
-        Time of the first sample since the whole second that the header tells.
-    """
-    told = [(each.begin_s, _encoded(each, start_s)) for each in annotations]
-    longest = max((len(text) for _, text in told), default=0)
-    room = max(_USUAL_BYTES, longest + _USUAL_BYTES)
-    while (placed := _placed(told, records, record_s, start_s, room)) is None:
-        room *= 2
-    return placed, -(-room // BYTES_PER_SAMPLE) * BYTES_PER_SAMPLE
-
-
-def _placed(
-    told: Sequence[tuple[float, bytes]], records: int, record_s: float, start_s: float, room: int
-) -> list[bytes] | None:
-    """Return what stands in each record; None if there is not enough room for all."""
-    waiting, end_s = deque(told), records * record_s
-    found: list[bytes] = []
-    for number in range(records):
-        is_last = number == records - 1
-        content = _time(number * record_s + start_s) + b"\x14\x14\x00"
-        until_s = (number + 1) * record_s
-        # What is after the file's end may stand anywhere, and shall not all stand in the last.
-        while waiting and (is_last or waiting[0][0] < until_s or waiting[0][0] >= end_s):
-            if len(content) + len(waiting[0][1]) > room:
-                break
-            content += waiting.popleft()[1]
-        found.append(content)
-    return None if waiting else found
-
-
-def _encoded(annotation: Annotation, start_s: float) -> bytes:
-    text = annotation.text.translate(_SEPARATORS)
-    if len(text) > _MOST_CHARACTERS:
-        text = f"{text[: _MOST_CHARACTERS - 3]}..."
-    length = b"\x15" + _plain(annotation.length_s) if annotation.length_s else b""
-    return _time(annotation.begin_s + start_s) + length + b"\x14" + text.encode() + b"\x14\x00"
-
-
-def _time(seconds: float) -> bytes:
-    return (b"-" if seconds < 0 else b"+") + _plain(abs(seconds))
-
-
-def _plain(seconds: float) -> bytes:
-    return f"{seconds:.6f}".rstrip("0").rstrip(".").encode()
