@@ -70,8 +70,11 @@ def test_a_sentence_says_which_and_whose() -> None:
 class _Process:
     """A process whose name the system does not tell, as under Wine."""
 
-    def __init__(self, number: int, *words: str) -> None:
-        self.pid, self._words = number, list(words)
+    def __init__(self, number: int, *words: str, parent: _Process | None = None) -> None:
+        self.pid, self._words, self._parent = number, list(words), parent
+        self._children: list[_Process] = []
+        if parent is not None:
+            parent._children.append(self)
 
     def name(self) -> str:
         raise OSError(22, "Invalid parameter")
@@ -83,11 +86,11 @@ class _Process:
         return psutil.Process().username()
 
     def parents(self) -> list[_Process]:
-        return []
+        return [] if self._parent is None else [self._parent, *self._parent.parents()]
 
-    def children(self, *, recursive: bool) -> list[_Process]:
-        assert recursive
-        return []
+    def children(self, *, recursive: bool = False) -> list[_Process]:
+        below = [each for child in self._children for each in child.children(recursive=True)]
+        return [*self._children, *(below if recursive else [])]
 
 
 def test_the_command_names_them_and_its_code_says_so(
@@ -103,3 +106,20 @@ def test_the_command_names_them_and_its_code_says_so(
     running.pop()
     assert holders.what_cannot_be_closed(tmp_path) == []
     assert CliRunner().invoke(installation.app, ["holders"]).exit_code == 0
+
+
+def test_what_waits_to_take_over_for_an_agent_is_closed_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
+    keeper = _Process(11, EXE, "run", "--keep-alive")
+    agent, standby = (_Process(each, EXE, "run", parent=keeper) for each in (10, 12))
+    other = _Process(13, EXE, "run")
+    monkeypatch.setattr(psutil, "process_iter", lambda: iter([keeper, agent, standby, other]))
+
+    def number_of_agent(_state: Path) -> int:
+        return agent.pid
+
+    monkeypatch.setattr(holders, "_agent", number_of_agent)
+    (held,) = holders.what_cannot_be_closed(tmp_path)
+    assert "process 13 of" in held

@@ -35,7 +35,8 @@ class Program:
     words
         Its command line; empty if the system does not tell.
     family
-        Numbers of the processes that it was started by or has started, and its own.
+        Numbers of the processes that it was started by or has started, and its own; also of those
+        that the same agent's keeper has started.
     """
 
     number: int
@@ -133,7 +134,11 @@ def _user(process: psutil.Process) -> str:
 def _family(process: psutil.Process) -> Iterator[int]:
     yield process.pid
     try:
-        yield from (each.pid for each in process.parents())
+        for parent in process.parents():
+            yield parent.pid
+            # A standby is started by the same keeper as the agent.
+            if _words(parent)[1:2] == ("run",):
+                yield from (each.pid for each in parent.children())
         yield from (each.pid for each in process.children(recursive=True))
     except (psutil.Error, OSError):
         return
