@@ -82,6 +82,10 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
 ; The list of choices gets the whole width, so that no label is cut off.
 !define MUI_COMPONENTSPAGE_SMALLDESC
 !define MUI_ABORTWARNING
+!define MUI_WELCOMEPAGE_TEXT "${NAME} will be installed for all users of this PC. Nothing is started anew, and no \
+  other program needs to be closed.$\r$\n$\r$\nYour settings and recordings stay as they are.$\r$\n$\r$\n$_CLICK"
+!define MUI_DIRECTORYPAGE_TEXT_TOP "Below Program Files only administrators can change it. Anywhere else others of this \
+  PC may replace it, so there its command is not put into PATH.$\r$\n$\r$\n$_CLICK"
 !define MUI_FINISHPAGE_NOAUTOCLOSE
 !define MUI_FINISHPAGE_RUN
 !define MUI_FINISHPAGE_RUN_TEXT "Open ${NAME}, to find your sensors"
@@ -91,6 +95,7 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
 !insertmacro MUI_PAGE_DIRECTORY
 !insertmacro MUI_PAGE_INSTFILES
 !insertmacro MUI_PAGE_FINISH
+!define MUI_PAGE_CUSTOMFUNCTION_SHOW un.HideSpace
 !insertmacro MUI_UNPAGE_COMPONENTS
 !insertmacro MUI_UNPAGE_INSTFILES
 !insertmacro MUI_LANGUAGE English
@@ -116,7 +121,10 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
   ${EndIf}
 !macroend
 
-; Of the folder in $R8.
+; Folder of the program that may be run as administrator.
+Var Tools
+
+; Of the folder in $R8, by what is in $Tools.
 !macro CloseProgram un
 Function ${un}CloseProgram
   !insertmacro IsRunning $R0
@@ -144,7 +152,7 @@ Function ${un}CloseProgram
 close:
   ; Nothing is closed unless all can be: what a version says that knows the question.
   StrCpy $R3 ""
-  nsExec::ExecToStack '"$R8\bin\${EXE}" installation holders'
+  nsExec::ExecToStack '"$Tools\${EXE}" installation holders'
   Pop $R1
   ${If} $R1 == ${HELD}
     Pop $R3
@@ -152,11 +160,11 @@ close:
   ${EndIf}
   Pop $R1
   ; First, so that its file is closed while its streams are there.
-  nsExec::Exec '"$R8\bin\${EXE}" record stop'
+  nsExec::Exec '"$Tools\${EXE}" record stop'
   Pop $R1
-  nsExec::Exec '"$R8\bin\${EXE}" page --end'
+  nsExec::Exec '"$Tools\${EXE}" page --end'
   Pop $R1
-  nsExec::Exec '"$R8\bin\${EXE}" stop'
+  nsExec::Exec '"$Tools\${EXE}" stop'
   Pop $R1
   ; Its window, or a command in another one, may need a moment more.
   StrCpy $R2 0
@@ -201,16 +209,38 @@ FunctionEnd
   ${EndIf}
 !macroend
 
-; Sets $R0 to 1 if only administrators can change what is in the folder: whoever can write into
-; a folder of the system's PATH can have others run what they like.
+; Sets $R0 to 1 if only administrators can change what is in the folder in $R1: whoever can write
+; into a folder of the system's PATH can have others run what they like.
 Function IsProtected
   StrCpy $R0 0
-  GetFullPathName $R1 $INSTDIR
+  GetFullPathName $R1 $R1
   StrLen $R2 "$PROGRAMFILES64\"
   StrCpy $R3 $R1 $R2
   ${If} $R3 == "$PROGRAMFILES64\"
     StrCpy $R0 1
   ${EndIf}
+FunctionEnd
+
+; Sets $Tools for the folder in $R1. Where others can change what is there, this administrator would
+; run what they like: then it is a copy of what this installer brings, where they cannot.
+Function FindTools
+  StrCpy $Tools "$R1\bin"
+  Call IsProtected
+  ${If} $R0 == 1
+    Return
+  ${EndIf}
+  InitPluginsDir
+  StrCpy $Tools "$PLUGINSDIR\bin"
+  ${If} ${FileExists} "$Tools\${EXE}"
+    Return
+  ${EndIf}
+  DetailPrint "Unpacking what is run as administrator ..."
+  SetOutPath "$PLUGINSDIR"
+!ifdef BUNDLE
+  File /r "${BUNDLE}\bin"
+!endif
+  ; Else it could not be removed at the end.
+  SetOutPath "$TEMP"
 FunctionEnd
 
 ; Files are replaced as a whole, so that none of an earlier version stays.
@@ -220,9 +250,14 @@ Function RemoveEarlierVersion
   ${OrIfNot} ${FileExists} "$R0\uninstall.exe"
     Return
   ${EndIf}
+  StrCpy $R2 "$R0\uninstall.exe"
+  ${If} $Tools != "$R0\bin"
+    StrCpy $R2 "$PLUGINSDIR\uninstall.exe"
+    WriteUninstaller "$PLUGINSDIR\uninstall.exe"
+  ${EndIf}
   ; With _?= it works where it lies and can be waited for, but cannot remove itself.
   ; Who starts it at logon stays as it is.
-  ExecWait '"$R0\uninstall.exe" /S /UPGRADE=1 _?=$R0' $R1
+  ExecWait '"$R2" /S /UPGRADE=1 /TOOLS="$Tools" _?=$R0' $R1
   ${If} $R1 != 0
     MessageBox MB_OK|MB_ICONSTOP \
       "The earlier version in $R0 could not be removed. Close ${NAME}, then try again." /SD IDOK
@@ -236,6 +271,10 @@ FunctionEnd
 Section "${NAME}" SectionProgram
   SectionIn RO
   !insertmacro FindEarlierVersion
+  ${If} ${FileExists} "$R8\*.*"
+    StrCpy $R1 $R8
+    Call FindTools
+  ${EndIf}
   Call CloseProgram
   Call RemoveEarlierVersion
   SetOutPath "$INSTDIR"
@@ -263,6 +302,7 @@ Section "${NAME}" SectionProgram
   WriteRegStr HKLM "${APP_PATH_KEY}" "" "${BIN}\${EXE}"
   WriteRegStr HKLM "${APP_PATH_KEY}" "Path" "${BIN}"
   ; App Paths serves the Run dialog and `start`; a terminal looks into PATH alone.
+  StrCpy $R1 $INSTDIR
   Call IsProtected
   ${If} $R0 == 1
     nsExec::ExecToLog '"${BIN}\${EXE}" installation add-to-path "${BIN}"'
@@ -310,9 +350,12 @@ SectionEnd
 
 ; Asks the program, which finds the user of this session: the installer's own one is the
 ; administrator who allowed it.
+; At logon nobody is there to start it again, so it does that itself.
 !macro Autostart choice
-  nsExec::ExecToLog '"${BIN}\${EXE}" installation autostart ${choice} \
-    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run --no-ask"'
+  StrCpy $R1 $INSTDIR
+  Call FindTools
+  nsExec::ExecToLog '"$Tools\${EXE}" installation autostart ${choice} \
+    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run --no-ask --keep-alive"'
   Pop $R0
 !macroend
 
@@ -335,10 +378,10 @@ SectionEnd
 
 LangString ABOUT_PROGRAM ${LANG_ENGLISH} "The capture agent, its documentation, its \
   Start-menu entries and its command."
-LangString ABOUT_FIREWALL ${LANG_ENGLISH} "Allow it through the firewall: other computers of \
-  the same subnet may receive the streams, in networks that Windows calls private or domain."
-LangString ABOUT_AUTOSTART ${LANG_ENGLISH} "When you log on to Windows, it \
-  runs in a minimised window. For your own user account only, not for others of this PC."
+LangString ABOUT_FIREWALL ${LANG_ENGLISH} "Lets computers of the same subnet receive the streams, in \
+  networks that are private or domain."
+LangString ABOUT_AUTOSTART ${LANG_ENGLISH} "Runs in a minimised window when you log on to Windows; for your \
+  own user account only."
 !insertmacro MUI_FUNCTION_DESCRIPTION_BEGIN
   !insertmacro MUI_DESCRIPTION_TEXT ${SectionProgram} $(ABOUT_PROGRAM)
   !insertmacro MUI_DESCRIPTION_TEXT ${SectionFirewall} $(ABOUT_FIREWALL)
@@ -378,15 +421,25 @@ Function .onInit
   StrCpy $EarlierAutostart 0
   !insertmacro FindEarlierVersion
   ${If} ${FileExists} "$R8\bin\${EXE}"
-    nsExec::Exec '"$R8\bin\${EXE}" installation autostart-state'
+    StrCpy $R1 $R8
+    Call FindTools
+    nsExec::Exec '"$Tools\${EXE}" installation autostart-state'
     Pop $R3
     ${If} $R3 == 0
       StrCpy $EarlierAutostart 1
     ${EndIf}
   ${EndIf}
+  ${GetParameters} $R0
   ClearErrors
   !insertmacro Choose ${SectionAutostart} "AUTOSTART" $EarlierAutostart
   ClearErrors
+FunctionEnd
+
+; A removal needs no space.
+Function un.HideSpace
+  FindWindow $R0 "#32770" "" $HWNDPARENT
+  GetDlgItem $R1 $R0 1023
+  ShowWindow $R1 ${SW_HIDE}
 FunctionEnd
 
 ; NSIS keeps its own file open, so where it works in place it cannot be deleted before it has ended.
@@ -415,7 +468,7 @@ FunctionEnd
 Section /o "un.Your settings, logs and secrets" SectionSettings
   StrCpy $R8 $INSTDIR
   Call un.CloseProgram
-  nsExec::Exec '"${BIN}\${EXE}" secrets forget --all'
+  nsExec::Exec '"$Tools\${EXE}" secrets forget --all'
   Pop $R0
   SetShellVarContext current
   RMDir /r "$LOCALAPPDATA\${PROGRAM}"
@@ -426,13 +479,13 @@ Section "un.${NAME}" SectionRemoval
   SectionIn RO
   StrCpy $R8 $INSTDIR
   Call un.CloseProgram
-  nsExec::ExecToLog '"${BIN}\${EXE}" installation remove-from-path "${BIN}"'
+  nsExec::ExecToLog '"$Tools\${EXE}" installation remove-from-path "${BIN}"'
   Pop $R0
   ${GetParameters} $R0
   ClearErrors
   ${GetOptions} $R0 "/UPGRADE=" $R1
   ${If} ${Errors}
-    nsExec::ExecToLog '"${BIN}\${EXE}" installation remove-autostart'
+    nsExec::ExecToLog '"$Tools\${EXE}" installation remove-autostart'
     Pop $R0
   ${EndIf}
   ReadRegDWORD $R0 HKLM "${OWN_KEY}" "Firewall"
@@ -464,11 +517,10 @@ Section "un.${NAME}" SectionRemoval
   RMDir "$INSTDIR"
 SectionEnd
 
-LangString ABOUT_REMOVAL ${LANG_ENGLISH} "The program, its documentation, its Start-menu \
-  entries, its command and its firewall rule. Recordings are never touched."
-LangString ABOUT_SETTINGS ${LANG_ENGLISH} "What you have set for your devices, the logs, and \
-  what is in your keyring for vendors' services. They cannot be brought back. Those of other \
-  users of this PC stay."
+LangString ABOUT_REMOVAL ${LANG_ENGLISH} "The program and all else that was installed. Recordings are never \
+  touched."
+LangString ABOUT_SETTINGS ${LANG_ENGLISH} "Your settings, logs and secrets for vendors' services, for good. \
+  Those of other users stay."
 !insertmacro MUI_UNFUNCTION_DESCRIPTION_BEGIN
   !insertmacro MUI_DESCRIPTION_TEXT ${SectionRemoval} $(ABOUT_REMOVAL)
   !insertmacro MUI_DESCRIPTION_TEXT ${SectionSettings} $(ABOUT_SETTINGS)
@@ -478,6 +530,12 @@ Function un.onInit
   SetRegView 64
   SetShellVarContext all
   ${GetParameters} $R0
+  ClearErrors
+  ; Of an installer, where others can change what is here.
+  ${GetOptions} $R0 "/TOOLS=" $Tools
+  ${If} ${Errors}
+    StrCpy $Tools "${BIN}"
+  ${EndIf}
   ClearErrors
   ${GetOptions} $R0 "/REMOVE_SETTINGS=" $R1
   ${IfNot} ${Errors}

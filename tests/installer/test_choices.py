@@ -26,7 +26,7 @@ ADDED = [
 DELETED = ["advfirewall", "firewall", "delete", "rule", f"name={NAME}"]
 # Without any device, it would ask.
 DISABLED = '[[device]]\nsensor = "zephyr"\nunit = "1"\nport = "COM7"\nenabled = false\n'
-AT_LOGON = "run --no-ask"
+AT_LOGON = "run --no-ask --keep-alive"
 AUTOSTART = rf'"C:\windows\system32\cmd.exe" /c start "{NAME}" /min "{EXE}" {AT_LOGON}'
 
 # Wine has a netsh that does nothing but tell its words.

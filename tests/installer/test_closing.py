@@ -5,13 +5,14 @@ With a program in the place of the real one, which does nothing but tell what it
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 
-from installer.layout import WORK
+from installer.layout import BIN, PROGRAM, WORK
 from installer.stages import Build
 from installer.wine.recipe import PICTURES, PREFIX
 from tests.rigs.windows.desktop import DEFAULT_FOLDER
@@ -99,6 +100,44 @@ def test_the_quiet_uninstall_string_tells_what_came_of_it(stub_pc: WindowsPc) ->
     wait_until(lambda: not stub_pc.program_folder.exists(), "the folder is gone")
     stub_pc.prefix.settle()
     assert stub_pc.registry(UNINSTALL_KEY) is None
+
+
+def test_nothing_that_others_can_replace_is_run_as_administrator(
+    disk: Path, stub_setup: Path
+) -> None:
+    with WindowsPc(disk) as pc:
+        outside = pc.drive_c / "Everybody" / "Gateway"
+        into = (r"/D=C:\Everybody\Gateway",)
+        assert pc.install(stub_setup, "/AUTOSTART=1", *into).returncode == DONE
+        program = outside / BIN / f"{PROGRAM}.exe"
+        # Somebody has put another program in the place of the uninstaller.
+        shutil.copy(program, outside / "uninstall.exe")
+        stale = outside / BIN / "_internal" / "of_an_earlier_version.dll"
+        stale.touch()
+        calls(pc).unlink()
+        process = pc.prefix.start(program, "run")
+        wait_until(lambda: calls(pc).exists() and "run" in calls(pc).read_text(), "the stub runs")
+        places = pc.drive_c / "places.txt"
+        (by_user, *_) = places.read_text().splitlines()[-1:]
+        assert by_user.startswith(r"C:\Everybody")
+        places.unlink()
+        assert pc.prefix.attempt(stub_setup, "/S", "/FORCE=1").returncode == DONE
+        end(pc, process)
+        assert asked(pc)[:3] == ["record stop", "page --end", "stop"]
+        assert "installation autostart-state" in calls(pc).read_text()
+        assert program.is_file()
+        assert not stale.exists()
+        run_from = places.read_text().splitlines()
+        assert run_from
+        assert [each for each in run_from if each.startswith(r"C:\Everybody")] == []
+        # What is moved to where only administrators can change it runs there.
+        places.unlink()
+        assert pc.install(stub_setup, *f"/D={DEFAULT_FOLDER}".split(" ")).returncode == DONE
+        assert not outside.exists()
+        assert pc.program.is_file()
+        run_from = places.read_text().splitlines()
+        assert [each for each in run_from if each.startswith(r"C:\Everybody")] == []
+        assert run_from[-1].startswith(DEFAULT_FOLDER)
 
 
 def test_choices_that_were_not_met_are_told_by_the_code(

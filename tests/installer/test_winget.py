@@ -17,6 +17,7 @@ from installer.layout import PROGRAM, PUBLISHER, SOURCES, version
 NSIS = (SOURCES / "biosensor-gateway.nsi").read_text(encoding="utf-8")
 URL = "https://example.org/releases/download/v1/setup.exe"
 # What fits into the list of choices at its usual size, with the box in front of it.
+LONGEST_TEXT = 100
 LONGEST_LABEL = 40
 
 
@@ -99,4 +100,8 @@ def test_every_choice_is_explained() -> None:
     sections = re.findall(r'^Section .*" (Section\w+)$', NSIS, re.MULTILINE)
     explained = re.findall(r"MUI_DESCRIPTION_TEXT \$\{(\w+)\} \$\((\w+)\)", NSIS)
     assert sorted(sections) == sorted(section for section, _ in explained)
-    assert {text for _, text in explained} == set(re.findall(r"^LangString (\w+)", NSIS, re.M))
+    texts = dict(re.findall(r'^LangString (\w+) \S+ "((?:[^"\\]|\\\n *)*)"$', NSIS, re.M))
+    assert {text for _, text in explained} == texts.keys()
+    # There is room for two lines; a longer text is cut off.
+    shown = {name: re.sub(r"\\\n *", "", text) for name, text in texts.items()}
+    assert {name: len(each) for name, each in shown.items() if len(each) > LONGEST_TEXT} == {}

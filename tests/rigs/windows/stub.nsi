@@ -1,5 +1,5 @@
 ; A program in the place of the installed one, for tests of the installer alone. It notes its
-; command line in C:\calls.txt, runs until there is C:\end, which `stop` makes, and answers
+; command line in C:\calls.txt, and in C:\places.txt where it lies, runs until there is C:\end, which `stop` makes, and answers
 ; `installation ...` with what is in the file of that command's name, or 0.
 Target amd64-unicode
 Name stub
@@ -15,6 +15,10 @@ Section
   FileOpen $R1 "C:\calls.txt" a
   FileSeek $R1 0 END
   FileWrite $R1 "$R0$\r$\n"
+  FileClose $R1
+  FileOpen $R1 "C:\places.txt" a
+  FileSeek $R1 0 END
+  FileWrite $R1 "$EXEPATH$\r$\n"
   FileClose $R1
   ${WordFind} $R0 " " "+1" $R2
   ${If} $R2 == "run"
