@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import pytest
 
 from biosensor_common.doctor.finding import Level
 from biosensor_common.doctor.lsl_api_file import Ports
 from biosensor_gateway.doctor.checks.windows_firewall import Network, judge_rules
-from biosensor_gateway.doctor.firewall_policy import Protocol, Rule, read_rule
+from biosensor_gateway.doctor.firewall_policy import (
+    Protocol,
+    Rule,
+    Treatment,
+    merged,
+    read_rule,
+)
 
 PORTS = Ports(16571, 16572, 16603)
 EXE = r"C:\Program Files\Biosensor Gateway\biosensor-gateway.exe"
 NAME = "Biosensor Gateway"
+ORDINARY = Treatment()
 
 # As netsh and Windows' own question write them.
 INSTALLED = (
@@ -28,9 +38,16 @@ OF_PORTS = [
 ]
 
 
-def judged(*written: str, network: Network | None = Network.PRIVATE) -> list[tuple[Level, str]]:
+def judged(
+    *written: str,
+    network: Network | None = Network.PRIVATE,
+    of_domain: Sequence[str] = (),
+    private: Treatment = ORDINARY,
+) -> list[tuple[Level, str]]:
     rules = [rule for rule in map(read_rule, written) if rule is not None]
-    return [(each.level, each.what) for each in judge_rules(rules, EXE, PORTS, network)]
+    rules += [replace(rule, is_local=False) for rule in map(read_rule, of_domain) if rule]
+    found = judge_rules(rules, EXE, PORTS, network, {"Private": private})
+    return [(each.level, each.what) for each in found]
 
 
 def test_the_rule_of_the_installer_is_read() -> None:
@@ -115,6 +132,53 @@ def test_rules_for_ports_let_every_program_in() -> None:
 
 
 def test_rules_that_cannot_be_read() -> None:
-    (found,) = judge_rules(None, EXE, PORTS, None)
+    (found,) = judge_rules(None, EXE, PORTS, None, {})
     assert (found.level, "cannot be read" in found.what) == (Level.NOTE, True)
     assert "netsh advfirewall" in found.fix
+
+
+def test_a_firewall_that_is_off_needs_no_rule() -> None:
+    off = Treatment(is_on=False)
+    ((level, what),) = judged(CANCELLED.format(6), private=off)
+    assert (level, "is off in private networks" in what) == (Level.OK, True)
+    # Of two kinds of network one is not.
+    assert judged(private=off, network=None)[0][0] is Level.NOTE
+    assert judged(INSTALLED, private=off, network=Network.DOMAIN)[0][0] is Level.OK
+
+
+def test_nothing_is_right_where_everything_is_blocked() -> None:
+    shut = Treatment(lets_in=False)
+    ((level, what),) = judged(INSTALLED, private=shut)
+    assert (level, "lets nobody in, in private networks" in what) == (Level.WARNING, True)
+    assert judged(INSTALLED, private=shut, network=Network.DOMAIN)[0][0] is Level.OK
+
+
+def test_rules_of_a_pc_that_its_manager_does_not_merge_are_none() -> None:
+    deaf = Treatment(heeds_local_rules=False)
+    ((level, what),) = judged(INSTALLED, private=deaf)
+    assert (level, "only rules of who manages this PC" in what) == (Level.WARNING, True)
+    # What Windows' own question has blocked is not in force, either.
+    allowed = (Level.OK, f"the firewall lets this program in: {NAME!r}")
+    blocked = CANCELLED.format(6)
+    assert judged(INSTALLED, blocked, of_domain=[INSTALLED], private=deaf) == [allowed]
+    assert judged(INSTALLED, of_domain=[blocked], private=deaf)[0][0] is Level.WARNING
+
+
+OF_MANAGERS: list[tuple[dict[str, object], list[dict[str, object]], Treatment]] = [
+    ({}, [{}, {}], ORDINARY),
+    ({"EnableFirewall": 0}, [{}, {}], Treatment(is_on=False)),
+    ({"EnableFirewall": 0}, [{"EnableFirewall": 1}, {}], ORDINARY),
+    ({"EnableFirewall": 1}, [{}, {"EnableFirewall": 0}], Treatment(is_on=False)),
+    ({"DoNotAllowExceptions": 1}, [{}, {}], Treatment(lets_in=False)),
+    ({}, [{"AllowLocalPolicyMerge": 0}, {}], Treatment(heeds_local_rules=False)),
+    ({}, [{"AllowLocalPolicyMerge": 1}, {"AllowLocalPolicyMerge": 1}], ORDINARY),
+    # A PC cannot say this of itself.
+    ({"AllowLocalPolicyMerge": 0}, [{}, {}], ORDINARY),
+]
+
+
+@pytest.mark.parametrize(("local", "managed", "treatment"), OF_MANAGERS)
+def test_settings_of_who_manages_a_pc_come_first(
+    local: dict[str, object], managed: list[dict[str, object]], treatment: Treatment
+) -> None:
+    assert merged(local, managed) == treatment

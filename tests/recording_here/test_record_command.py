@@ -31,14 +31,17 @@ def record(state: Path) -> Record:
 
 @pytest.mark.seam
 def test_it_records_until_it_is_stopped(record: Record, sources: Sources, tmp_path: Path) -> None:
-    start = ("start", "--here", "--folder", str(tmp_path), "--participant", "P07")
+    folder = tmp_path / "OneDrive"
+    folder.mkdir()
+    start = ("start", "--here", "--folder", str(folder), "--participant", "P07")
     begun = record(*start, "--json")
     assert begun.code == 0, begun.err
     file = begun.json["file"]
-    assert (begun.json["by"], Path(file).parents[3]) == ("gateway", tmp_path)
+    assert (begun.json["by"], Path(file).parents[3]) == ("gateway", folder)
     # Nobody's agent has them, and they are recorded all the same.
     assert {each["name"] for each in begun.json["foreign"]} == {"chest", "wrist"}
     assert "--only-ours" in begun.json["warnings"][0]
+    assert begun.json["warnings"][-1].startswith("OneDrive copies")
 
     again = record(*start)
     assert again.code == 1

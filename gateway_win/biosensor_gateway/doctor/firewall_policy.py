@@ -1,8 +1,9 @@
-r"""Reads the rules of the firewall of Windows from the registry.
+r"""Reads rules and settings of the firewall of Windows from the registry.
 
 netsh tells them in the language of the system; the registry has the same words everywhere.
 Format of a rule: [MS-GPFAS] 2.2.2.19, for instance ``v2.31|Action=Allow|Active=TRUE|Dir=In|
-Protocol=17|Profile=Private|LPort=16571|App=C:\x.exe|Name=LSL|``.
+Protocol=17|Profile=Private|LPort=16571|App=C:\x.exe|Name=LSL|``. Settings of a kind of network:
+[MS-GPFAS] 2.2.3.
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ import ntpath
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum, unique
 
 _FOLDER = r"SYSTEM\CurrentControlSet\Services\SharedAccess\Parameters\FirewallPolicy"
-_RULES = rf"{_FOLDER}\FirewallRules"
-_RULES_OF_DOMAIN = r"SOFTWARE\Policies\Microsoft\WindowsFirewall\FirewallRules"
+_OF_DOMAIN = r"SOFTWARE\Policies\Microsoft\WindowsFirewall"
+_OF_DEVICE_MANAGEMENT = rf"{_FOLDER}\Mdm"
+_MANAGED = (_OF_DOMAIN, _OF_DEVICE_MANAGEMENT)
+_RULES = "FirewallRules"
 _VARIABLE = re.compile(r"%([^%]+)%")
 # Rules for a service, or for a packaged app, are for no ordinary program.
 _FOR_OTHERS = ("Svc", "AppPkgId", "PFN")
@@ -50,6 +53,8 @@ class Rule:
         Ranges, each with its end; None for all.
     profiles
         ``Private``, ``Domain``, ``Public``; all of them if none is named.
+    is_local
+        Whether this PC has it, not its domain or device management.
     """
 
     name: str
@@ -59,9 +64,10 @@ class Rule:
     protocols: frozenset[Protocol] = frozenset(Protocol)
     ports: tuple[tuple[int, int], ...] | None = None
     profiles: frozenset[str] = frozenset()
+    is_local: bool = True
 
     def holds_in(self, profile: str) -> bool:
-        """Whether it is in force in networks of a kind."""
+        """Whether it is for networks of a kind."""
         return not self.profiles or profile in self.profiles
 
     def is_for(self, program: str) -> bool:
@@ -73,6 +79,25 @@ class Rule:
         if self.ports is None:
             return set(wanted)
         return {each for each in wanted if any(low <= each <= high for low, high in self.ports)}
+
+
+@dataclass(frozen=True, slots=True)
+class Treatment:
+    """How the firewall treats networks of one kind.
+
+    Attributes
+    ----------
+    is_on
+        Else it holds nothing back.
+    lets_in
+        Whether rules can let anything in at all.
+    heeds_local_rules
+        Whether those of this PC are in force, and not only those of its domain.
+    """
+
+    is_on: bool = True
+    lets_in: bool = True
+    heeds_local_rules: bool = True
 
 
 def same_file(one: str, other: str) -> bool:
@@ -143,21 +168,46 @@ def _expanded(path: str, variables: Mapping[str, str]) -> str:
 
 
 def rules() -> list[Rule] | None:
-    """Return the rules of this PC and of its domain; None where they cannot be read."""
+    """Return the rules of this PC and of who manages it; None where they cannot be read."""
+    local = _values(rf"{_FOLDER}\{_RULES}")
+    if local is None:
+        return None
+    found = list(filter(None, map(read_rule, map(str, local.values()))))
+    for folder in _MANAGED:
+        managed = map(read_rule, map(str, (_values(rf"{folder}\{_RULES}") or {}).values()))
+        found.extend(replace(rule, is_local=False) for rule in managed if rule is not None)
+    return found
+
+
+def treatment(profile: str) -> Treatment:
+    """Return how networks of a kind are treated: ``Private``, ``Domain`` or ``Public``."""
+    # The private one has the name that it had before there were three.
+    own = {"Private": "Standard"}.get(profile, profile)
+    local = _values(rf"{_FOLDER}\{own}Profile") or {}
+    return merged(local, [_values(rf"{each}\{profile}Profile") or {} for each in _MANAGED])
+
+
+def merged(local: Mapping[str, object], managed: Sequence[Mapping[str, object]]) -> Treatment:
+    """Join the settings of a PC with those of who manages it, which come first."""
+    settings = dict(local)
+    for each in managed:
+        settings |= each
+    return Treatment(
+        is_on=settings.get("EnableFirewall", 1) != 0,
+        lets_in=settings.get("DoNotAllowExceptions", 0) != 1,
+        heeds_local_rules=all(each.get("AllowLocalPolicyMerge", 1) != 0 for each in managed),
+    )
+
+
+def _values(path: str) -> dict[str, object] | None:
+    """Return what is in a key of the registry; None if it cannot be read."""
     if sys.platform != "win32":
         return None
     import winreg  # Windows only
 
-    found: list[Rule] = []
-    for path in (_RULES, _RULES_OF_DOMAIN):
-        try:
-            with winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, path) as key:
-                texts = [winreg.EnumValue(key, at)[1] for at in range(winreg.QueryInfoKey(key)[1])]
-        except FileNotFoundError:
-            if path == _RULES:
-                return None
-            continue
-        except OSError:
-            return None
-        found.extend(rule for rule in map(read_rule, map(str, texts)) if rule is not None)
-    return found
+    try:
+        with winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, path) as key:
+            entries = [winreg.EnumValue(key, at) for at in range(winreg.QueryInfoKey(key)[1])]
+    except OSError:
+        return None
+    return {name: value for name, value, _ in entries}

@@ -31,6 +31,7 @@ from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look, titles
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.system.cloud_folders import recordings_folder, warnings_of
 
 LOOK_S = 1.0
 _FOLDER = "Biosensor recordings"
@@ -58,7 +59,7 @@ class Recorder:
         self._busy = ""
         self._looking = asyncio.Lock()
         self._verdict: VerdictView | None = None
-        self._folder = platformdirs.user_documents_path() / _FOLDER
+        self._folder = recordings_folder(platformdirs.user_documents_path(), Path.home(), _FOLDER)
         self._used: set[Path] = set()
         self._story = Story()
 
@@ -105,7 +106,8 @@ class Recorder:
         self._verdict = None
         self._story = Story(begun)
         await self._show()
-        notes = "".join(f" Note: {each}." for each in (*begun.warnings, *self._story.remarks))
+        said = dict.fromkeys((*begun.warnings, *self._story.remarks))
+        notes = "".join(f" Note: {each}." for each in said)
         return Outcome(sentence=f"{begun.file} is being recorded.{notes}")
 
     async def stop(self) -> Outcome:
@@ -269,6 +271,8 @@ class Story:
         self.remarks: list[str] = []
         if begun and begun.foreign:
             self.remarks = [f"streams of other programs are recorded, too: {titles(begun.foreign)}"]
+        if begun:
+            self.remarks += warnings_of(begun.file.parent)
 
     @property
     def notes(self) -> list[str]:

@@ -3,8 +3,8 @@
 A console that closes is told to a console control handler. So are logoff and
 shutdown, but not to a program that has user32.dll loaded, and OpenSSL loads it;
 such a program is told through the messages of a window. Sources: Microsoft's
-documentation of ``SetConsoleCtrlHandler``, ``HandlerRoutine``, ``WM_QUERYENDSESSION``
-and ``WM_ENDSESSION``.
+documentation of ``SetConsoleCtrlHandler``, ``HandlerRoutine``, ``WM_QUERYENDSESSION``,
+``WM_ENDSESSION`` and ``SetProcessShutdownParameters``.
 """
 
 from __future__ import annotations
@@ -21,18 +21,26 @@ CTRL_C_EVENT, CTRL_BREAK_EVENT = 0, 1
 WM_QUERYENDSESSION, WM_ENDSESSION = 0x0011, 0x0016
 WINDOW_CLASS = "BiosensorGatewaySession"
 
+_TOLD_FIRST = 0x3FF
+"""The highest level of programs; the usual one is 0x280. Higher ones are told earlier."""
+
 # Windows ends a program 5 s after it has told it (HungAppTimeout).
 GRACE_S = 4.5
 
 _log = structlog.get_logger("biosensor_gateway.shutdown")
 
 
-def watch(stop: Callable[[], None]) -> None:
+def watch(stop: Callable[[], None], *, before_others: bool = False) -> None:
     """Call ``stop`` at Ctrl-Break, the console's close and the session's end.
 
     To be called once in a process. ``stop`` is called in other threads than the main one.
     Except for Ctrl-Break, Windows ends the process as soon as it has an answer, so the
     answer is kept back for `GRACE_S`, in which the process has time to exit by itself.
+
+    Parameters
+    ----------
+    before_others
+        Whether the session's end is told here before other programs are ended.
 
     Raises
     ------
@@ -40,6 +48,8 @@ def watch(stop: Callable[[], None]) -> None:
         If Windows refuses the console control handler.
     """
     assert sys.platform == "win32"
+    if before_others and not _kernel32().SetProcessShutdownParameters(_TOLD_FIRST, 0):
+        _log.debug("not told of the session's end before others", error=ctypes.get_last_error())
 
     def stop_and_wait_for_exit() -> None:
         stop()
@@ -90,10 +100,7 @@ if sys.platform == "win32":
             return True
 
         _keep_for_ever(handle)
-        kernel32 = ctypes.WinDLL("kernel32", use_last_error=True)
-        kernel32.SetConsoleCtrlHandler.argtypes = [_HandlerRoutine, wintypes.BOOL]
-        kernel32.SetConsoleCtrlHandler.restype = wintypes.BOOL
-        if not kernel32.SetConsoleCtrlHandler(handle, True):
+        if not _kernel32().SetConsoleCtrlHandler(handle, True):
             raise ctypes.WinError(ctypes.get_last_error())
 
     def _watch_session(stop_and_wait_for_exit: Callable[[], None]) -> None:
@@ -132,6 +139,14 @@ if sys.platform == "win32":
             0, WINDOW_CLASS, name, 0, *position_and_size, None, None, None, None
         ):
             raise ctypes.WinError(ctypes.get_last_error())
+
+    def _kernel32() -> ctypes.WinDLL:
+        kernel32 = ctypes.WinDLL("kernel32", use_last_error=True)
+        kernel32.SetConsoleCtrlHandler.argtypes = [_HandlerRoutine, wintypes.BOOL]
+        kernel32.SetConsoleCtrlHandler.restype = wintypes.BOOL
+        kernel32.SetProcessShutdownParameters.argtypes = [wintypes.DWORD, wintypes.DWORD]
+        kernel32.SetProcessShutdownParameters.restype = wintypes.BOOL
+        return kernel32
 
     def _user32() -> ctypes.WinDLL:
         user32 = ctypes.WinDLL("user32", use_last_error=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from enum import IntEnum, unique
 
 from biosensor_common.doctor import firewall_rules, lsl_text
@@ -11,7 +11,7 @@ from biosensor_common.doctor.finding import Finding, note, ok, warning
 from biosensor_common.doctor.lsl_api_file import Ports
 from biosensor_gateway.doctor import firewall_policy
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.firewall_policy import Protocol, Rule
+from biosensor_gateway.doctor.firewall_policy import Protocol, Rule, Treatment
 
 _NETWORKS = r"SOFTWARE\Microsoft\Windows NT\CurrentVersion\NetworkList\Profiles"
 # Where the installer's rule is meant to hold.
@@ -38,7 +38,11 @@ def examine(context: Context) -> Iterator[Finding]:
     latest = latest_network()
     network = None if latest is None else latest[1]
     yield from judge_rules(
-        firewall_policy.rules(), _own_program(), lsl_text.ports(context.config), network
+        firewall_policy.rules(),
+        _own_program(),
+        lsl_text.ports(context.config),
+        network,
+        {each: firewall_policy.treatment(each) for each in _profiles(network)},
     )
     if latest is not None:
         yield judge_network(*latest)
@@ -50,8 +54,16 @@ def _own_program() -> str:
     return own if getattr(sys, "frozen", False) else getattr(sys, "_base_executable", own)
 
 
+def _profiles(network: Network | None) -> list[str]:
+    return _PROFILES if network is None else [network.name.capitalize()]
+
+
 def judge_rules(
-    rules: Iterable[Rule] | None, program: str, ports: Ports, network: Network | None
+    rules: Iterable[Rule] | None,
+    program: str,
+    ports: Ports,
+    network: Network | None,
+    treatments: Mapping[str, Treatment],
 ) -> Iterator[Finding]:
     """Judge which rules let a program receive what LSL needs.
 
@@ -65,33 +77,69 @@ def judge_rules(
         Of LSL.
     network
         What Windows takes the present network for; None if nobody knows.
+    treatments
+        Of each kind of network; one that is not there is an ordinary one.
     """
-    opening = (
-        firewall_rules.windows(ports) + "\nor install again with 'Allow it through the firewall'"
-    )
+    opening = firewall_rules.windows(ports) + "\nor install again with 'Firewall rule' ticked"
     if rules is None:
         yield note("the rules of Windows' firewall cannot be read", _WHY, opening)
         return
-    profiles = _PROFILES if network is None else [network.name.capitalize()]
+    treated = {each: treatments.get(each, Treatment()) for each in _profiles(network)}
+    off = [profile for profile, treatment in treated.items() if not treatment.is_on]
+    if len(off) == len(treated):
+        yield ok(
+            f"the firewall of Windows is off in {_kinds(off)} networks, so it holds nothing back; "
+            "that of another program may"
+        )
+        return
+    shut = [profile for profile, treatment in treated.items() if not treatment.lets_in]
+    if shut:
+        yield warning(
+            f"the firewall lets nobody in, in {_kinds(shut)} networks, whatever its rules say",
+            _WHY,
+            "Windows Security > Firewall & network protection > the network > untick 'Blocks all "
+            "incoming connections'; where it is grey, ask who manages this PC",
+        )
+    # One that is off needs no rule.
+    on = [profile for profile in treated if profile not in off]
     named = list(rules)
     ours = [rule for rule in named if rule.is_active and rule.is_for(program)]
+
+    def in_force(rule: Rule) -> bool:
+        return any(
+            rule.holds_in(each) and (treated[each].heeds_local_rules or not rule.is_local)
+            for each in on
+        )
+
     needs = _needs(ports)
     blocking = [
         rule
         for rule in ours
         if not rule.allows
-        and any(map(rule.holds_in, profiles))
+        and in_force(rule)
         and any(rule.opened(needs[each]) for each in rule.protocols)
     ]
     yield from (_blocked(rule) for rule in blocking)
-    allowing = [rule for rule in ours if rule.allows and any(map(rule.holds_in, profiles))]
+    allowing = [rule for rule in ours if rule.allows and in_force(rule)]
     closed = [each.name for each in Protocol if not _is_open(allowing, each, needs[each])]
-    if closed:
+    deaf = [each for each in on if not treated[each].heeds_local_rules]
+    if closed and deaf:
+        yield warning(
+            f"in {_kinds(deaf)} networks the firewall heeds only rules of who manages this PC, "
+            f"and none of those lets {' and '.join(closed)} in to this program",
+            _WHY,
+            f"ask them for a rule for {program}, or for local rules to be merged",
+        )
+    elif closed:
         what = f"no rule of the firewall lets {' and '.join(closed)} in to this program"
-        yield note(what + _nearly(named, program, profiles), _WHY, opening)
-    elif not blocking:
+        yield note(what + _nearly(named, program, on), _WHY, opening)
+    elif not blocking and not shut:
         names = ", ".join(dict.fromkeys(repr(rule.name) for rule in allowing))
         yield ok(f"the firewall lets this program in: {names}")
+
+
+def _kinds(profiles: Iterable[str]) -> str:
+    return " and ".join(sorted(profiles)).lower()
 
 
 def _needs(ports: Ports) -> dict[Protocol, set[int]]:
@@ -126,7 +174,7 @@ def _nearly(rules: Iterable[Rule], program: str, profiles: Iterable[str]) -> str
     elif not rule.is_for(program):
         why = f"is for {rule.program}"
     elif not any(map(rule.holds_in, profiles)):
-        why = f"holds in {' and '.join(sorted(rule.profiles)).lower()} networks only"
+        why = f"holds in {_kinds(rule.profiles)} networks only"
     else:
         why = "is for other ports or protocols"
     return f"; the rule {rule.name!r} {why}"

@@ -21,6 +21,7 @@ from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import library_folder
 from biosensor_gateway.recording.here.said import Said
 from biosensor_gateway.recording.here.ways import OWN
+from biosensor_gateway.system import windows_shutdown
 from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.child import start_beside
 
@@ -102,7 +103,10 @@ class _Keeper:
                 restore_signals=False,
             )
         for number in _requests():
-            signal.signal(number, self._tell)
+            signal.signal(number, lambda _number, _frame: self._request_end())
+        if sys.platform == "win32":
+            # The recorder's program would be ended like any other, with its file open.
+            windows_shutdown.watch(self._request_end, before_others=True)
         return process
 
     def _end(self, process: subprocess.Popen[bytes], kept: Kept) -> str:
@@ -118,7 +122,7 @@ class _Keeper:
         said = Said(self._folder.what_was_said()).end if kept.recorder == OWN else ""
         return f"{kept.recorder} ended by itself: {said or ending_in_words(code)}"
 
-    def _tell(self, _number: int, _frame: object) -> None:
+    def _request_end(self) -> None:
         self._is_told_to_end = True
 
     def _is_to_end(self) -> bool:

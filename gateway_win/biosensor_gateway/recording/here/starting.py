@@ -39,6 +39,7 @@ from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStr
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.system import state_file
+from biosensor_gateway.system.cloud_folders import warnings_of
 
 _POLL_S = 0.1
 WAY_S = 20.0
@@ -93,7 +94,13 @@ def begin(
         took_s=time.monotonic() - begun,
         streams=recorded,
         foreign=foreign,
-        warnings=(*remarks, *recorded_without(presence.away), *left_out, *_foreign(order, foreign)),
+        warnings=(
+            *remarks,
+            *recorded_without(presence.away),
+            *left_out,
+            *_foreign(order, foreign),
+            *warnings_of(file.parent),
+        ),
         left_out=left_out,
     )
 

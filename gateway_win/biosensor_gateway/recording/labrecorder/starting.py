@@ -29,6 +29,7 @@ from biosensor_gateway.recording.participants import (
     compare,
     participant_of,
 )
+from biosensor_gateway.system.cloud_folders import warnings_of
 
 GROWTH_S = 30.0
 STILL_RECORDS_S = 10.0
@@ -121,6 +122,7 @@ def start(
         # Only now its name is certain.
         problem = remember(state, replace(kept, file=str(file)))
     warnings += [problem] if problem else []
+    warnings += warnings_of(file.parent) if file is not None else ()
     return Started(
         by=By.WINDOW,
         verified=file is not None,

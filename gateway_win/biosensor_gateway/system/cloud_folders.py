@@ -1,0 +1,61 @@
+"""Tells folders that a program copies to a cloud service while files are written there."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+_ONEDRIVE = ("OneDrive", "OneDriveConsumer", "OneDriveCommercial")
+"""Variables that OneDrive sets to its folders, which may have any names."""
+_FOLDERS = (
+    (re.compile(r"OneDrive( - .+)?", re.IGNORECASE), "OneDrive"),
+    (re.compile(r"Dropbox( \(.+\))?", re.IGNORECASE), "Dropbox"),
+    (re.compile(r"Google ?Drive|My Drive|DriveFS", re.IGNORECASE), "Google Drive"),
+    (re.compile(r"iCloud ?Drive|Mobile Documents", re.IGNORECASE), "iCloud"),
+    (re.compile(r"Nextcloud|ownCloud", re.IGNORECASE), "Nextcloud or ownCloud"),
+    (re.compile(r"CloudStorage"), "a cloud service"),
+)
+"""Names that such folders have by default; macOS has all of them in CloudStorage."""
+_FETCHED_WHEN_OPENED = 0x00040000 | 0x00400000
+"""FILE_ATTRIBUTE_RECALL_ON_OPEN and FILE_ATTRIBUTE_RECALL_ON_DATA_ACCESS of Windows."""
+
+
+def cloud_of(folder: Path, variables: Mapping[str, str] = os.environ) -> str:
+    """Return what copies a folder to other computers; empty if nothing is known to."""
+    for name in _ONEDRIVE:
+        of_onedrive = variables.get(name)
+        if of_onedrive and folder.is_relative_to(of_onedrive):
+            return "OneDrive"
+    for part in reversed(folder.parts):
+        for pattern, title in _FOLDERS:
+            if pattern.fullmatch(part):
+                return title
+    return "a cloud service" if _is_fetched_when_opened(folder) else ""
+
+
+def warnings_of(folder: Path) -> tuple[str, ...]:
+    """Return the sentence to be said of a folder of recordings, if there is any."""
+    cloud = cloud_of(folder)
+    sentence = (
+        f"{cloud} copies {folder} to other computers: what is recorded of people leaves this one, "
+        "and the file may be held while it grows. Choose a folder that stays here"
+    )
+    return (sentence,) if cloud else ()
+
+
+def recordings_folder(documents: Path, home: Path, name: str) -> Path:
+    """Return where recordings are kept by default: among the documents, if those stay here."""
+    return (home if cloud_of(documents) else documents) / name
+
+
+def _is_fetched_when_opened(folder: Path) -> bool:
+    if sys.platform != "win32":
+        return False
+    try:
+        return bool(folder.stat().st_file_attributes & _FETCHED_WHEN_OPENED)
+    except OSError:
+        # It is made only when something is recorded.
+        return False
