@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from biosensor_common.doctor import runner
 from biosensor_common.doctor.check import Category, Check
 from biosensor_common.doctor.finding import Finding, Level, error, note, ok
 from biosensor_common.doctor.runner import Report, run_checks
@@ -71,6 +72,20 @@ def test_a_check_that_cannot_be_imported_is_a_finding() -> None:
     failed, there = report.findings
     assert "ModuleNotFoundError" in failed.what
     assert there.level is Level.OK
+
+
+@pytest.mark.nightly
+def test_checks_that_hold_each_other_up_get_more_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_ON_A_BUSY_COMPUTER", 1000)
+    released = threading.Event()
+
+    def slow(_: Context) -> Iterator[Finding]:
+        released.wait()
+        yield ok("it is there")
+
+    threading.Timer(1.0, released.set).start()
+    report = run(*(made(name, slow, limit_s=0.3) for name in ("one", "other")))
+    assert [each.level for each in report.findings] == [Level.OK, Level.OK]
 
 
 @pytest.mark.nightly
