@@ -8,6 +8,7 @@ import os
 import uuid
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from importlib import metadata
 from typing import Any, cast
 
 from cyclonedx import model
@@ -23,6 +24,8 @@ from installer.bundle.model import BundledFile, Component
 from installer.layout import PROGRAM
 
 FILE_NAME = "sbom.cdx.json"
+_LIBRARY = "cyclonedx-python-lib"
+"""Named as the tool that has written it."""
 MODULE = f"{PROGRAM}:module"
 LICENCE_TEXT = f"{PROGRAM}:licence-text"
 NOTE = f"{PROGRAM}:licence-note"
@@ -64,6 +67,9 @@ def write_sbom(
     bom = _Bom(components=entries.values(), serial_number=uuid.UUID(int=0))
     bom.metadata.component = root
     bom.metadata.supplier = _Organisation(name=product.supplier)
+    bom.metadata.tools.components.add(
+        _Entry(name=_LIBRARY, version=metadata.version(_LIBRARY), type=ComponentType.LIBRARY)
+    )
     entries[product.name] = root
     for each in (product, *others):
         bom.register_dependency(entries[each.name], [entries[name] for name in each.needs])
@@ -80,11 +86,11 @@ def _dump(document: dict[str, object]) -> bytes:
 
 
 def _set_time(document: dict[str, object]) -> None:
-    metadata = cast("dict[str, object]", document["metadata"])
-    del metadata["timestamp"]
+    described = cast("dict[str, object]", document["metadata"])
+    del described["timestamp"]
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     if epoch is not None:
-        metadata["timestamp"] = datetime.fromtimestamp(int(epoch), UTC).isoformat()
+        described["timestamp"] = datetime.fromtimestamp(int(epoch), UTC).isoformat()
 
 
 def _entry(

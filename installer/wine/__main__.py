@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
-from installer.layout import WORK
+from installer.layout import WORK, setup_file
 from installer.stages import Build
-from installer.wine.recipe import STAGES
+from installer.wine.recipe import PACKAGE, STAGES
 
 
 def main() -> None:
@@ -18,6 +19,9 @@ def main() -> None:
     build = Build(WORK)
     for name in wanted:
         build.bring_up_to_date(names[name])
+    if PACKAGE.name in wanted:
+        file = setup_file()
+        sys.stdout.write(f"wrote {os.path.relpath(file)}, {file.stat().st_size / 1e6:.1f} MB\n")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
@@ -86,6 +87,14 @@ def test_every_reference_is_to_one_entry(rig: Rig) -> None:
     references = [entry["bom-ref"] for entry in entries(bom)]
     assert len(references) == len(set(references))
     assert {each["ref"] for each in bom["dependencies"]} <= set(references)
+
+
+def test_it_names_what_has_written_it(rig: Rig) -> None:
+    (tool,) = completed(rig)["metadata"]["tools"]["components"]
+    assert (tool["name"], tool["version"]) == (
+        "cyclonedx-python-lib",
+        metadata.version("cyclonedx-python-lib"),
+    )
 
 
 def test_the_validator_finds_what_is_wrong(rig: Rig) -> None:

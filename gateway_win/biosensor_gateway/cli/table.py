@@ -6,6 +6,7 @@ its docstring.
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -64,6 +65,8 @@ def _command(name: str, place: str, first_lines: str, *, hidden: bool = False) -
 
 
 _hidden = partial(_command, hidden=True)
+# Elsewhere they can only say why they cannot be.
+_on_linux = partial(_command, hidden=sys.platform != "linux")
 
 COMMANDS = (
     _command(
@@ -106,7 +109,7 @@ COMMANDS = (
         "trying:try_out",
         "Try it without hardware: a page with virtual sensors, a recording, and its tables.",
     ),
-    _command("demo", "demo:demo", "Show all virtual devices on their way to ROS topics."),
+    _on_linux("demo", "demo:demo", "Show all virtual devices on their way to ROS topics."),
     _command(
         "status", "status:status", "Show what the running agent does; exit code 1 if none runs."
     ),
@@ -142,7 +145,7 @@ COMMANDS = (
     ),
     _command("config", "settings:app", "The settings file."),
     _command("secrets", "secrets:app", "Secrets in the keyring of the system."),
-    _command("service", "service:app", "The agent as a service of this user (Linux)."),
+    _on_linux("service", "service:app", "The agent as a service of this user (Linux)."),
     _command("record", "record:app", "Start, watch and stop recordings."),
     _command(
         "replay",
