@@ -11,7 +11,7 @@ import contextlib
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from biosensor_common.system_programs import full_path
@@ -23,6 +23,7 @@ _CHROMIUMS = (
     *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
     "microsoft-edge",
 )
+_MAC_CHROMIUMS = ("Google Chrome", "Microsoft Edge", "Chromium", "Brave Browser")
 
 
 def open_page(address: str, *, in_window: bool) -> bool:
@@ -88,8 +89,22 @@ if sys.platform == "win32":
         except OSError:
             return ""
 
+elif sys.platform == "darwin":
+
+    def _programs() -> Iterator[str]:
+        return apps((Path("/Applications"), Path.home() / "Applications"))
+
 else:
 
     def _programs() -> Iterator[str]:
         found = (full_path(name) for name in _CHROMIUMS)
         yield from (program for program in found if program is not None)
+
+
+def apps(folders: Iterable[Path]) -> Iterator[str]:
+    """Yield the programs of browsers that macOS has in its folders of applications."""
+    for name in _MAC_CHROMIUMS:
+        for folder in folders:
+            program = folder / f"{name}.app" / "Contents" / "MacOS" / name
+            if program.is_file():
+                yield str(program)
