@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -118,3 +119,44 @@ def test_a_stream_that_is_left_out_makes_it_not_whole(
     outcome = exported(content, "edf")
     assert not outcome.is_whole
     assert _edf(outcome).keys() == {"b.bdf"}
+
+
+BURST, BURSTS, LOST_BURST = 73, 60, 40
+REAL_HZ = 129.8
+
+
+def _in_bursts(*, is_lost: bool) -> bytes:
+    """What a sender stamps when a packet comes; one of them may have been lost."""
+    measured = BEGIN_S + np.arange(BURST * BURSTS) / REAL_HZ
+    stamps = np.repeat(measured[BURST - 1 :: BURST], BURST)
+    if is_lost:
+        stamps = np.delete(stamps, slice(LOST_BURST * BURST, (LOST_BURST + 1) * BURST))
+    values = np.arange(len(stamps), dtype=np.float32)[:, np.newaxis]
+    return made.xdf(
+        made.stream_header(1, "strap", kind="ECG", rate=130.0),
+        made.samples(1, "float32", values.tolist(), stamps.tolist()),
+    )
+
+
+def test_what_is_stamped_in_bursts_is_one_run_at_its_real_rate(exported: Exporting) -> None:
+    outcome = exported(_in_bursts(is_lost=False), "edf", "kubios", "bids")
+    values = np.arange(BURST * BURSTS, dtype=float).tolist()
+    assert _kubios(outcome) == {"strap.txt": values}
+    (told,) = (note for each in outcome.written for note in each.notes if "its rate" in note)
+    assert "129.8 Hz" in told
+    (edf,) = (each.path for each in outcome.written if each.format == "edf")
+    (signal,) = read_bdf(edf / "strap.bdf").signals
+    assert signal.sampling_frequency == pytest.approx(REAL_HZ, rel=1e-3)
+    (bids,) = (each.path for each in outcome.written if each.format == "bids")
+    (sidecar,) = bids.rglob("*_physio.json")
+    content = json.loads(sidecar.read_text())
+    assert content["SamplingFrequency"] == pytest.approx(REAL_HZ, rel=1e-3)
+    assert content["Gaps"] == 0
+
+
+def test_a_burst_that_was_lost_ends_a_run(exported: Exporting) -> None:
+    outcome = exported(_in_bursts(is_lost=True), "edf", "kubios")
+    assert {name: len(told) for name, told in _kubios(outcome).items()} == {
+        "strap_run1.txt": LOST_BURST * BURST,
+        "strap_run2.txt": (BURSTS - LOST_BURST - 1) * BURST,
+    }

@@ -180,11 +180,15 @@ def test_a_file_that_is_not_there_is_empty(written: Written) -> None:
     assert written.codes("one-id") == []
 
 
+def _steady(begin: float, count: int) -> list[float]:
+    return [begin + number / 10 for number in range(count)]
+
+
 def test_gaps_stay_said_when_all_goes_on(written: Written) -> None:
-    written.write(HEAD + TWO + data(1, 101.0, 101.1) + data(2, 101.0, 101.1, 101.2))
+    written.write(HEAD + TWO + data(1, *_steady(101.0, 120)) + data(2, 101.0, 101.1, 101.2))
     assert list(written.growth.gaps()) == []
     # Between two chunks, and within one.
-    written.write(data(1, 104.0, 104.1, 105.0))
+    written.write(data(1, *_steady(115.8, 60), *_steady(122.7, 60)))
     (gap,) = written.growth.gaps()
     assert (gap.stream, gap.text) == ("one", "2 gaps so far, the longest of 2.9 s")
     assert "gaps" not in {code for _, code in written.codes()}

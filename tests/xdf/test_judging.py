@@ -106,8 +106,14 @@ def test_stamps_that_run_backwards_or_are_no_numbers() -> None:
     stamps = _times(3000)
     stamps[700], stamps[1000], stamps[2000] = stamps[600], float("nan"), stamps[100]
     report = check(_one(stamps))
-    assert codes(report, Level.ERROR) == {("backwards", "a"), ("bad-stamps", "a")}
-    assert "2 places" in text_of(report, "backwards", "a")
+    expected = {"backwards", "bad-stamps", "stray-stamps"}
+    assert codes(report, Level.ERROR) == {(code, "a") for code in expected}
+    assert "in 1 place" in text_of(report, "backwards", "a")
+    assert "1 stamp is" in text_of(report, "stray-stamps", "a")
+    # No sample is missing.
+    assert not only(report).figures.gaps.count
+    report = check(_one(stamps, desc=_drops()))
+    assert "in 2 places" in text_of(report, "backwards", "a")
 
 
 @pytest.mark.parametrize("with_offsets", [True, False])

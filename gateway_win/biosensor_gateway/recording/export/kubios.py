@@ -26,7 +26,7 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.numbers import numbers
-from biosensor_gateway.recording.export.runs import MOST_RUNS, find_runs, pieces
+from biosensor_gateway.recording.export.runs import MOST_RUNS, Runs
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}
@@ -99,13 +99,14 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
 
 def _write_ecg(chosen: Chosen, stream: Stream, folder: Path, names: FileNames) -> Iterator[str]:
     name = stream.header.name
-    runs = find_runs(chosen, stream)
+    cut = Runs(chosen, stream)
+    runs = cut.found()
     if len(runs) > MOST_RUNS:
         yield Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
         return
     files = [folder / f"{each}.txt" for each in names.of(stream, len(runs))]
     without = 0
-    for number, parts in groupby(pieces(chosen, stream), key=lambda each: each[0]):
+    for number, parts in groupby(cut.pieces(), key=lambda each: each[0]):
         with files[number].open("xb") as file:
             for _, samples in parts:
                 values = np.asarray(samples.values)[:, 0]

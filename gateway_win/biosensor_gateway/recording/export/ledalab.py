@@ -30,7 +30,7 @@ from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.measuring import longest_step_s
+from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 
 CODES = "markers.csv"
 """What the numbers of markers mean."""
@@ -87,6 +87,7 @@ def _write_stream(
     unit = stream.meaning.units[0]
     told_of = _Told()
     place, begin_s = 0, None
+    behind_holes = _behind_holes(chosen, stream)
     with path.open("xb") as file:
         for samples in batches(chosen, stream):
             values = np.asarray(samples.values)[:, 0]
@@ -102,7 +103,7 @@ def _write_stream(
             here = happened[place : max(place, end)]
             codes, lost = _at_samples(here, times)
             told_of.together += lost
-            told_of.late += _late(here, times, stream)
+            told_of.late += _late(here, times, stream, behind_holes)
             told_of.inside += len(here)
             place = max(place, end)
             told = on_clock(chosen, order.clock, times)
@@ -146,9 +147,25 @@ class _Told:
             )
 
 
-def _late(happened: NDArray[np.float64], times: NDArray[np.float64], stream: Stream) -> int:
-    """Count the markers whose sample is later than the next one may be."""
+def _behind_holes(chosen: Chosen, stream: Stream) -> NDArray[np.float64] | None:
+    """Return the times of the samples before which some are missing; None if steps tell."""
+    cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
+    if cuts is None:
+        return None
+    times = np.concatenate([each.times for each in batches(chosen, stream)] or [np.empty(0)])
+    return times[[each.at for each in cuts.holes]]
+
+
+def _late(
+    happened: NDArray[np.float64],
+    times: NDArray[np.float64],
+    stream: Stream,
+    behind_holes: NDArray[np.float64] | None,
+) -> int:
+    """Count the markers that stand at a sample before which some are missing."""
     places = np.minimum(np.searchsorted(times, happened[:, 0]), len(times) - 1)
+    if behind_holes is not None:
+        return int(np.count_nonzero(np.isin(times[places], behind_holes)))
     return int(np.count_nonzero(times[places] - happened[:, 0] > longest_step_s(stream.header)))
 
 

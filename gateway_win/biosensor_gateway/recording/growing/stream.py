@@ -15,10 +15,14 @@ from biosensor_gateway.recording.xdf.measuring import (
     MAX_STAMP_ERROR_S,
     MAX_UPTIME_S,
     find_gaps,
+    is_exact,
 )
+from biosensor_gateway.recording.xdf.pace import Cuts
 from biosensor_gateway.recording.xdf.samples import decode
 
 _CLOCK_OFFSET = struct.Struct("<dd")
+_SECTION_S, _FEWEST = 20.0, 64
+"""So much of another program's stream is looked at together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,10 @@ class StreamProgress:
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
+        # Stamps of others say little one by one, so they are looked at some time later.
+        self._cuts: Cuts | None = None
+        if header.is_regular and not is_exact(header):
+            self._cuts = Cuts(header.rate, max(_FEWEST, math.ceil(_SECTION_S * header.rate)))
 
     @property
     def newest_stamp(self) -> float | None:
@@ -128,6 +136,11 @@ class StreamProgress:
         return self.reached
 
     def _find_gaps(self, stamps: NDArray[np.float64]) -> None:
+        if self._cuts is not None:
+            self._cuts.take(stamps[np.isfinite(stamps)])
+            self.gaps = len(self._cuts.holes)
+            self.longest_gap_s = max((each.length_s for each in self._cuts.holes), default=0.0)
+            return
         run = np.concatenate(([self._last_stamp], stamps))
         gaps = find_gaps(run[np.isfinite(run)], self.header)
         self.gaps += gaps.count

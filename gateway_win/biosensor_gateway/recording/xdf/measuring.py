@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.pace import MOST_LOST, Cuts, Pace, find_pace
 from biosensor_gateway.recording.xdf.recording import RecordedStream
 
 # Two samples whose stamps are further apart than this many periods are not neighbours.
 GAP_PERIODS = 1.5
 # Other programs often stamp with the time at which they push, so their stamps jitter.
 FOREIGN_JITTER_S = 0.1
-# Stamps that jump to another clock must not make a count that nobody can read.
-MOST_LOST = 1_000_000_000
 # Of a stream that consists of gaps, the longest are enough.
 MOST_GAPS_LISTED = 100
 # A stamp further off is not on the LSL clock of its computer.
@@ -83,9 +82,11 @@ class Figures:
     Attributes
     ----------
     first, last
-        Earliest and latest stamp on the stream's clock, in s; None without samples.
+        Earliest and latest stamp on the stream's clock, in s, without stray ones; None without
+        samples.
     backward_steps
-        How often a stamp is earlier than the one before.
+        How often a stamp is earlier than the one before; in a regular stream of another program
+        by more than its way of stamping explains.
     bad_stamps
         Stamps that are no numbers.
     rate_hz
@@ -94,6 +95,8 @@ class Figures:
         The same without the gaps; None also for irregular streams.
     clock_error
         Why the stamps are not on the LSL clock; empty if they are.
+    pace
+        How the stamps of another program lie about a line; None where each is meant as it is.
     """
 
     first: float | None
@@ -106,6 +109,7 @@ class Figures:
     offsets: ClockOffsets
     nan_shares: tuple[float, ...]
     clock_error: str
+    pace: Pace | None = None
 
     @property
     def span_s(self) -> float:
@@ -123,23 +127,75 @@ def measure(stream: RecordedStream) -> Figures:
 def _measure(stream: RecordedStream) -> Figures:
     stamps = stream.stamps
     finite = stamps[np.isfinite(stamps)]
-    first, last = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
-    gaps = find_gaps(finite, stream.header)
     offsets = stream.clock_offsets
     count = max(1, stream.sample_count)
+    pace = None
+    if stream.header.is_regular and not is_exact(stream.header) and len(finite) > 1:
+        pace = find_pace(stamps, stream.header.rate)
+        gaps = _gaps_of(pace, stamps)
+        finite = np.delete(stamps, pace.stray)
+        finite = finite[np.isfinite(finite)]
+        rate_between_gaps_hz: float | None = 1.0 / pace.period_s
+        backward_steps = pace.odd_steps_back
+    else:
+        gaps = find_gaps(finite, stream.header)
+        rate_between_gaps_hz = _rate_between_gaps(finite, gaps, stream.header)
+        backward_steps = int(np.count_nonzero(finite[1:] < finite[:-1]))
+    first, last = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
     return Figures(
         first=first,
         last=last,
-        backward_steps=int(np.count_nonzero(finite[1:] < finite[:-1])),
-        bad_stamps=len(stamps) - len(finite),
+        backward_steps=backward_steps,
+        bad_stamps=len(stamps) - int(np.isfinite(stamps).sum()),
         rate_hz=_rate(finite),
-        rate_between_gaps_hz=_rate_between_gaps(finite, gaps, stream.header),
+        rate_between_gaps_hz=rate_between_gaps_hz,
         gaps=gaps,
         offsets=summarise_offsets(offsets),
         nan_shares=tuple(float(share) for share in stream.nan_counts / count),
         clock_error=""
         if first is None or last is None
         else clock_error(stream.header, offsets, first, last),
+        pace=pace,
+    )
+
+
+def is_exact(header: RecordedHeader) -> bool:
+    """Whether each stamp is meant as it is: in our streams, and where samples may be missing."""
+    return header.is_ours or header.can_drop_samples
+
+
+def cuts_of(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Cuts | None:
+    """Find where runs begin in a regular stream whose stamps say little one by one.
+
+    Parameters
+    ----------
+    blocks
+        Times of its samples, finite, in s; looked at only if the header makes it necessary.
+
+    Returns
+    -------
+    Cuts or None
+        None if each step tells by itself; see `longest_step_s`.
+    """
+    if is_exact(header):
+        return None
+    cuts = Cuts(header.rate)
+    for times in blocks:
+        cuts.take(times)
+    cuts.end()
+    return cuts
+
+
+def _gaps_of(pace: Pace, stamps: NDArray[np.float64]) -> Gaps:
+    longest = sorted(pace.holes, key=lambda each: -each.length_s)[:MOST_GAPS_LISTED]
+    return Gaps(
+        len(pace.holes),
+        sum(each.lost for each in pace.holes),
+        sum(each.length_s for each in pace.holes),
+        tuple(
+            Gap(float(stamps[each.at - 1]), each.length_s, each.lost)
+            for each in sorted(longest, key=lambda each: each.at)
+        ),
     )
 
 
@@ -151,8 +207,7 @@ def longest_step_s(header: RecordedHeader) -> float:
     """
     if not header.is_regular:
         return math.inf
-    is_exact = header.is_ours or header.can_drop_samples
-    return max(GAP_PERIODS / header.rate, 0.0 if is_exact else FOREIGN_JITTER_S)
+    return max(GAP_PERIODS / header.rate, 0.0 if is_exact(header) else FOREIGN_JITTER_S)
 
 
 def find_gaps(stamps: NDArray[np.float64], header: RecordedHeader) -> Gaps:

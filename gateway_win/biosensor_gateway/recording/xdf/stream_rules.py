@@ -87,9 +87,32 @@ def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         yield Level.ERROR, "wrong-clock", figures.clock_error
     if figures.bad_stamps:
         yield Level.ERROR, "bad-stamps", f"{figures.bad_stamps} of its stamps are no numbers"
+    if figures.pace is not None and figures.pace.stray:
+        count = len(figures.pace.stray)
+        stamps = "1 stamp is" if count == 1 else f"{count} stamps are"
+        text = f"{stamps} far away from those of the samples before and behind"
+        yield Level.ERROR, "stray-stamps", text
     if figures.backward_steps:
-        text = f"its stamps run backwards in {figures.backward_steps} places"
+        count = figures.backward_steps
+        text = f"its stamps run backwards in {'1 place' if count == 1 else f'{count} places'}"
         yield Level.ERROR, "backwards", text
+
+
+def _bursts(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    """Say how another program stamps, where a loader may take that for gaps or steps back."""
+    pace = measured.figures.pace
+    if pace is None:
+        return
+    lost = "nothing seems lost" if not pace.holes else "samples are lost beside that"
+    rate = f"{1 / pace.period_s:.4g} Hz; {lost}"
+    if pace.burst > 1:
+        every_s = pace.burst * pace.period_s
+        text = f"stamped in bursts of {pace.burst} each {every_s:.2g} s; {rate}"
+        yield Level.NOTE, "bursts", text
+    elif pace.overlap_s > 0:
+        overlap = f"its stamps overlap by up to {pace.overlap_s * 1e3:.3g} ms"
+        text = f"stamped when it came, so {overlap}; {rate}"
+        yield Level.NOTE, "overlaps", text
 
 
 def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
@@ -194,6 +217,7 @@ _RULES: tuple[Callable[[Measured, Extent], Iterator[Verdict]], ...] = (
     _footer,
     _samples,
     _stamps,
+    _bursts,
     _counted,
     _gaps,
     _rate,

@@ -37,6 +37,7 @@ from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
 from biosensor_gateway.recording.export.csv.tables import table_file
 from biosensor_gateway.recording.export.exporter import SampleCount
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.xdf.measuring import cuts_of
 
 # Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
 _MOTION_TYPES = {
@@ -234,7 +235,8 @@ class SignalWriter:
     def _write_regular(self, stream: Stream, place: Place) -> bool:
         name = stream.header.name
         first = self._batches(stream, is_first=True)
-        timing = find_timing((each.times for each in first), stream.header)
+        cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
+        timing = find_timing((each.times for each in first), stream.header, cuts)
         if timing is None:
             self.remarks.without_samples.append(name)
             return False

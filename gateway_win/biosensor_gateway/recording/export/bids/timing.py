@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import longest_step_s
+from biosensor_gateway.recording.xdf.pace import Cuts
 
 LONGEST_FILLED_S = 3600.0
 """A longer gap is not filled with empty rows: a table of its own begins behind it."""
@@ -92,6 +93,8 @@ class _Survey:
     longest_step_s: float
     stretch: int
     """Samples."""
+    holes: NDArray[np.int64] | None = None
+    """Numbers of the samples before which some are missing; None if steps tell."""
     stretches_s: array[float] = field(default_factory=lambda: array("d"))
     spread: float = 0.0
     product: float = 0.0
@@ -103,19 +106,28 @@ class _Survey:
     _line: _Line = field(default_factory=_Line)
     _begin_s: float = 0.0
     _last_s: float = 0.0
+    _count: int = 0
 
     def add(self, times: NDArray[np.float64]) -> None:
         steps = np.diff(times, prepend=self._last_s if self.parts else times[0])
         cuts = (steps > LONGEST_FILLED_S) | (steps < -FURTHEST_BACK_S)
         if not self.parts:
             cuts[0] = True
-        begins = np.flatnonzero(cuts | (steps > self.longest_step_s))
+        begins = np.flatnonzero(cuts | self._is_behind_hole(steps))
         before = 0
         for at in begins.tolist():
             self._extend(times[before:at])
             self._break(float(times[at]), float(steps[at]), is_cut=bool(cuts[at]))
             before = at
         self._extend(times[before:])
+
+    def _is_behind_hole(self, steps: NDArray[np.float64]) -> NDArray[np.bool_]:
+        before, self._count = self._count, self._count + len(steps)
+        if self.holes is None:
+            return steps > self.longest_step_s
+        is_behind = np.zeros(len(steps), bool)
+        is_behind[self.holes[(self.holes >= before) & (self.holes < self._count)] - before] = True
+        return is_behind
 
     def _extend(self, times: NDArray[np.float64]) -> None:
         if len(times):
@@ -145,13 +157,17 @@ class _Survey:
             self.spans_s += self._last_s - self._begin_s
 
 
-def find_timing(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Timing | None:
+def find_timing(
+    blocks: Iterable[NDArray[np.float64]],
+    header: RecordedHeader,
+    cuts: Cuts | None = None,
+) -> Timing | None:
     """Find out how a regular stream was sampled; None if there is no sample.
 
     The rate is the slope of one straight line with an offset for each run between two gaps,
     by least squares; where that is far from the median of stretches of a few seconds, because
-    stamps are wrong, it is this median. Rows are counted from where the line through the first
-    run begins.
+    stamps are wrong, it is this median; of other programs' stamps it is that of `cuts`. Rows are
+    counted from where the line through the first run begins.
 
     Parameters
     ----------
@@ -159,9 +175,12 @@ def find_timing(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -
         Times of the samples, finite, in s, each array of shape (n_samples,) and not empty.
     header
         Of the stream.
+    cuts
+        Of a stream whose stamps say little one by one; they tell its rate and its gaps.
     """
     stretch = max(_LEAST_STRETCH, round(header.rate * _STRETCH_S))
-    survey = _Survey(longest_step_s(header), stretch)
+    holes = None if cuts is None else np.array([each.at for each in cuts.holes], np.int64)
+    survey = _Survey(longest_step_s(header), stretch, holes)
     for times in blocks:
         survey.add(times)
     if not survey.parts:
@@ -169,7 +188,8 @@ def find_timing(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -
     survey.end_line()
     survey.end_part()
     # Behind that the sums of another kind of processor differ.
-    rate_hz = float(f"{_rate(survey, header.rate):.{_DIGITS}g}")
+    found_hz = _rate(survey, header.rate) if cuts is None else 1.0 / cuts.period_s
+    rate_hz = float(f"{_likely(found_hz, header.rate):.{_DIGITS}g}")
     for part, line in zip(survey.parts, survey.firsts, strict=True):
         part.start_s = line.mean_s - line.mean_index / rate_hz
     rows = survey.spans_s * rate_hz + len(survey.parts)
@@ -185,5 +205,9 @@ def _rate(survey: _Survey, nominal_hz: float) -> float:
         median_s = float(np.median(survey.stretches_s)) / survey.stretch
         if abs(found_hz * median_s - 1.0) > _MOST_OFF_MEDIAN:
             found_hz = 1.0 / median_s if median_s > 0 else nominal_hz
+    return found_hz
+
+
+def _likely(found_hz: float, nominal_hz: float) -> float:
     is_likely = nominal_hz / _MOST_OFF_NOMINAL < found_hz < nominal_hz * _MOST_OFF_NOMINAL
     return found_hz if is_likely else nominal_hz

@@ -31,7 +31,7 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.markers import is_markers, markers
 from biosensor_gateway.recording.export.names import FileNames, unique
-from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, find_runs, pieces
+from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, Runs
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _LABEL = 16
@@ -85,7 +85,8 @@ class Edf:
 
 
 def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> None:
-    name, runs = stream.header.name, find_runs(job.chosen, stream)
+    name, cut = stream.header.name, Runs(job.chosen, stream)
+    runs = cut.found()
     if len(runs) > MOST_RUNS:
         job.notes.append(Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps"))
         return
@@ -94,12 +95,12 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
     if not runs:
         return
     holes = Holes(stream, len(runs))
-    for number, samples in pieces(job.chosen, stream):
+    for number, samples in cut.pieces():
         holes.take(number, samples)
     job.notes += holes.notes()
     files = [folder / f"{each}.bdf" for each in names.of(stream, len(runs))]
     left_out: set[str] = set()
-    given = _Given(job.chosen, stream)
+    given = _Given(cut)
     kept: list[tuple[int, Run, list[Channel]]] = []
     for number, run in enumerate(runs):
         channels, without = _channels(stream, run)
@@ -152,8 +153,8 @@ def _length_s(stream: Stream, run: Run) -> float:
 class _Given:
     """Hands out the values of one run after the other; the runs are asked for in their order."""
 
-    def __init__(self, chosen: Chosen, stream: Stream) -> None:
-        self._pieces = pieces(chosen, stream)
+    def __init__(self, cut: Runs) -> None:
+        self._pieces = cut.pieces()
         self._next = next(self._pieces, None)
 
     def of(self, number: int) -> Iterator[NDArray[np.generic]]:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from biosensor_gateway.recording.xdf.container import Chunk
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import MOST_LOST, longest_step_s
+from biosensor_gateway.recording.xdf.measuring import longest_step_s
+from biosensor_gateway.recording.xdf.pace import MOST_LOST
 from biosensor_gateway.recording.xdf.samples import Block, decode
 
 
