@@ -170,6 +170,14 @@ def salvage_recording(
             show_default=False,
         ),
     ] = None,
+    header_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RECORDING",
+            help="Another recording of the same streams, for headers that are lost.",
+            show_default=False,
+        ),
+    ] = None,
     print_json: JsonOption = False,
 ) -> None:
     """Write what can be read of a cut or damaged recording to another file.
@@ -178,7 +186,7 @@ def salvage_recording(
     is whole, nothing is written.
     """
     with wrong_recording():
-        outcome = salvage(file, output or salvaged_path(file))
+        outcome = salvage(file, output or salvaged_path(file), header_from)
     if print_json:
         typer.echo(salvage_printing.as_json(outcome))
     else:

@@ -150,6 +150,25 @@ class OpenRecording(NamedTuple):
     is_unpacked_whole: bool
 
 
+_HEAD_BYTES = 64
+_OTHERS = (
+    (b"0       ", "it is an EDF file"),
+    (b"\xffBIOSEMI", "it is a BDF file"),
+    (b"<!DOCTYPE", "it is a web page, which was downloaded in its place"),
+    (b"<!doctype", "it is a web page, which was downloaded in its place"),
+    (b"<html", "it is a web page, which was downloaded in its place"),
+    (b"version https://git-lfs", "it is a pointer of Git LFS; fetch the file with: git lfs pull"),
+    (b"#ROSBAG V", "it is a bag of ROS 1; convert it with rosbags-convert, then: bag import"),
+    (b"\x89MCAP0", "it is a bag of ROS 2; read it with: biosensor-gateway bag import"),
+    (b"SQLite format 3", "it is a database, as bags of ROS 2 are: biosensor-gateway bag import"),
+    (b"Brain Vision Data Exchange", "it is the header of a BrainVision recording"),
+    (b"MATLAB 5.0", "it is a file of MATLAB"),
+    (b"\x89HDF", "it is an HDF5 file"),
+    (b"PK\x03\x04", "it is a ZIP archive; unpack it first"),
+    (b"\x28\xb5\x2f\xfd", "it is packed with zstd; unpack it first"),
+)
+
+
 @contextmanager
 def open_recording(path: Path) -> Generator[OpenRecording]:
     """Open a recording, compressed by gzip (``.xdfz``, ``.xdf.gz``) or not.
@@ -168,8 +187,9 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
                 is_whole = _unpack(packed, file)
             size = file.seek(0, os.SEEK_END)
             file.seek(0)
-            if file.read(len(MAGIC)) != MAGIC:
-                message = f"{path} is no XDF recording: it does not begin with 'XDF:'"
+            head = file.read(_HEAD_BYTES)
+            if not head.startswith(MAGIC):
+                message = f"{path} is no XDF recording: {_what_it_is(head)}"
                 raise RecordingError(RecordingReason.NOT_XDF, message)
             yield OpenRecording(file, size, is_whole)
     except FileNotFoundError:
@@ -179,6 +199,18 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
         why = "it is a folder" if path.is_dir() else error.strerror or str(error)
         message = f"cannot read {path}: {why}"
         raise RecordingError(RecordingReason.UNREADABLE, message) from error
+
+
+def _what_it_is(head: bytes) -> str:
+    """Say what a file is instead, as far as it is known by how it begins."""
+    if not head:
+        return "it is empty"
+    if not head.strip(b"\0"):
+        return "it holds nothing but zeros, as after a crash of the computer; try a backup"
+    # A page may begin with a byte order mark and empty lines.
+    head = head.lstrip(b"\xef\xbb\xbf\r\n ")
+    known = (what for begin, what in _OTHERS if head.startswith(begin))
+    return next(known, "it does not begin with 'XDF:'")
 
 
 def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
-from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from biosensor_gateway.recording.xdf.container import Chunk, ChunkError
 from biosensor_gateway.recording.xdf.framing import BOUNDARY, Tag
@@ -14,6 +14,7 @@ from biosensor_gateway.recording.xdf.header import (
     FileClock,
     Footer,
     RecordedHeader,
+    mend_stream_header,
     parse_file_clock,
     parse_file_header,
     parse_footer,
@@ -42,6 +43,25 @@ class TakesChunks(Protocol):
 _StreamT = TypeVar("_StreamT", bound=TakesChunks)
 
 
+class NewHeader(NamedTuple):
+    """A stream header chunk that a file lacks, or has in a wrong form.
+
+    Attributes
+    ----------
+    start, end
+        Bytes that it stands in place of; the same if there is none.
+    content
+        Of the new one, without the stream's number.
+    wrong
+        What was wrong with the one that was there; empty if there was none.
+    """
+
+    start: int
+    end: int
+    content: bytes
+    wrong: tuple[str, ...] = ()
+
+
 class StreamSorter(Generic[_StreamT]):
     """Takes the chunks of a file in, in their order, and hands them to their streams.
 
@@ -49,6 +69,10 @@ class StreamSorter(Generic[_StreamT]):
     ----------
     make
         Makes a stream of its header.
+    mends_headers
+        Whether to read headers of a wrong form, too.
+    lost_headers
+        Contents of headers that are not in the file, by the numbers of their streams.
 
     Attributes
     ----------
@@ -60,10 +84,21 @@ class StreamSorter(Generic[_StreamT]):
         By their numbers, in the order of their headers.
     orphans
         Number of chunks by stream number, of streams whose header is not readable.
+    new_headers
+        By the numbers of their streams.
     """
 
-    def __init__(self, make: Callable[[RecordedHeader], _StreamT]) -> None:
+    def __init__(
+        self,
+        make: Callable[[RecordedHeader], _StreamT],
+        *,
+        mends_headers: bool = False,
+        lost_headers: Mapping[int, bytes] | None = None,
+    ) -> None:
         self._make = make
+        self._mends_headers = mends_headers
+        self._lost_headers = lost_headers or {}
+        self.new_headers: dict[int, NewHeader] = {}
         self.begun: str | None = None
         self.clock: FileClock | None = None
         self.streams: dict[int, _StreamT] = {}
@@ -89,14 +124,29 @@ class StreamSorter(Generic[_StreamT]):
             self._take_of_stream(chunk)
 
     def _take_header(self, chunk: Chunk) -> None:
-        stream_id = chunk.stream_id
-        header = parse_stream_header(bytes(chunk.body))
+        stream_id, content = chunk.stream_id, bytes(chunk.body)
+        new: NewHeader | None = None
+        try:
+            header = parse_stream_header(content)
+        except ChunkError:
+            if not self._mends_headers:
+                raise
+            content, wrong = mend_stream_header(content)
+            header = parse_stream_header(content)
+            new = NewHeader(chunk.start, chunk.end, content, wrong)
         if stream_id in self.streams:
             raise ChunkError(f"it is the second of stream number {stream_id}")
         self.streams[stream_id] = self._make(header)
+        if new is not None:
+            self.new_headers[stream_id] = new
 
     def _take_of_stream(self, chunk: Chunk) -> None:
         stream = self.streams.get(chunk.stream_id)
+        if stream is None and chunk.stream_id in self._lost_headers:
+            content = self._lost_headers[chunk.stream_id]
+            stream = self._make(parse_stream_header(content))
+            self.streams[chunk.stream_id] = stream
+            self.new_headers[chunk.stream_id] = NewHeader(chunk.start, chunk.start, content)
         if stream is None:
             if chunk.is_found:
                 # Nothing else tells that these bytes are a chunk.

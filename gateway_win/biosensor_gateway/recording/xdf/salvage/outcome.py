@@ -80,8 +80,14 @@ def salvaged_path(path: Path) -> Path:
     return bare.with_name(f"{bare.name}{_ADDED}{SUFFIX}")
 
 
-def salvage(path: Path, target: Path) -> Outcome:
+def salvage(path: Path, target: Path, headers_from: Path | None = None) -> Outcome:
     """Write what can be read of a recording to another file, if the recording is not whole.
+
+    Parameters
+    ----------
+    headers_from
+        Another recording of the same streams, for headers that are lost: of the same name where
+        that can still be read, else of the same number.
 
     Raises
     ------
@@ -95,6 +101,8 @@ def salvage(path: Path, target: Path) -> Outcome:
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     with open_recording(path) as opened:
         known = survey(path, opened)
+        if headers_from is not None and known.orphans:
+            known = survey(path, opened, _lost_headers(known, headers_from))
         outcome = Outcome(path, None, known, _places(known), tuple(known.footers_due()))
         if known.is_whole:
             return outcome
@@ -104,6 +112,19 @@ def salvage(path: Path, target: Path) -> Outcome:
         _refuse_to_overwrite(target)
         write_salvaged(opened.file, known, target, path)
     return Outcome(path, target, known, outcome.places, outcome.closed)
+
+
+def _lost_headers(known: Survey, headers_from: Path) -> dict[int, bytes]:
+    with open_recording(headers_from) as opened:
+        others = survey(headers_from, opened).streams
+    by_name = {each.header.name: each.header for each in others.values()}
+    found: dict[int, bytes] = {}
+    for number, orphans in known.orphans.items():
+        numbered = others[number].header if number in others else None
+        header = by_name.get(orphans.name) if orphans.name else numbered
+        if header is not None:
+            found[number] = header.xml.encode()
+    return found
 
 
 def _refuse_to_overwrite(target: Path) -> None:
@@ -194,8 +215,9 @@ def _write(source: BinaryIO, survey: Survey, target: BinaryIO) -> None:
     position = len(MAGIC)
     for start, end, instead in survey.changes():
         _copy(source, position, start, target)
+        content = _restamped(source, instead) if isinstance(instead, Restamp) else instead
         # A boundary chunk may stand anywhere, and so marks the place.
-        target.write(_restamped(source, instead) if instead else framed(Tag.BOUNDARY, BOUNDARY))
+        target.write(framed(Tag.BOUNDARY, BOUNDARY) if content is None else content)
         position = end
     _copy(source, position, survey.size, target)
     for number in survey.footers_due():

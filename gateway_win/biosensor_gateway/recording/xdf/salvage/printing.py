@@ -39,6 +39,7 @@ def as_json(outcome: Outcome) -> str:
                 "restamped": len(stream.restamps),
                 "untimed": stream.untimed,
                 "new_footer": number in outcome.closed,
+                "new_header": number in known.new_headers,
             }
             for number, stream in known.streams.items()
         ],
@@ -66,6 +67,8 @@ def before_table(outcome: Outcome) -> Iterator[str]:
         return
     if not places:
         what = "was not closed" if known.unclosed else "lacks headers of streams"
+        if known.new_headers and not known.unclosed and not known.orphans:
+            what = "has headers that others cannot read, or lacks some"
         yield f"{outcome.path} can be read to its end, but {what}"
         return
     unreadable = sum(each.damage.end - each.damage.start for each in places)
@@ -86,6 +89,12 @@ def after_table(outcome: Outcome) -> Iterator[str]:
             f"left out: stream number {number}{name}, {orphans.bytes} bytes in {orphans.chunks} "
             "chunks, because its header is lost"
         )
+    for number, new in known.new_headers.items():
+        name = printable(known.streams[number].header.name)
+        if new.wrong:
+            yield f"{name}: its header was mended, which had {', '.join(map(printable, new.wrong))}"
+        else:
+            yield f"{name}: its header is that of the other recording; see whether it fits"
     for stream in known.streams.values():
         yield from _stamps_text(stream)
     if outcome.closed:

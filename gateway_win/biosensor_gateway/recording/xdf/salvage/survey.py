@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -18,9 +18,9 @@ from biosensor_gateway.recording.xdf.container import (
     RecordingReason,
     read_chunks,
 )
-from biosensor_gateway.recording.xdf.framing import STREAM_ID_BYTES
+from biosensor_gateway.recording.xdf.framing import STREAM_ID_BYTES, Tag, framed
 from biosensor_gateway.recording.xdf.salvage.kept import KeptStream, Restamp
-from biosensor_gateway.recording.xdf.sorting import StreamSorter
+from biosensor_gateway.recording.xdf.sorting import NewHeader, StreamSorter
 
 # What is left of a stream's header: its number and its name.
 _HEADER_REST = re.compile(
@@ -48,6 +48,8 @@ class Survey:
         By their numbers.
     damages
         What cannot be read.
+    new_headers
+        Of streams whose header was mended or taken from another recording, by their numbers.
     """
 
     size: int
@@ -55,6 +57,7 @@ class Survey:
     orphans: dict[int, Orphans]
     damages: tuple[Damage, ...]
     has_file_header: bool
+    new_headers: dict[int, NewHeader]
     _dropped: array[int] = field(default_factory=lambda: array("q"))
 
     @property
@@ -65,7 +68,8 @@ class Survey:
     @property
     def is_whole(self) -> bool:
         """Whether it holds streams, and nothing is to be mended."""
-        return bool(self.streams) and not (self.damages or self.orphans or self.unclosed)
+        broken = self.damages or self.orphans or self.unclosed or self.new_headers
+        return bool(self.streams) and not broken
 
     @property
     def sample_count(self) -> int:
@@ -81,27 +85,43 @@ class Survey:
         ]
         return sorted([*self.unclosed, *wrong])
 
-    def changes(self) -> Iterator[tuple[int, int, Restamp | None]]:
+    def changes(self) -> Iterator[tuple[int, int, Restamp | bytes | None]]:
         """Give, in the order of the file, what is not to be copied: begin, end, what instead."""
+        changes: list[tuple[int, int, Restamp | bytes | None]] = [
+            (each.start, each.end, framed(Tag.STREAM_HEADER, _numbered(number) + each.content))
+            for number, each in self.new_headers.items()
+        ]
         drops = list(zip(self._dropped[::2], self._dropped[1::2], strict=True))
         drops += [(damage.start, damage.end) for damage in self.damages]
         for number in self.footers_due():
             drops += self.streams[number].footer_at
-        changes = [(start, end, None) for start, end in drops if end > start]
+        changes += [(start, end, None) for start, end in drops if end > start]
         for stream in self.streams.values():
             changes += [(each.start, each.end, each) for each in stream.restamps]
-        yield from sorted(changes, key=lambda change: change[0])
+        # A header stands before what it is put in front of.
+        yield from sorted(changes, key=lambda change: change[:2])
 
 
-def survey(path: Path, opened: OpenRecording) -> Survey:
+def _numbered(number: int) -> bytes:
+    return number.to_bytes(STREAM_ID_BYTES, "little")
+
+
+def survey(
+    path: Path, opened: OpenRecording, lost_headers: Mapping[int, bytes] | None = None
+) -> Survey:
     """Read a recording.
+
+    Parameters
+    ----------
+    lost_headers
+        Contents of headers that are not in it, by the numbers of their streams.
 
     Raises
     ------
     RecordingError
         If it is still being written.
     """
-    surveyor = _Surveyor()
+    surveyor = _Surveyor(lost_headers)
     damages = read_chunks(opened.file, opened.size, surveyor.take)
     if not opened.is_unpacked_whole:
         what = "the rest is compressed and cannot be unpacked"
@@ -113,8 +133,8 @@ def survey(path: Path, opened: OpenRecording) -> Survey:
 
 
 class _Surveyor:
-    def __init__(self) -> None:
-        self._sorter = StreamSorter(KeptStream)
+    def __init__(self, lost_headers: Mapping[int, bytes] | None) -> None:
+        self._sorter = StreamSorter(KeptStream, mends_headers=True, lost_headers=lost_headers)
         self._orphans: dict[int, Orphans] = {}
         self._dropped = array("q")
 
@@ -132,7 +152,15 @@ class _Surveyor:
             if number not in streams:
                 self._orphans.setdefault(number, Orphans()).name = name
         has_file_header = self._sorter.begun is not None
-        return Survey(opened.size, streams, self._orphans, damages, has_file_header, self._dropped)
+        return Survey(
+            opened.size,
+            streams,
+            self._orphans,
+            damages,
+            has_file_header,
+            self._sorter.new_headers,
+            self._dropped,
+        )
 
     def _drop(self, chunk: Chunk) -> None:
         orphans = self._orphans.setdefault(chunk.stream_id, Orphans())
