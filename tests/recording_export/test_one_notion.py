@@ -1,0 +1,162 @@
+"""Check and all exports agree on markers, on where runs end, and on how many samples there are."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from edfio import read_bdf
+from numpy.typing import NDArray
+
+from biosensor_gateway.recording.export.outcome import Outcome, Written
+from tests.recording_export.conftest import Exporting
+from tests.recording_export.study import BEGIN_S
+from tests.xdf import xdf_file as made
+from tests.xdf.checking import check
+
+Array = NDArray[np.float64]
+
+RATE, COUNT, BURST = 130.0, 2600, 65
+TEXTS = ["begin", "in the middle", "end"]
+MOMENTS = [0.5, 10.0, 19.5]
+
+
+def _even(begin: float = 0.0, count: int = COUNT) -> Array:
+    return BEGIN_S + begin + np.arange(count) / RATE
+
+
+def _signal(
+    stamps: Array,
+    number: int = 1,
+    name: str = "ecg",
+    rate: float = RATE,
+    chunk: int = 100,
+    *,
+    ends: bool = True,
+) -> bytes:
+    values = np.sin(np.arange(len(stamps), dtype=np.float32))[:, np.newaxis]
+    rows, times = values.tolist(), stamps.tolist()
+    parts = [
+        made.samples(number, "float32", rows[at : at + chunk], times[at : at + chunk])
+        for at in range(0, len(times), chunk)
+    ]
+    header = made.stream_header(number, name, kind="ECG", rate=rate, source_id=f"id{number}")
+    return header + b"".join(parts) + (made.footer(number, len(stamps)) if ends else b"")
+
+
+def _events(
+    number: int = 2, kind: str = "Markers", fmt: str = "string", away_s: float = 0.0
+) -> bytes:
+    values = [[text] if fmt == "string" else [at] for at, text in enumerate(TEXTS, 1)]
+    stamps = [BEGIN_S + away_s + each for each in MOMENTS]
+    header = made.stream_header(number, "events", kind=kind, fmt=fmt)
+    return header + made.samples(number, fmt, values, stamps) + made.footer(number, len(TEXTS))
+
+
+def _bursts() -> bytes:
+    return _signal(np.repeat(_even()[BURST - 1 :: BURST], BURST))
+
+
+def _overlaps() -> bytes:
+    late = np.random.default_rng(1).exponential(0.02, COUNT // BURST)
+    return _signal(_even() + np.repeat(late, BURST))
+
+
+def _with_gap(at: int, step_s: float) -> bytes:
+    stamps = _even()
+    stamps[at:] += step_s
+    return _signal(stamps)
+
+
+def _future() -> bytes:
+    stamps = _even()
+    stamps[1300] += 200_000.0
+    return _signal(stamps)
+
+
+SHAPES: dict[str, Sequence[bytes]] = {
+    "even": [_signal(_even()), _events()],
+    "bursts": [_bursts(), _events()],
+    "overlaps": [_overlaps(), _events()],
+    "a gap": [_with_gap(1000, 4.0), _events()],
+    "a gap within a chunk": [_with_gap(1050, 4.0), _events()],
+    "a clock that was set back": [_with_gap(1000, -5.0), _events()],
+    "a step of half a second": [_with_gap(1000, 0.5), _events()],
+    "a stamp from the future": [_future(), _events()],
+    "two of one name": [_signal(_even()), _signal(_even(), 3), _events()],
+    "lower-case markers": [_signal(_even()), _events(kind="markers")],
+    "numbers as markers": [_signal(_even()), _events(kind="Trigger", fmt="int32")],
+    "markers on a game's clock": [_signal(_even()), _events(away_s=-BEGIN_S)],
+    "unix stamps": [_signal(_even() + 1.7e9), _events(away_s=1.7e9)],
+    "no rate in the header": [_signal(_even(), rate=0.0), _events()],
+    "no footer": [_signal(_even(), ends=False), _events()],
+    "no sample": [_signal(_even(count=0)), _events()],
+    "one sample": [_signal(_even(count=1)), _events()],
+    "no marker": [_signal(_even())],
+}
+# What the format cannot hold, and says.
+WITHOUT_EDF = {"no rate in the header", "no sample"}
+
+
+def _of(outcome: Outcome, name: str) -> Written | None:
+    return next((each for each in outcome.written if each.format == name), None)
+
+
+def _events_of_bids(written: Written) -> list[str]:
+    found: list[str] = []
+    for path in sorted(written.path.rglob("*events.tsv")):
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file, delimiter="\t"))
+        found += [row["value"] for row in rows if row["stream"] == "events"]
+    return found
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_all_agree(shape: str, exported: Exporting) -> None:
+    content = made.xdf(*SHAPES[shape])
+    report = check(content)
+    signals = [each for each in report.streams if each.name == "ecg"]
+    outcome = exported(content, "csv", "edf", "kubios", "bids", "mcap")
+    texts = TEXTS if shape != "numbers as markers" else ["1", "2", "3"]
+    expected = [] if shape == "no marker" else texts
+
+    # Every sample is in the table, whatever its stamp.
+    table = _of(outcome, "csv")
+    assert table is not None
+    rows = [len(path.read_text().splitlines()) - 1 for path in sorted(table.path.glob("ecg*.csv"))]
+    assert rows == [each.stream.sample_count for each in signals]
+
+    # One file for each run, which is what check has found.
+    edf = _of(outcome, "edf")
+    if shape in WITHOUT_EDF:
+        assert edf is None or not list(edf.path.glob("ecg*.bdf"))
+    else:
+        assert edf is not None
+        files = sorted(edf.path.glob("ecg*.bdf"))
+        paces = [each.figures.pace for each in signals]
+        runs = [1 if each is None else 1 + len(each.cuts) for each in paces]
+        assert len(files) == sum(runs)
+        kubios = _of(outcome, "kubios")
+        assert kubios is not None
+        texts_of_kubios = sorted(kubios.path.glob("ecg*.txt"))
+        assert [each.stem for each in texts_of_kubios] == [each.stem for each in files]
+        lines = sum(len(each.read_text().split()) for each in texts_of_kubios)
+        assert lines == sum(rows)
+        told = {note.text for path in files for note in read_bdf(path).annotations} & set(expected)
+        assert told == set(expected)
+        for path in files:
+            (signal,) = read_bdf(path).signals
+            assert signal.sampling_frequency == pytest.approx(RATE, rel=2e-3)
+
+    bids = _of(outcome, "bids")
+    assert bids is not None
+    assert sorted(_events_of_bids(bids)) == sorted(expected) or any(
+        "events" in note for note in bids.notes
+    ), bids.notes
+    sidecars = [json.loads(path.read_text()) for path in bids.path.rglob("*ecg*physio*.json")]
+    assert sum(each["Samples"] for each in sidecars) == sum(rows) or any(
+        "ecg" in note for note in bids.notes
+    ), bids.notes
