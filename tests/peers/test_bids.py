@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.export.bids.study import Study
 from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import Outcome
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
-from tests.recording_export.bids_shapes import BEGIN_S, SHAPES, numbers, times
+from tests.recording_export.bids_shapes import BEGIN_S, SHAPES, h10, numbers, times
+from tests.xdf import xdf_file as made
 
 pytestmark = pytest.mark.nightly
 
@@ -54,6 +57,20 @@ def test_the_validator_finds_no_error(shape: str, tmp_path: Path) -> None:
         "SIDECAR_KEY_RECOMMENDED",
         "TOO_FEW_AUTHORS",
     }
+
+
+def test_the_validator_finds_no_error_in_the_data_set_of_a_study(tmp_path: Path) -> None:
+    root = tmp_path / "study"
+    for person in ("p01", "p02", "p03"):
+        recording = tmp_path / f"sub-{person}_task-walk_run-001_beh.xdf"
+        recording.write_bytes(made.xdf(h10(1, person)))
+
+        def export_to(place: Path, recording: Path = recording) -> Outcome:
+            task = Task(["bids"], Wish(), output=place)
+            return export(recording, task, lambda _name, _s: lambda _done: None)
+
+        Study(root).add(recording, export_to)
+    assert [each for each in _validated(root) if each["severity"] == "error"] == []
 
 
 def test_the_validator_finds_an_error_where_there_is_one(tmp_path: Path) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.cli.options import (
     FromOption,
     JsonOption,
@@ -29,14 +31,17 @@ from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import exporter, printing
 from biosensor_gateway.recording.export.exporting import Task, Watch, export
 from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.participants import Whose
+from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
-from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, salvaged_path
+from biosensor_gateway.recording.xdf.salvage.outcome import Outcome as Salvaged
+from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
 
@@ -44,7 +49,14 @@ app = typer.Typer(help="Recordings of LabRecorder (XDF files).", no_args_is_help
 
 
 def export_recording(
-    file: RecordingArgument,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="The recordings, or folders of recordings.",
+            show_default=False,
+        ),
+    ],
     to: Annotated[
         list[str],
         typer.Option("--to", metavar="FORMAT", help=f"{', '.join(FORMATS)} (repeatable)."),
@@ -73,7 +85,8 @@ def export_recording(
         Path | None,
         typer.Option(
             metavar="PLACE",
-            help="A folder to write into, or the new file itself, instead of beside the recording.",
+            help="A folder to write into, or the new file itself, instead of beside the recording; "
+            "of --to bids also the data set to which recordings are added.",
             show_default=False,
         ),
     ] = None,
@@ -86,22 +99,79 @@ def export_recording(
 
     Times are as recorded, with the clock offsets applied, and never made
     regular. What can be read of a damaged recording is exported. No file
-    is overwritten.
+    is overwritten. With --to bids, --output and several recordings, or a data set
+    that is there, they are added to it; what was added before is not written again.
     """
     for each in to:
         if each not in FORMATS:
             message = f"there is no format {each!r}; there is {', '.join(FORMATS)}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     wish = Wish(streams or (), begin, end, participant, without)
-    with wrong_recording(), _bars() as watch:
-        outcome = export(file, Task(to, wish, clock, output, task, session, whose), watch)
-    if print_json:
-        typer.echo(printing.as_json(outcome))
+    # Brings what writes a data set.
+    from biosensor_gateway.recording.export.bids.study import (
+        is_dataset,
+        recordings_in,
+    )
+
+    wanted = Task(to, wish, clock, output, task, session, whose)
+    if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
+        with wrong_recording(), _bars() as watch:
+            outcome = export(files[0], wanted, watch)
+        if print_json:
+            typer.echo(printing.as_json(outcome))
+        else:
+            _say_outcome(outcome)
+        is_certain = outcome.is_certain
     else:
-        for sentence in printing.sentences(outcome):
-            say(sentence)
-    if not outcome.is_certain:
+        is_certain = _export_all(recordings_in(files), wanted, print_json=print_json)
+    if not is_certain:
         raise typer.Exit(1)
+
+
+def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> bool:
+    """Export one after the other; what is wrong with one keeps no other from being written."""
+    from biosensor_gateway.recording.export.bids.study import Study
+
+    study = None
+    if task.output is not None and "bids" in task.formats:
+        if len(task.formats) > 1:
+            message = "a data set holds bids alone; export to other formats by a command of its own"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        study = Study(task.output)
+    outcomes: list[Outcome] = []
+    failed: list[tuple[Path, str]] = []
+    for recording in recordings:
+
+        def export_to(place: Path | None, recording: Path = recording) -> Outcome:
+            with _bars() as watch:
+                return export(recording, replace(task, output=place), watch)
+
+        try:
+            outcome = export_to(task.output) if study is None else study.add(recording, export_to)
+        except (RecordingError, ConfigError) as error:
+            failed.append((recording, str(error)))
+            outcome = None
+            if not print_json:
+                typer.echo(wrapped(str(error), columns(sys.stderr), 2), err=True)
+        else:
+            if outcome is None and not print_json:
+                say(f"{recording} was added before")
+        if outcome is not None:
+            outcomes.append(outcome)
+            if not print_json:
+                say(f"{recording}:")
+                _say_outcome(outcome)
+    if print_json:
+        typer.echo(printing.all_as_json(outcomes, failed))
+    else:
+        done = len(recordings) - len(failed)
+        say(f"{done} of {len(recordings)} recordings are written")
+    return not failed and all(each.is_certain for each in outcomes)
+
+
+def _say_outcome(outcome: Outcome) -> None:
+    for sentence in printing.sentences(outcome):
+        say(sentence)
 
 
 @contextmanager
@@ -196,7 +266,7 @@ def salvage_recording(
 app.command("export")(export_recording)
 
 
-def _print_outcome(outcome: Outcome) -> None:
+def _print_outcome(outcome: Salvaged) -> None:
     for sentence in salvage_printing.before_table(outcome):
         say(sentence, hang=4)
     if outcome.written is None:

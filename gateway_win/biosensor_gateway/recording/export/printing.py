@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from pathlib import Path
 
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import Damage
@@ -15,7 +16,20 @@ _MOST_DAMAGES = 10
 
 def as_json(outcome: Outcome) -> str:
     """Return the outcome as JSON."""
+    return json.dumps(finite(_content(outcome)), indent=2, allow_nan=False)
+
+
+def all_as_json(outcomes: Iterable[Outcome], failed: Iterable[tuple[Path, str]]) -> str:
+    """Return the outcomes of several recordings as JSON, and why others were not written."""
     content = {
+        "recordings": [_content(each) for each in outcomes],
+        "failed": [{"file": str(path), "why": why} for path, why in failed],
+    }
+    return json.dumps(finite(content), indent=2, allow_nan=False)
+
+
+def _content(outcome: Outcome) -> dict[str, object]:
+    return {
         "file": str(outcome.path),
         "streams": [
             {"name": name, "source_id": source_id, "samples": samples}
@@ -35,7 +49,6 @@ def as_json(outcome: Outcome) -> str:
         "without": [asdict(each) for each in outcome.without],
         "mismatch": asdict(outcome.mismatch) if outcome.mismatch else None,
     }
-    return json.dumps(finite(content), indent=2, allow_nan=False)
 
 
 def sentences(outcome: Outcome) -> Iterator[str]:

@@ -38,10 +38,10 @@ BIDS_VERSION = "1.11.1"
 """The newest that the validator knows."""
 
 _MOST_NAMES = 5
-_README = f"""\
+README = f"""\
 # {{name}}
 
-Made from one recording of LSL streams (XDF) by biosensor-gateway {{version}}. Please complete
+Made from recordings of LSL streams (XDF) by biosensor-gateway {{version}}. Please complete
 this text, and name authors and licence in dataset_description.json, before you share it.
 
 - beh/*_physio: signals with a rate. The table has equal steps of 1/SamplingFrequency from
@@ -56,7 +56,8 @@ this text, and name authors and licence in dataset_description.json, before you 
   empty because they have no table of equal steps beside them.
 - beh/*_events.tsv: markers, and what happened to the devices. Rows that are undone were taken back.
 
-All times are in s since TimeZero, which every sidecar names; it is the same for all people.
+All times are in s since TimeZero, which every sidecar names; it is the same for all people of one
+recording.
 sub-{UNKNOWN} stands for somebody whom the recording does not name, sub-{SHARED} for streams that
 belong to none of several people.
 """
@@ -187,7 +188,7 @@ def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> No
         "GeneratedBy": [{"Name": "biosensor-gateway", "Version": gateway}],
     }
     write_json(root / "dataset_description.json", description)
-    write_text(root / "README.md", _README.format(name=name, version=gateway))
+    write_text(root / "README.md", README.format(name=name, version=gateway))
     rows = [
         (f"sub-{label}", called)
         for label, called in subjects.participants.items()

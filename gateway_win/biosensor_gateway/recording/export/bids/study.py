@@ -1,0 +1,236 @@
+"""Adds recordings to the dataset of a study, one after the other, and never overwrites anything.
+
+Each recording is first written as a dataset of its own beside it, and then moved in. What was
+added is listed in ``sourcedata``, where BIDS lets anything be: so the same command, given again,
+goes on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import csv
+import filecmp
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.recording.export.bids.dataset import BIDS_VERSION, README
+from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
+from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+
+_DESCRIPTION, _PARTICIPANTS = "dataset_description.json", "participants.tsv"
+_ID, _CALLED = "participant_id", "recorded_as"
+ADDED = Path("sourcedata") / "recordings.tsv"
+_ADDED_COLUMNS = ("recording", "sha256")
+_BLOCK_BYTES = 1 << 20
+Table = list[dict[str, str]]
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder holds a BIDS dataset."""
+    return (folder / _DESCRIPTION).is_file()
+
+
+class Study:
+    """The dataset of a study.
+
+    Parameters
+    ----------
+    root
+        Its folder; made with the first recording.
+
+    Raises
+    ------
+    ConfigError
+        ``EXISTS``, if there is something else.
+    """
+
+    def __init__(self, root: Path) -> None:
+        is_empty = root.is_dir() and not any(root.iterdir())
+        if os.path.lexists(root) and not is_dataset(root) and not is_empty:
+            message = f"{root} is no BIDS data set; give a new folder, or that of a data set"
+            raise ConfigError(ConfigReason.EXISTS, message)
+        self._root = root
+
+    def add(self, recording: Path, export_to: Callable[[Path], Outcome]) -> Outcome | None:
+        """Add a recording; return what became of it, None if it had been added before.
+
+        Parameters
+        ----------
+        export_to
+            Writes it as a dataset of its own to a place.
+
+        Raises
+        ------
+        RecordingError
+            ``UNWRITABLE``, if another recording of that name was added, a file of it is there
+            already, or means somebody else by a label that is there; nothing is added then.
+        """
+        digest = _digest(recording)
+        for added in _read_table(self._root / ADDED):
+            if added["recording"] == recording.name and added["sha256"] == digest:
+                return None
+        try:
+            with self._workshop() as workshop:
+                made = workshop / self._root.name
+                outcome = export_to(made)
+                self._require_room(made, recording)
+                count = self._move_in(made)
+                self._note(recording.name, digest)
+        except OSError as error:
+            message = f"cannot write {self._root}: {error.strerror or error}"
+            raise RecordingError(RecordingReason.UNWRITABLE, message) from error
+        told = f"{count} files of {recording.name}"
+        written = tuple(
+            replace(each, path=self._root, notes=(*each.notes, told)) for each in outcome.written
+        )
+        return replace(outcome, written=written)
+
+    @contextmanager
+    def _workshop(self) -> Generator[Path]:
+        folder = self._root.with_name(f"{self._root.name}.{os.getpid()}.part")
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(0o700, parents=True)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _require_room(self, made: Path, recording: Path) -> None:
+        for file in _data_of(made):
+            place = self._root / file.relative_to(made)
+            # What the same recording has left behind, when it was interrupted, is its own.
+            if os.path.lexists(place) and not filecmp.cmp(file, place, shallow=False):
+                message = (
+                    f"{recording}: {place.relative_to(self._root)} is in the data set already, of "
+                    "another recording; export it with another --session or --task, or alone"
+                )
+                raise RecordingError(RecordingReason.UNWRITABLE, message)
+        people = _read_table(self._root / _PARTICIPANTS)
+        there = {each[_ID]: each.get(_CALLED, "") for each in people}
+        for person in _read_table(made / _PARTICIPANTS):
+            called = there.get(person[_ID], person[_CALLED])
+            if called not in {person[_CALLED], NOTHING, ""}:
+                message = (
+                    f"{recording}: {person[_ID]} is {called!r} in the data set and "
+                    f"{person[_CALLED]!r} in this recording; BIDS has no place for both"
+                )
+                raise RecordingError(RecordingReason.UNWRITABLE, message)
+
+    def _move_in(self, made: Path) -> int:
+        self._root.mkdir(parents=True, exist_ok=True)
+        if not is_dataset(self._root):
+            self._describe()
+        files = list(_data_of(made))
+        for file in files:
+            place = self._root / file.relative_to(made)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+        self._add_people(_read_table(made / _PARTICIPANTS), made)
+        return len(files)
+
+    def _describe(self) -> None:
+        gateway = version("biosensor-gateway")
+        description = {
+            "Name": self._root.name,
+            "BIDSVersion": BIDS_VERSION,
+            "DatasetType": "raw",
+            "GeneratedBy": [{"Name": "biosensor-gateway", "Version": gateway}],
+        }
+        if not (self._root / "README.md").exists():
+            text = README.format(name=self._root.name, version=gateway)
+            write_text(self._root / "README.md", text)
+        # The last one, for it says that this is a dataset.
+        write_json(self._root / _DESCRIPTION, description)
+
+    def _add_people(self, people: Table, made: Path) -> None:
+        """Add rows; columns and rows that somebody has added stay as they are."""
+        path = self._root / _PARTICIPANTS
+        rows = _read_table(path)
+        columns = list(rows[0]) if rows else [_ID, _CALLED]
+        if _CALLED not in columns:
+            columns.append(_CALLED)
+        known = {each[_ID] for each in rows}
+        rows += [each for each in people if each[_ID] not in known]
+        text = line(columns) + "".join(
+            line([each.get(column) or NOTHING for column in columns]) for each in rows
+        )
+        _replace(path, text)
+        sidecar = self._root / "participants.json"
+        if not sidecar.exists():
+            shutil.copyfile(made / "participants.json", sidecar)
+
+    def _note(self, name: str, digest: str) -> None:
+        rows = _read_table(self._root / ADDED)
+        lines = [line(_ADDED_COLUMNS), *(line([each[c] for c in _ADDED_COLUMNS]) for each in rows)]
+        (self._root / ADDED).parent.mkdir(exist_ok=True)
+        _replace(self._root / ADDED, "".join([*lines, line([name, digest])]))
+
+
+def recordings_in(places: Sequence[Path]) -> list[Path]:
+    """Return the recordings that are named, and those in the folders that are named.
+
+    Of a recording that was salvaged the salvaged one is taken.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND``, if a folder holds none.
+    """
+    found: list[Path] = []
+    for place in places:
+        if not place.is_dir():
+            found.append(place)
+            continue
+        inside = sorted(each for each in place.rglob("*") if _is_recording(each))
+        if not inside:
+            raise ConfigError(ConfigReason.NOT_FOUND, f"there is no recording (.xdf) in {place}")
+        names = {*inside}
+        found += [each for each in inside if _salvaged(each) not in names]
+    return list(dict.fromkeys(found))
+
+
+def _is_recording(path: Path) -> bool:
+    name = path.name.lower()
+    return name.endswith((".xdf", ".xdf.gz", ".xdfz")) and path.is_file()
+
+
+def _salvaged(path: Path) -> Path:
+    return path.with_name(f"{path.name.split('.xdf')[0]}_salvaged.xdf")
+
+
+def _data_of(made: Path) -> Iterator[Path]:
+    yield from (each for each in sorted(made.rglob("*")) if each.is_file() and each.parent != made)
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK_BYTES):
+                digest.update(block)
+    except OSError:
+        # Why it cannot be read says who exports it.
+        return ""
+    return digest.hexdigest()
+
+
+def _read_table(path: Path) -> Table:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
+    except FileNotFoundError:
+        return []
+
+
+def _replace(path: Path, text: str) -> None:
+    new = path.with_name(f".{path.name}.new")
+    new.unlink(missing_ok=True)
+    write_text(new, text)
+    new.replace(path)
