@@ -177,8 +177,8 @@ class Cuts:
         self._blocks.append(times)
         self._held += len(times)
         if self._held >= self._section:
-            # A run that is cut at the border of two sections would look like one that ends.
-            kept = self._look()[-self._section // 8 :]
+            # What is near the border of a section cannot be judged by what follows.
+            kept = self._look()[-self._section // 2 :]
             self._begin += self._held - len(kept)
             self._blocks, self._held = [kept], len(kept)
 
@@ -245,10 +245,12 @@ def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[i
         # What comes after something late comes sooner; what comes after a hole does not.
         pushes, lag = np.flatnonzero(steps < usual_s / 2), 0
     several = 0.0
-    if len(pushes) > _BURSTS_IN_WINDOW:
+    if len(pushes) > 1:
         several = _BURSTS_IN_WINDOW * float(np.median(np.diff(pushes)))
     wanted = max(_WINDOW_S / nominal_s, min(several, _LONGEST_WINDOW_S / nominal_s))
-    window = max(_FEWEST, int(min(wanted, len(steps) / _FEWEST_WINDOWS)))
+    # Of a short stream some windows are better than long ones, if each has some bursts.
+    most = len(steps) / (2 if several else _FEWEST_WINDOWS)
+    window = max(_FEWEST, int(min(wanted, most)))
     lag = lag or window
     if len(marks) < _FEWEST_WINDOWS * lag:
         return window, nominal_s
@@ -299,8 +301,8 @@ def _jumps(
     lowest = _lowest(rest, window)
     jumps = lowest[places] - lowest[np.maximum(places - window, 0)]
     places = places[(jumps > most_s) | (places < window)]
-    # Of a few samples all may be late.
-    late_s = max(most_s, spread_s if _is_late(steps, period_s) else 0.0)
+    # Of a few samples all may be late, and of one packet very much.
+    late_s = max(most_s, _UNUSUAL * spread_s if _is_late(steps, period_s) else 0.0)
     found: dict[int, float] = {}
     bounds = [0, len(rest)]
     # The greatest first: beside a hole there are fewer samples by which to judge another place.
