@@ -1,3 +1,4 @@
+# pyright: reportPrivateUsage=false
 """This program's own recorder: what it writes is what LabRecorder writes, and it takes over."""
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import pylsl
 import pytest
 from numpy.typing import NDArray
 
+from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.here import starting
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
 from biosensor_gateway.recording.here.memory import RecorderFolder
@@ -30,6 +32,8 @@ from biosensor_gateway.recording.here.ways import LAB_RECORDER, OWN, Way, find_w
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.receiving import program
+from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.framing import Tag
 from biosensor_gateway.recording.xdf.header import parse_stream_header
@@ -68,6 +72,11 @@ class Content:
 
 def contents(file: Path) -> Mapping[str, Content]:
     """Return what is in a recording, by the names of its streams."""
+    return {each.header.name: each for each in streams_of(file)}
+
+
+def streams_of(file: Path) -> list[Content]:
+    """Return what is in a recording."""
     streams: dict[int, Content] = {}
 
     def take(chunk: Chunk) -> None:
@@ -80,7 +89,12 @@ def contents(file: Path) -> Mapping[str, Content]:
 
     with open_recording(file) as (opened, size, _):
         assert not read_chunks(opened, size, take)
-    return {each.header.name: each for each in streams.values()}
+    return list(streams.values())
+
+
+def values_of(stream: Content) -> list[float]:
+    """Return the values of a stream of one float32 channel."""
+    return [float(np.frombuffer(value, np.float32)[0]) for _, value in stream.samples]
 
 
 def _value(form: str, number: int) -> Any:
@@ -325,8 +339,128 @@ def test_it_goes_on_with_an_outlet_that_was_started_again(tmp_path: Path) -> Non
         second.push_chunk([[float(each)] for each in range(10, 20)])
         del wrong
     (stream,) = contents(file).values()
-    values = [float(np.frombuffer(value, np.float32)[0]) for _, value in stream.samples]
-    assert values == [float(each) for each in range(20)]
+    assert values_of(stream) == [float(each) for each in range(20)]
+
+
+def test_what_was_received_is_not_called_lost(tmp_path: Path) -> None:
+    file = tmp_path / "ended.xdf"
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo("ended", "EEG", 1, 0.0, "float32", "ended-id"))
+    with own_recorder(file):
+        outlet.push_chunk([[float(each)] for each in range(10)])
+        # Longer than it takes to be received: an outlet that ends takes along what it has.
+        time.sleep(1.0)
+        del outlet
+        wait_until(lambda: " has ended; " in file.with_suffix(".log").read_text(), "its end")
+    assert values_of(contents(file)["ended"]) == [float(each) for each in range(10)]
+    assert " has ended; 0 of its samples were not received" in file.with_suffix(".log").read_text()
+
+
+def test_of_two_that_claim_to_be_one_stream_none_is_recorded_twice(tmp_path: Path) -> None:
+    file = tmp_path / "twins.xdf"
+    info = pylsl.StreamInfo("twin", "EEG", 1, 0.0, "float32", "twin-id")
+    outlets = [pylsl.StreamOutlet(info) for _ in range(2)]
+    with own_recorder(file):
+        outlets[0].push_chunk([[0.0]])
+        outlets[1].push_chunk([[1.0]])
+        time.sleep(1.0)
+        del outlets[0]
+        wait_until(lambda: " has ended; " in file.with_suffix(".log").read_text(), "its end")
+        again = pylsl.StreamOutlet(info)
+        wait_until(again.have_consumers, "the recorder goes on with the one that is new")
+        outlets[0].push_chunk([[1.0]])
+        again.push_chunk([[2.0]])
+        time.sleep(1.0)
+    assert sorted(map(values_of, streams_of(file))) == [[0.0, 2.0], [1.0, 1.0]]
+
+
+@contextmanager
+def recorder_here(monkeypatch: pytest.MonkeyPatch, file: Path) -> Generator[list[str]]:
+    """Record everything in this process; what is said."""
+    said: list[str] = []
+    monkeypatch.setattr(program, "_say", said.append)
+    over = threading.Event()
+    with file.open("wb") as target:
+        recorder = program._Recorder(target, EVERYTHING)
+        running = threading.Thread(target=recorder.run, args=[over])
+        running.start()
+        try:
+            wait_until(lambda: "Starting the recording" in said, "it records")
+            yield said
+        finally:
+            over.set()
+            running.join()
+
+
+def test_an_inlet_of_data_is_never_asked_for_its_clock(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It would measure for the rest of its life, and grow: docs/liblsl-time-receiver.md."""
+    asked: list[pylsl.StreamInlet] = []
+    pulled: list[pylsl.StreamInlet] = []
+    ask, pull = pylsl.StreamInlet.time_correction, pylsl.StreamInlet.pull_chunk
+
+    def note_asked(inlet: pylsl.StreamInlet, timeout: float = 0.0) -> float:
+        asked.append(inlet)
+        return ask(inlet, timeout)
+
+    def note_pulled(inlet: pylsl.StreamInlet, *arguments: Any, **options: Any) -> Any:
+        pulled.append(inlet)
+        return pull(inlet, *arguments, **options)
+
+    monkeypatch.setattr(pylsl.StreamInlet, "time_correction", note_asked)
+    monkeypatch.setattr(pylsl.StreamInlet, "pull_chunk", note_pulled)
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo("asked", "EEG", 1, 0.0, "float32", "asked-id"))
+    file = tmp_path / "asked.xdf"
+    with recorder_here(monkeypatch, file):
+        outlet.push_sample([1.0])
+        wait_until(lambda: asked and pulled, "a measurement")
+    assert not {id(each) for each in asked} & {id(each) for each in pulled}
+    # Also a recording that ends at once has one.
+    assert contents(file)["asked"].footer.count(b"<offset>") >= 1
+
+
+SLOW_TO_ANSWER = """
+import time
+import pylsl
+outlet = pylsl.StreamOutlet(pylsl.StreamInfo("held", "EEG", 1, 0.0, "float32", "held-id"))
+print("up", flush=True)
+while True:
+    outlet.push_sample([1.0])
+    time.sleep(0.05)
+"""
+
+
+def test_a_stream_that_answers_late_is_recorded_from_then_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(program, "_OPEN_S", 1.0)
+    open_ = ReceivedStream.open
+    file = tmp_path / "held.xdf"
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo("other", "EEG", 1, 0.0, "float32", "other-id"))
+    with subprocess.Popen([sys.executable, "-c", SLOW_TO_ANSWER], stdout=subprocess.PIPE) as sender:
+        try:
+            assert sender.stdout is not None
+            assert sender.stdout.readline() == b"up\n"
+
+            def open_held(stream: ReceivedStream, *arguments: Any) -> None:
+                if stream.title.startswith("held") and not stopped:
+                    stopped.append(os.kill(sender.pid, signal.SIGSTOP))
+                open_(stream, *arguments)
+
+            stopped: list[None] = []
+            monkeypatch.setattr(ReceivedStream, "open", open_held)
+            with recorder_here(monkeypatch, file) as said:
+                assert any(each.startswith("held cannot be opened") for each in said)
+                os.kill(sender.pid, signal.SIGCONT)
+                wait_until(lambda: any("data collection for stream held" in e for e in said), "it")
+                time.sleep(1.0)
+                outlet.push_sample([2.0])
+        finally:
+            sender.kill()
+    found = contents(file)
+    assert set(found) == {"held", "other"}
+    assert set(values_of(found["held"])) == {1.0}
+    assert b"<sample_count>%d<" % len(found["held"].samples) in found["held"].footer
 
 
 def test_it_looks_as_long_as_other_streams_come(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """The process that records in the place of LabRecorder's program.
 
 It is given a file and a predicate, looks for streams, prints a line for each that it finds and
-has opened, and records until a line comes in or its input ends. Exit codes: 0, 1 with a sentence
+has opened, and records until a line comes in or its input ends. What does not answer at once is
+asked again and again, and recorded from then on. Exit codes: 0, 1 with a sentence
 if the file cannot be written, 2 if there is no stream.
 """
 
@@ -11,8 +12,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -23,6 +23,8 @@ import pylsl
 from biosensor_common.ending import end_within
 from biosensor_common.errors import SpecError
 from biosensor_common.heap import limit_arenas
+from biosensor_common.lsl.namesakes import by_start
+from biosensor_common.sender_clocks import LIMIT_S, STEP_S, SenderClocks
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf import writing
 
@@ -80,73 +82,91 @@ class _Recorder:
         self._target, self._predicate = target, predicate
         self._lock, self._is_over = threading.Lock(), False
         self._pool = ThreadPoolExecutor(_OPENED_AT_ONCE)
-        self._following: set[ReceivedStream] = set()
+        self._streams: list[ReceivedStream] = []
+        self._opening: dict[ReceivedStream, tuple[str, Future[None]]] = {}
 
     def run(self, over: threading.Event) -> int:
         try:
             return self._run(over)
         finally:
-            # Threads that measure clocks may come a moment later.
+            # Threads that open streams may come a moment later.
             with self._lock:
                 self._is_over = True
 
     def _run(self, over: threading.Event) -> int:
-        streams = self._opened()
-        if not streams:
+        found = self._found()
+        opened = self._pool.map(self._open, range(1, len(found) + 1), found)
+        self._streams = [each for each in opened if each is not None]
+        ready = [each for each in self._streams if each.is_open]
+        for each in ready:
+            _say(f"Found {each.title} matching '{self._predicate}'")
+        if not ready:
             return _NO_STREAM
         writing.begin(self._target, datetime.now().astimezone().isoformat(timespec="seconds"), ())
         # All headers come first: readers know by them what is in a file that grows.
-        for each in streams:
+        for each in ready:
             each.begin()
         _say("Starting the recording")
-        for each in streams:
+        for each in ready:
             _say(f"Started data collection for stream {each.title}")
-        marked_s = flushed_s = time.monotonic()
-        # As every resolver of the program it sees streams of the own session alone.
-        resolver = pylsl.ContinuousResolver(pred=self._predicate)
-        while not over.wait(TAKE_EVERY_S):
-            self._take(streams)
-            if time.monotonic() - flushed_s >= FLUSH_EVERY_S:
-                flushed_s = time.monotonic()
-                self._flush()
-                self._look_for_lost(streams, resolver)
-            if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
-                marked_s = time.monotonic()
-                self._write(writing.boundary())
-        time.sleep(_LAST_S)
-        self._take(streams)
-        for each in streams:
+        # As often as LabRecorder does.
+        clocks = SenderClocks(lambda: self._streams)
+        try:
+            self._record(over)
+            self._wait_for_clocks()
+        finally:
+            clocks.stop()
+        for each in self._streams:
             each.end()
         self._flush()
         return 0
 
-    def _look_for_lost(
-        self, streams: Sequence[ReceivedStream], resolver: pylsl.ContinuousResolver
-    ) -> None:
-        """Go on with the streams of an agent that was started again."""
-        lost = [each for each in streams if each.is_lost and each not in self._following]
-        infos = resolver.results() if lost else []
-        for stream in lost:
-            info = next((each for each in infos if stream.goes_on_as(each)), None)
-            if info is not None:
-                self._following.add(stream)
-                self._pool.submit(self._follow, stream, info)
+    def _record(self, over: threading.Event) -> None:
+        marked_s = flushed_s = time.monotonic()
+        # As every resolver of the program it sees streams of the own session alone.
+        resolver = pylsl.ContinuousResolver(pred=self._predicate)
+        while not over.wait(TAKE_EVERY_S):
+            self._take()
+            if time.monotonic() - flushed_s >= FLUSH_EVERY_S:
+                flushed_s = time.monotonic()
+                self._flush()
+                self._look_for_absent(resolver)
+            if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
+                marked_s = time.monotonic()
+                self._write(writing.boundary())
+        self._take()
+        time.sleep(_LAST_S)
+        self._take()
 
-    def _follow(self, stream: ReceivedStream, info: pylsl.StreamInfo) -> None:
-        # The one that has gone is announced for some seconds more; then it is tried again.
+    def _wait_for_clocks(self) -> None:
+        """Have even a recording of a moment one measurement of each clock, if senders answer."""
+        end_s = time.monotonic() + LIMIT_S
+        while time.monotonic() < end_s and any(
+            each.is_ready and each.correction is None for each in self._streams
+        ):
+            time.sleep(STEP_S)
+
+    def _look_for_absent(self, resolver: pylsl.ContinuousResolver) -> None:
+        """Go on with streams that did not answer, and with those that were started again."""
+        self._opening = {each: one for each, one in self._opening.items() if not one[1].done()}
+        absent = [each for each in self._streams if not each.is_open and each not in self._opening]
+        infos = sorted(resolver.results(), key=by_start) if absent else []
+        for stream in absent:
+            # Of two live senders that claim to be one stream, each is recorded by itself.
+            taken = {each.uid for each in self._streams if each is not stream}
+            taken |= {uid for uid, _ in self._opening.values()}
+            fits = [e for e in infos if e.uid() not in taken and stream.goes_on_as(e)]
+            if fits:
+                # The one that has gone is announced for some seconds more.
+                opening = self._pool.submit(self._open_again, stream, fits[-1])
+                self._opening[stream] = fits[-1].uid(), opening
+
+    def _open_again(self, stream: ReceivedStream, info: pylsl.StreamInfo) -> None:
+        # If it does not answer, it is tried again.
         with suppress(RuntimeError):
-            stream.follow(info, _OPEN_S)
-            _say(f"{stream.title} goes on")
-        self._following.discard(stream)
-
-    def _opened(self) -> list[ReceivedStream]:
-        """Open all that there are; those that do not answer are as if they were not there."""
-        found = self._found()
-        opened = list(self._pool.map(self._open, range(1, len(found) + 1), found))
-        streams = [each for each in opened if each is not None]
-        for each in streams:
-            _say(f"Found {each.title} matching '{self._predicate}'")
-        return streams
+            stream.open(info, _OPEN_S)
+            if stream.has_begun:
+                _say(f"{stream.title} goes on")
 
     def _found(self) -> list[pylsl.StreamInfo]:
         """Look for streams; of many, on a busy computer, some answer late."""
@@ -164,16 +184,23 @@ class _Recorder:
             time.sleep(_LOOK_EVERY_S)
 
     def _open(self, number: int, info: pylsl.StreamInfo) -> ReceivedStream | None:
+        """Open a stream; return None if it cannot be recorded. It may answer only later."""
         try:
             stream = ReceivedStream(number, info, self._write)
-            stream.open(_OPEN_S)
-        except (SpecError, RuntimeError) as error:
-            _say(f"{info.name()} cannot be opened: {error}")
+        except SpecError as error:
+            _say(f"{info.name()} cannot be recorded: {error}")
             return None
+        try:
+            stream.open(info, _OPEN_S)
+        except RuntimeError as error:
+            _say(f"{info.name()} cannot be opened yet: {error}")
         return stream
 
-    def _take(self, streams: Sequence[ReceivedStream]) -> None:
-        for each in streams:
+    def _take(self) -> None:
+        for each in self._streams:
+            if each.is_open and not each.has_begun:
+                each.begin()
+                _say(f"Started data collection for stream {each.title}, which answered late")
             if (gone := each.take()) is not None:
                 _say(f"{each.title} has ended; {gone} of its samples were not received")
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import replace
+from time import monotonic
 from typing import Any, cast
 
 import numpy as np
@@ -15,20 +15,23 @@ from pylsl.lib import lib
 
 from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.inlets import read_description, unopened_inlet
+from biosensor_common.lsl.inlets import (
+    LAST_ENTRY_S,
+    open_inlet,
+    read_description,
+    undelivered,
+    unopened_inlet,
+)
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf import writing
 
-OFFSETS_EVERY_S = 5.0
 _BUFFER_S = 360
-_MEASURE_S = 2.0
 _MOST_VALUES = 1 << 18
 """Of one pull; liblsl is given room for so many."""
-_END_S = 1.0
 
 
 class ReceivedStream:
-    """One stream that is recorded.
+    """One stream that is recorded, over all outlets that it has one after the other.
 
     Parameters
     ----------
@@ -43,8 +46,13 @@ class ReceivedStream:
     ----------
     first, last
         Stamps of the first and the last sample, 0 without samples.
-    is_lost
-        Whether its outlet has gone; another one may go on with it.
+    uid
+        Of its newest outlet.
+    is_open
+        Whether it is received; False until its outlet answers, and once it has gone. Another
+        outlet may go on with it.
+    has_begun
+        Whether its header is in the file.
     clock_offsets
         LSL time on the sender's clock, and what to add to get this computer's, in s.
 
@@ -52,21 +60,18 @@ class ReceivedStream:
     ------
     SpecError
         If what it announces is no stream that can be recorded.
-    RuntimeError
-        If liblsl cannot make an inlet.
     """
 
     def __init__(
         self, number: int, info: pylsl.StreamInfo, write: Callable[[bytes], object]
     ) -> None:
         self._core = read_core(info)
-        self._number, self._write = number, write
-        self._inlet = unopened_inlet(info, _BUFFER_S, as_numpy=True)
-        self._uid, self.is_lost = info.uid(), False
+        self._number, self._write, self._info = number, write, info
+        self._inlet: pylsl.StreamInlet | None = None
+        self._lost: tuple[pylsl.StreamInlet, float] | None = None
+        self.uid, self.is_open, self.has_begun = info.uid(), False, False
         self._most = max(1, _MOST_VALUES // self._core.channel_count)
         self._xml = b""
-        self._over = threading.Event()
-        self._measuring = threading.Thread(target=self._measure, daemon=True)
         self.first = self.last = 0.0
         self.sample_count = 0
         self.clock_offsets: list[tuple[float, float]] = []
@@ -81,21 +86,38 @@ class ReceivedStream:
         """Whether samples and footer are written; LabRecorder keeps only the header of int64."""
         return self._core.format is not ChannelFormat.INT64
 
-    def open(self, limit_s: float) -> None:
-        """Have liblsl keep what is sent from now on, and ask for the header.
+    @property
+    def is_ready(self) -> bool:
+        """Whether its sender's clock is to be measured."""
+        return self.is_recordable and self.has_begun and self.is_open
+
+    @property
+    def correction(self) -> float | None:
+        """What was measured last of its sender's clock, in s; None before the first time."""
+        return self.clock_offsets[-1][1] if self.clock_offsets else None
+
+    def open(self, info: pylsl.StreamInfo, limit_s: float) -> None:
+        """Have liblsl keep what an outlet sends from now on, and ask the first one for the header.
+
+        LabRecorder's inlets go on with another outlet by themselves.
 
         Raises
         ------
         RuntimeError
             ``TimeoutError`` or ``LostError`` of pylsl: the sender does not answer.
         """
-        self._inlet.open_stream(limit_s)
-        info = read_description(self._inlet, self._uid, limit_s)
-        # The bytes as they came: a header of another program may be no UTF-8.
-        self._xml = cast("bytes", lib.lsl_get_xml(info.obj))
+        inlet = open_inlet(info, limit_s, _BUFFER_S, as_numpy=True)
+        if not self._xml:
+            described = read_description(inlet, info.uid(), limit_s)
+            # The bytes as they came: a header of another program may be no UTF-8.
+            self._xml = cast("bytes", lib.lsl_get_xml(described.obj))
+        self._inlet, self._info, self.uid = inlet, info, info.uid()
+        self.is_open = True
 
     def goes_on_as(self, info: pylsl.StreamInfo) -> bool:
-        """Whether *info* is of the outlet of this stream, started again with the same shape."""
+        """Whether *info* is of its outlet, or of one that was started again with the same shape."""
+        if info.uid() == self.uid:
+            return True
         core = self._core
         try:
             other = read_core(info)
@@ -103,23 +125,10 @@ class ReceivedStream:
             return False
         return bool(core.source_id) and replace(other, hostname=core.hostname) == core
 
-    def follow(self, info: pylsl.StreamInfo, limit_s: float) -> None:
-        """Go on with another outlet, which LabRecorder's inlets do by themselves.
-
-        Raises
-        ------
-        RuntimeError
-            As `open`.
-        """
-        inlet = unopened_inlet(info, _BUFFER_S, as_numpy=True)
-        inlet.open_stream(limit_s)
-        self._inlet, self._uid, self.is_lost = inlet, info.uid(), False
-
     def begin(self) -> None:
-        """Write the header, and measure the sender's clock from now on."""
+        """Write the header."""
         self._write(writing.stream_header(self._number, self._xml))
-        if self.is_recordable:
-            self._measuring.start()
+        self.has_begun = True
 
     def take(self) -> int | None:
         """Write what has come.
@@ -127,16 +136,18 @@ class ReceivedStream:
         Returns
         -------
         int or None
-            When its outlet has gone: how many samples went with it. None otherwise.
+            A moment after its outlet has gone, once: how many samples went with it. None
+            otherwise.
         """
-        while self.is_recordable and not self.is_lost:
+        while self.is_recordable and self.is_open:
+            inlet = cast("pylsl.StreamInlet", self._inlet)
             # No more than there are: at the end of a lost stream liblsl throws away the rest.
-            waiting = max(1, self._inlet.samples_available())
+            waiting = max(1, inlet.samples_available())
             try:
-                pulled = self._inlet.pull_chunk(0.0, min(waiting, self._most))
+                pulled = inlet.pull_chunk(0.0, min(waiting, self._most))
             except util.LostError:
-                self.is_lost = True
-                return self._inlet.flush()
+                self.is_open, self._lost = False, (inlet, monotonic())
+                break
             values, stamps = cast("tuple[NDArray[Any], NDArray[np.float64]]", pulled)
             if not len(stamps):
                 break
@@ -147,24 +158,28 @@ class ReceivedStream:
                 self.first = float(stamps[0])
             self.last = float(stamps[-1])
             self.sample_count += len(stamps)
-        return None
+        if self._lost is None or monotonic() - self._lost[1] < LAST_ENTRY_S:
+            return None
+        (inlet, _), self._lost = self._lost, None
+        return undelivered(inlet)
 
     def end(self) -> None:
         """Write the footer; nothing is written after it."""
-        if self.is_recordable:
-            self._over.set()
-            self._measuring.join(_MEASURE_S + _END_S)
+        if self.is_recordable and self.has_begun:
             self._write(writing.footer(self._number, self))
 
-    def _measure(self) -> None:
-        while not self._over.is_set():
-            try:
-                offset = self._inlet.time_correction(_MEASURE_S)
-            except RuntimeError:
-                # The sender does not answer; the next one may come through.
-                offset = None
-            if offset is not None and not self._over.is_set():
-                taken_at = pylsl.local_clock() - offset
-                self.clock_offsets.append((taken_at, offset))
-                self._write(writing.clock_offset(self._number, taken_at, offset))
-            self._over.wait(OFFSETS_EVERY_S)
+    def open_clock(self) -> pylsl.StreamInlet:
+        """Open an inlet for one measurement of the sender's clock.
+
+        Raises
+        ------
+        RuntimeError
+            If liblsl can open none.
+        """
+        return unopened_inlet(self._info)
+
+    def take_correction(self, correction: float) -> None:
+        """Write a measurement of the sender's clock."""
+        taken_at = pylsl.local_clock() - correction
+        self.clock_offsets.append((taken_at, correction))
+        self._write(writing.clock_offset(self._number, taken_at, correction))
