@@ -21,11 +21,10 @@ MODULES = {
     "doctor/probe.py",
     "doctor/survey.py",
     "features/live.py",
-    "labrecorder/streams.py",
     "lsl/discovery.py",
+    "lsl/network.py",
     "network/reader.py",
     "receiving/program.py",
-    "replay/playing.py",
 }
 
 pytestmark = pytest.mark.seam

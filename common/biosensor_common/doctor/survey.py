@@ -17,6 +17,7 @@ from biosensor_common.description_xml import read_xml
 from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import unopened_inlet
+from biosensor_common.lsl.network import search
 from biosensor_common.lsl.predicates import IN_ANY_SESSION, equals
 
 MAX_EXAMINED = 256
@@ -55,10 +56,8 @@ def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
         have a source_id of these.
     """
     deadline_s = time.monotonic() + limit_s
-    resolver = pylsl.ContinuousResolver(forget_after=60.0)
     of_all_sessions = pylsl.ContinuousResolver(pred=IN_ANY_SESSION, forget_after=60.0)
-    time.sleep(search_s)
-    infos = resolver.results()
+    infos = _found(search_s)
     seen = [_described(info) for info in infos]
     examined = min(len(infos), MAX_EXAMINED)
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -81,9 +80,11 @@ def _claimed(
 
 def list_streams(search_s: float) -> dict[str, Any]:
     """Look for streams for so long; return ``streams`` as `survey` does, without listening."""
-    resolver = pylsl.ContinuousResolver(forget_after=60.0)
-    time.sleep(search_s)
-    return {"streams": [asdict(_described(info)) for info in resolver.results()]}
+    return {"streams": [asdict(_described(info)) for info in _found(search_s)]}
+
+
+def _found(search_s: float) -> list[pylsl.StreamInfo]:
+    return search(lambda _found, elapsed_s: elapsed_s >= search_s)
 
 
 def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +23,6 @@ SEARCH_S = 2.0
 """Streams answer in waves; LabRecorder itself looks for one second."""
 SEARCH_LIMIT_S = 8.0
 """For those that are expected."""
-_POLL_S = 0.1
 _MOST_NAMED = 20
 
 
@@ -171,20 +169,16 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
 
 def _search(needed: frozenset[str]) -> tuple[VisibleStream, ...]:
     # Only now: help, and what was recorded, do without the library.
-    import pylsl  # noqa: PLC0415
+    from biosensor_common.lsl.network import Streams, search  # noqa: PLC0415
 
-    resolver = pylsl.ContinuousResolver(forget_after=2 * SEARCH_LIMIT_S)
-    begun = time.monotonic()
-    while True:
-        time.sleep(_POLL_S)
-        seen = {
-            info.uid(): VisibleStream(info.name(), info.source_id(), info.hostname())
-            for info in resolver.results()
-        }
-        elapsed = time.monotonic() - begun
-        is_complete = needed <= {each.source_id for each in seen.values()}
-        if elapsed >= (SEARCH_S if is_complete else SEARCH_LIMIT_S):
-            return tuple(sorted(seen.values()))
+    def is_enough(found: Streams, elapsed_s: float) -> bool:
+        is_complete = needed <= {info.source_id() for info in found.values()}
+        return elapsed_s >= (SEARCH_S if is_complete else SEARCH_LIMIT_S)
+
+    found = search(is_enough)
+    return tuple(
+        sorted(VisibleStream(info.name(), info.source_id(), info.hostname()) for info in found)
+    )
 
 
 def _missing(device: ExpectedDevice, present: set[str]) -> str:

@@ -24,6 +24,7 @@ from biosensor_common.ending import end_within
 from biosensor_common.errors import SpecError
 from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl.namesakes import by_start
+from biosensor_common.lsl.network import Streams, search
 from biosensor_common.sender_clocks import LIMIT_S, STEP_S, SenderClocks
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf import writing
@@ -34,7 +35,6 @@ FLUSH_EVERY_S = 0.5
 BOUNDARY_EVERY_S = 10.0
 _QUIET_S, _LONGEST_S = 2.0, 10.0
 """It looks until no other stream has come for so long, and for so long at most."""
-_LOOK_EVERY_S = 0.1
 _OPEN_S = 8.0
 _OPENED_AT_ONCE = 32
 _LAST_S = 0.2
@@ -170,18 +170,15 @@ class _Recorder:
 
     def _found(self) -> list[pylsl.StreamInfo]:
         """Look for streams; of many, on a busy computer, some answer late."""
-        resolver = pylsl.ContinuousResolver(pred=self._predicate)
-        found: dict[str, pylsl.StreamInfo] = {}
-        begun = last_new = time.monotonic()
-        while True:
-            now = time.monotonic()
-            infos = {info.uid(): info for info in resolver.results()}
-            if infos.keys() - found.keys():
-                last_new = now
-            found |= infos
-            if now >= min(last_new + _QUIET_S, begun + _LONGEST_S):
-                return list(found.values())
-            time.sleep(_LOOK_EVERY_S)
+        count, newest_s = 0, 0.0
+
+        def is_enough(found: Streams, elapsed_s: float) -> bool:
+            nonlocal count, newest_s
+            if len(found) > count:
+                count, newest_s = len(found), elapsed_s
+            return elapsed_s >= min(newest_s + _QUIET_S, _LONGEST_S)
+
+        return search(is_enough, self._predicate)
 
     def _open(self, number: int, info: pylsl.StreamInfo) -> ReceivedStream | None:
         """Open a stream; return None if it cannot be recorded. It may answer only later."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import pylsl
-
+from biosensor_common.lsl.network import search
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.player import Order, Player
@@ -17,7 +15,6 @@ from biosensor_gateway.recording.replay.source import content_hash, opened
 
 SEARCH_S = 2.0
 """LSL asks the network several times in this time; one answer may get lost."""
-_LOOK_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,22 +95,23 @@ def refuse_if_present(
     ids = {each: ReplayReason.PLAYED for each in own if each}
     if not may_be_beside:
         ids |= {each: ReplayReason.LIVE for each in recorded if each}
-    resolver = pylsl.ContinuousResolver(forget_after=2 * SEARCH_S)
-    until_s = time.monotonic() + SEARCH_S
-    while time.monotonic() < until_s:
-        time.sleep(_LOOK_S)
-        for info in resolver.results():
-            reason = ids.get(info.source_id())
-            if reason is not None:
-                raise ReplayError(
-                    reason,
-                    _SENTENCES[reason].format(
-                        file=file,
-                        name=info.name(),
-                        host=info.hostname() or "an unknown computer",
-                        allowed_by=allowed_by,
-                    ),
-                )
+    found = search(
+        lambda found, elapsed_s: (
+            elapsed_s >= SEARCH_S or any(info.source_id() in ids for info in found.values())
+        )
+    )
+    for info in found:
+        reason = ids.get(info.source_id())
+        if reason is not None:
+            raise ReplayError(
+                reason,
+                _SENTENCES[reason].format(
+                    file=file,
+                    name=info.name(),
+                    host=info.hostname() or "an unknown computer",
+                    allowed_by=allowed_by,
+                ),
+            )
 
 
 _SENTENCES: Mapping[ReplayReason, str] = {
