@@ -10,8 +10,8 @@ import pylsl
 import pytest
 from pylsl import util
 
+from biosensor_common.lsl import inlets
 from biosensor_common.lsl.inlets import read_description
-from biosensor_gateway.features import links
 from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.live import RIVAL_S, SETTLED_S, Live
 from biosensor_gateway.features.sources import Source
@@ -65,10 +65,10 @@ class Outlet:
 class Immediate:
     """Runs what it is given at once."""
 
-    def submit(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    def submit(self, work: Callable[..., Any], *arguments: Any, **options: Any) -> Future[Any]:
         future: Future[Any] = Future()
         try:
-            future.set_result(work(*arguments))
+            future.set_result(work(*arguments, **options))
         except RuntimeError as error:
             future.set_exception(error)
         return future
@@ -104,13 +104,14 @@ class Watched:
 
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
-    def opened(info: Any, _limit_s: float, _buffer_s: int) -> Any:
+    def opened(info: Any, _limit_s: float, _buffer_s: int, *, as_numpy: bool) -> Any:
+        assert not as_numpy
         info.openings += 1
         if info.is_gone:
             raise util.TimeoutError
         return info
 
-    monkeypatch.setattr(links, "open_inlet", opened)
+    monkeypatch.setattr(inlets, "open_inlet", opened)
 
     def described(info: Outlet) -> str:
         return info.xml

@@ -40,7 +40,7 @@ from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import decode
 from tests.recording_here.conftest import Sources
 from tests.rigs.lab_recorder import LabRecorder
-from tests.rigs.lsl_streams import wait_until
+from tests.rigs.lsl_streams import note_askers, wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -395,20 +395,7 @@ def test_an_inlet_of_data_is_never_asked_for_its_clock(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """It would measure for the rest of its life, and grow: docs/liblsl-time-receiver.md."""
-    asked: list[pylsl.StreamInlet] = []
-    pulled: list[pylsl.StreamInlet] = []
-    ask, pull = pylsl.StreamInlet.time_correction, pylsl.StreamInlet.pull_chunk
-
-    def note_asked(inlet: pylsl.StreamInlet, timeout: float = 0.0) -> float:
-        asked.append(inlet)
-        return ask(inlet, timeout)
-
-    def note_pulled(inlet: pylsl.StreamInlet, *arguments: Any, **options: Any) -> Any:
-        pulled.append(inlet)
-        return pull(inlet, *arguments, **options)
-
-    monkeypatch.setattr(pylsl.StreamInlet, "time_correction", note_asked)
-    monkeypatch.setattr(pylsl.StreamInlet, "pull_chunk", note_pulled)
+    asked, pulled = note_askers(monkeypatch)
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo("asked", "EEG", 1, 0.0, "float32", "asked-id"))
     file = tmp_path / "asked.xdf"
     with recorder_here(monkeypatch, file):

@@ -16,12 +16,12 @@ import numpy as np
 import pylsl
 import pytest
 
+from biosensor_common.lsl import inlets
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.features import links
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.page.network import listing as listing_module
 from biosensor_gateway.page.network.listing import Listing
@@ -155,9 +155,9 @@ def unheard_marker(patch: pytest.MonkeyPatch) -> Shown:
 class Immediate:
     """Runs what it is given at once."""
 
-    def submit(self, work: Any, *arguments: Any) -> Future[Any]:
+    def submit(self, work: Any, *arguments: Any, **options: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        future.set_result(work(*arguments))
+        future.set_result(work(*arguments, **options))
         return future
 
 
@@ -169,11 +169,9 @@ def features(patch: pytest.MonkeyPatch, unit: str, stamps: Sequence[float], valu
     channel.append_child_value("unit", unit)
     chunks = [([[value]] * len(stamps), list(stamps))]
     inlet = fake(
-        pull_chunk=lambda *_: chunks.pop() if chunks else ([], []),
-        close_stream=lambda: None,
-        time_correction=lambda _: 0.0,
+        pull_chunk=lambda *_: chunks.pop() if chunks else ([], []), close_stream=lambda: None
     )
-    patch.setattr(links, "open_inlet", lambda *_: inlet)
+    patch.setattr(inlets, "open_inlet", lambda *_, **__: inlet)
     patch.setattr("biosensor_gateway.features.live.LslOutlet", MemoryOutlet)
     said: list[str] = []
     now = [NOW_S]

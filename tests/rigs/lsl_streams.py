@@ -175,6 +175,27 @@ def keep_lsl_inlets(monkeypatch: pytest.MonkeyPatch) -> list[pylsl.StreamInlet]:
     return made
 
 
+def note_askers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> tuple[list[pylsl.StreamInlet], list[pylsl.StreamInlet]]:
+    """Return lists of the inlets that are asked for a clock, and of those that bring data."""
+    asked: list[pylsl.StreamInlet] = []
+    pulled: list[pylsl.StreamInlet] = []
+    ask, pull = pylsl.StreamInlet.time_correction, pylsl.StreamInlet.pull_chunk
+
+    def note_asked(inlet: pylsl.StreamInlet, timeout: float) -> float:
+        asked.append(inlet)
+        return ask(inlet, timeout)
+
+    def note_pulled(inlet: pylsl.StreamInlet, *arguments: Any, **options: Any) -> Any:
+        pulled.append(inlet)
+        return pull(inlet, *arguments, **options)
+
+    monkeypatch.setattr(pylsl.StreamInlet, "time_correction", note_asked)
+    monkeypatch.setattr(pylsl.StreamInlet, "pull_chunk", note_pulled)
+    return asked, pulled
+
+
 def drain_until(inlet: Inlet, receiver: Collector, count: int) -> None:
     """Drain until a receiver has so many samples."""
 

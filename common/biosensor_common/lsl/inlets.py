@@ -9,11 +9,30 @@ reads its header again.
 
 from __future__ import annotations
 
+from concurrent.futures import Executor, Future
+
 import pylsl
 import pylsl.util
 
 LAST_ENTRY_S = 0.1
 """From a loss until the last entry of the queue is surely there, see `undelivered`."""
+MOST_BUFFERED = 4_000_000
+"""Samples. liblsl reserves 16 bytes for each at once, and programs may announce any rate."""
+
+
+def buffer_length(rate: float, length: int, most: int = MOST_BUFFERED) -> int:
+    """Return how much an inlet is to buffer.
+
+    Parameters
+    ----------
+    rate
+        Of the stream, in Hz.
+    length
+        In seconds, or hundreds of samples where the rate is 0, as liblsl has it.
+    most
+        Samples of a regular stream.
+    """
+    return length if rate * length <= most else max(1, int(most / rate))
 
 
 def unopened_inlet(
@@ -69,3 +88,74 @@ def undelivered(inlet: pylsl.StreamInlet) -> int:
     after it has called the stream lost, on a busy machine some time after, and nothing tells when.
     """
     return max(0, inlet.flush() - 1)
+
+
+class Connection:
+    """An inlet that is opened by a thread, and whose sender's clock other inlets measure.
+
+    Parameters
+    ----------
+    info
+        As a resolver gave it.
+    pool
+        Opens it; a sender that does not answer keeps the thread for `limit_s`.
+
+    Attributes
+    ----------
+    is_ready
+        Whether its sender's clock can be measured, see `biosensor_common.sender_clocks`.
+    correction
+        What was measured last, in seconds to add to stamps; None before the first time.
+    """
+
+    def __init__(
+        self,
+        info: pylsl.StreamInfo,
+        pool: Executor,
+        limit_s: float,
+        max_buflen: int,
+        *,
+        as_numpy: bool = False,
+    ) -> None:
+        self.is_ready = True
+        self.correction: float | None = None
+        self._info = info
+        self._opening: Future[pylsl.StreamInlet] = pool.submit(
+            open_inlet, info, limit_s, max_buflen, as_numpy=as_numpy
+        )
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it receives."""
+        opening = self._opening
+        return opening.done() and not opening.cancelled() and opening.exception() is None
+
+    @property
+    def inlet(self) -> pylsl.StreamInlet | None:
+        """The inlet; None while it is being opened.
+
+        Raises
+        ------
+        RuntimeError
+            It could not be opened, see `open_inlet`.
+        """
+        return self._opening.result() if self._opening.done() else None
+
+    def open_clock(self) -> pylsl.StreamInlet:
+        """Open an inlet for one measurement of the sender's clock.
+
+        Raises
+        ------
+        RuntimeError
+            If liblsl can open none.
+        """
+        return unopened_inlet(self._info)
+
+    def take_correction(self, correction: float) -> None:
+        """Take in a measurement."""
+        self.correction = correction
+
+    def close(self) -> None:
+        """Close it; one that is being opened closes by itself."""
+        if not self._opening.cancel() and self.is_open:
+            self._opening.result().close_stream()

@@ -5,22 +5,19 @@ from __future__ import annotations
 import socket
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pylsl
 
-from biosensor_common.lsl.inlets import open_inlet
+from biosensor_common.lsl.inlets import Connection, buffer_length
 from biosensor_common.refusal import Refusal
 from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source
 
 _OPEN_S = 5.0
-_CLOCK_S, _CLOCK_EVERY_S, _CLOCK_AT_MOST_S = 1.0, 5.0, 60.0
-"""A computer that hangs is asked the less often the longer it does: others wait for the same
-threads."""
 _MOST_HELD = 4096
 """Runs of events that wait for the first correction of their stamps."""
 _BUFFER_S = 360
@@ -29,40 +26,6 @@ _MOST_SAMPLES = 8192
 
 Remark = tuple[Refusal, int, str]
 """What was left out, how much, and why."""
-
-
-class Clock(Protocol):
-    """An inlet, as far as it says what the time is at its sender."""
-
-    def time_correction(self, timeout: float, /) -> float:
-        """Return the seconds to add to a stamp; raises TimeoutError after this time."""
-        ...
-
-
-class Correction:
-    """What brings the stamps of one stream to the clock of this computer; asked in a thread."""
-
-    def __init__(self, inlet: Clock, asking: Executor) -> None:
-        self._inlet, self._asking = inlet, asking
-        self._asked: Future[float] | None = None
-        self._next_s = 0.0
-        self._every_s = _CLOCK_EVERY_S
-        self._last_s: float | None = None
-
-    def seconds(self, now_s: float) -> float | None:
-        """Return the last one that is known, None before the first; never waits."""
-        if self._asked is None and now_s >= self._next_s:
-            self._asked = self._asking.submit(self._inlet.time_correction, _CLOCK_S)
-            self._next_s = now_s + self._every_s
-        if self._asked is not None and self._asked.done():
-            # Where there is no answer the last one holds meanwhile: clocks drift slowly.
-            if self._asked.exception() is None:
-                self._last_s = self._asked.result()
-                self._every_s = _CLOCK_EVERY_S
-            else:
-                self._every_s = min(2 * self._every_s, _CLOCK_AT_MOST_S)
-            self._asked = None
-        return self._last_s
 
 
 class Link:
@@ -83,6 +46,10 @@ class Link:
     ----------
     uid
         Of the outlet.
+    connection
+        What receives it.
+    is_here
+        Whether its sender is this computer, so that its stamps stay as they are, to the last bit.
     """
 
     def __init__(
@@ -93,22 +60,15 @@ class Link:
         motions: Motions,
     ) -> None:
         self.uid, self._name = info.uid(), source.name
-        self._asking = asking
-        self._opening = asking.submit(open_inlet, info, _OPEN_S, _BUFFER_S)
-        # On one computer stamps stay as they are, to the last bit.
-        self._is_here = info.hostname() == socket.gethostname()
-        self._correction: Correction | None = None
+        length = buffer_length(source.header.rate, _BUFFER_S)
+        self.connection = Connection(info, asking, _OPEN_S, length)
+        self.is_here = info.hostname() == socket.gethostname()
         self._computer = source.new_computer(motions)
         self._told = self._gone = self._told_gone = self._told_values = 0
         # nothing is dropped: what is given up is counted in `read` and told by `remarks`
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether it receives."""
-        return self._opening.done() and self._opening.exception() is None
-
-    def read(self, now_s: float) -> list[tuple[Sequence[Event], float]]:
+    def read(self) -> list[tuple[Sequence[Event], float]]:
         """Take in what has come, without waiting.
 
         Returns
@@ -122,9 +82,9 @@ class Link:
         RuntimeError
             The outlet is gone, or does not answer.
         """
-        if not self._opening.done():
+        inlet = self.connection.inlet
+        if inlet is None:
             return []  # nothing is dropped: it is being opened
-        inlet = self._opening.result()
         pulled: tuple[Any, Any] = inlet.pull_chunk(0.0, _MOST_SAMPLES)
         samples, stamps = pulled
         if stamps:
@@ -134,7 +94,8 @@ class Link:
             if events:
                 self._gone += len(self._held) == _MOST_HELD
                 self._held.append(events)
-        seconds = 0.0 if self._is_here else self._seconds(inlet, now_s)
+        # Where there is no answer the last one holds meanwhile: clocks drift slowly.
+        seconds = 0.0 if self.is_here else self.connection.correction
         known: list[tuple[Sequence[Event], float]] = []
         while self._held and seconds is not None:
             known.append((self._held.popleft(), seconds))
@@ -155,12 +116,3 @@ class Link:
             self._told_gone += new
             found.append((Refusal.UNSTAMPED, new, ""))
         return found
-
-    def close(self) -> None:
-        """Close the inlet; one that is being opened closes by itself."""
-        if not self._opening.cancel() and self.is_open:
-            self._opening.result().close_stream()
-
-    def _seconds(self, inlet: pylsl.StreamInlet, now_s: float) -> float | None:
-        self._correction = self._correction or Correction(inlet, self._asking)
-        return self._correction.seconds(now_s)

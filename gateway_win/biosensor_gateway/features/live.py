@@ -13,12 +13,13 @@ import numpy as np
 import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
-from biosensor_common.lsl.inlets import read_description, unopened_inlet
+from biosensor_common.lsl.inlets import Connection, read_description, unopened_inlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl_header import read_header
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.sender_clocks import SenderClocks
 from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
@@ -97,11 +98,16 @@ class _Stage:
 
     def follow(self, info: pylsl.StreamInfo) -> None:
         """Go on with another outlet, whose header is the same."""
-        self._link.close()
+        self.close()
         self._link = Link(self.source, info, self._asking, self._motions)
         self.is_lost = False
 
-    def read(self, now_s: float) -> None:
+    @property
+    def connection(self) -> Connection | None:
+        """What receives it, if its sender has a clock of its own that can be measured."""
+        return None if self.is_lost or self._link.is_here else self._link.connection
+
+    def read(self) -> None:
         """Take in what has come, and send what can be told by now.
 
         Raises
@@ -113,8 +119,8 @@ class _Stage:
         """
         if self.is_lost:
             return  # nothing is dropped: its outlet has ended
-        known = self._link.read(now_s)
-        if self._link.is_open:
+        known = self._link.read()
+        if self._link.connection.is_open:
             # Not before: who receives features shall not find any of a stream that is gone.
             self._sender = self._sender or Sender(self.source)
             for events, seconds in known:
@@ -126,7 +132,7 @@ class _Stage:
 
     def close(self) -> None:
         """Close the inlet."""
-        self._link.close()
+        self._link.connection.close()
 
 
 class _Seen:
@@ -171,11 +177,14 @@ class Live:
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
         self._rivals: dict[str, float] = {}
+        # Of those whose clocks are measured, in another thread.
+        self._measured: list[Connection] = []
 
     def run(self, stopping: threading.Event) -> None:
         """Read and send until it is set."""
         raw_streams = any_of(*(equals("type", each.value) for each in TYPES))
         resolver = pylsl.ContinuousResolver(pred=raw_streams)
+        clocks = SenderClocks(lambda: self._measured)
         count = 0
         try:
             while not stopping.wait(READ_S):
@@ -185,6 +194,7 @@ class Live:
                 count += 1
                 self.read()
         finally:
+            clocks.stop()
             self._asking.shutdown(wait=False, cancel_futures=True)
             for stage in self._stages.values():
                 stage.close()
@@ -211,14 +221,15 @@ class Live:
         for info, description in told:
             self._judge(info, description)
         self._begin()
+        connections = (each.connection for each in self._stages.values())
+        self._measured = [each for each in connections if each is not None]
 
     def read(self) -> None:
         """Take in what has come of all streams, and send what can be told by now."""
-        now_s = self._clock()
         for key, stage in list(self._stages.items()):
             had_begun = stage.has_begun
             try:
-                stage.read(now_s)
+                stage.read()
             except RuntimeError:
                 # nothing is dropped: the outlet has ended, and is looked for again
                 self._lose(key, stage)

@@ -11,7 +11,7 @@ import pylsl
 import structlog
 
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.inlets import read_description, unopened_inlet
+from biosensor_common.lsl.inlets import Connection, read_description, unopened_inlet
 from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.predicates import Predicate
 from biosensor_common.lsl_header import read_header
@@ -72,8 +72,8 @@ class Reader:
         self._descriptions = Descriptions(self._pool)
         self._inlets = Inlets(self._close, self._pool)
         self._viewer = Viewer()
-        self._receivers: list[Receiver] = []
-        self._clocks = SenderClocks(lambda: self._receivers, CLOCKS_S)
+        self._connections: list[Connection] = []
+        self._clocks = SenderClocks(lambda: self._connections, CLOCKS_S)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True, name="network reader")
         self._thread.start()
@@ -104,7 +104,8 @@ class Reader:
         streams = self._listing.streams
         self._descriptions.update(streams.values(), now)
         self._inlets.update(streams, sorted(chosen(self.wanted)), now)
-        self._receivers = [each.receiver for each in streams.values() if each.receiver]
+        receivers = [each.receiver for each in streams.values() if each.receiver]
+        self._connections = [each.connection for each in receivers]
         self.view = self._viewer.view(self._listing, self._inlets.refused, self.wanted, now)
 
     def _read(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from time import monotonic
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
-from biosensor_common.lsl.inlets import open_inlet, unopened_inlet
+from biosensor_common.lsl.inlets import Connection, buffer_length
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields
 
@@ -40,8 +40,6 @@ class Block(NamedTuple):
 class Receiver:
     """Receives one stream, for as long as somebody looks at it.
 
-    Its clock is measured by other inlets (`biosensor_common.sender_clocks`).
-
     Parameters
     ----------
     info
@@ -53,15 +51,11 @@ class Receiver:
     """
 
     def __init__(self, info: pylsl.StreamInfo, core: CoreFields, pool: Executor) -> None:
-        self.correction: float | None = None
-        self._info = info
         self._is_text = core.format is ChannelFormat.STRING
         self._most = max(1, min(_MOST_SAMPLES, _MOST_VALUES // core.channel_count))
         self._opened_s = monotonic()
-        length = _buffer_length(core.rate)
-        self._opening: Future[pylsl.StreamInlet] = pool.submit(
-            open_inlet, info, _OPEN_S, length, as_numpy=True
-        )
+        length = buffer_length(core.rate, _BUFFER_S, _BUFFER_SAMPLES)
+        self.connection = Connection(info, pool, _OPEN_S, length, as_numpy=True)
 
     @property
     def age_s(self) -> float:
@@ -69,23 +63,9 @@ class Receiver:
         return monotonic() - self._opened_s
 
     @property
-    def is_ready(self) -> bool:
-        """Whether its clock can be measured."""
-        return True
-
-    def open_clock(self) -> pylsl.StreamInlet:
-        """Open an inlet for one measurement of the sender's clock.
-
-        Raises
-        ------
-        RuntimeError
-            If liblsl can open none.
-        """
-        return unopened_inlet(self._info)
-
-    def take_correction(self, correction: float) -> None:
-        """Take in a measurement, in seconds to add to stamps."""
-        self.correction = correction
+    def correction(self) -> float | None:
+        """Seconds to add to stamps; None before the sender's clock was measured."""
+        return self.connection.correction
 
     def pull(self) -> Block | None:
         """Return what has come, without waiting; None if nothing has.
@@ -95,9 +75,9 @@ class Receiver:
         RuntimeError
             The stream is lost, or was not opened.
         """
-        if not self._opening.done():
+        lsl = self.connection.inlet
+        if lsl is None:
             return None  # nothing is dropped: it is being opened
-        lsl = self._opening.result()
         if self.correction is None and self.age_s < CLOCK_WITHIN_S:
             return None  # nothing is dropped: they wait in liblsl
         # Only a pull finds out about a loss, so at least one sample is asked for.
@@ -107,10 +87,4 @@ class Receiver:
 
     def close(self) -> None:
         """End it; waits for liblsl's own threads."""
-        if not self._opening.cancel() and self._opening.exception() is None:
-            self._opening.result().close_stream()
-
-
-def _buffer_length(rate: float) -> int:
-    """Return the seconds to buffer, or hundreds of samples where the rate is 0."""
-    return max(1, min(_BUFFER_S, int(_BUFFER_SAMPLES / rate))) if rate else _BUFFER_S
+        self.connection.close()

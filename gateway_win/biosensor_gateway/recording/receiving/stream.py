@@ -17,6 +17,7 @@ from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import (
     LAST_ENTRY_S,
+    buffer_length,
     open_inlet,
     read_description,
     undelivered,
@@ -106,7 +107,8 @@ class ReceivedStream:
         RuntimeError
             ``TimeoutError`` or ``LostError`` of pylsl: the sender does not answer.
         """
-        inlet = open_inlet(info, limit_s, _BUFFER_S, as_numpy=True)
+        length = buffer_length(self._core.rate, _BUFFER_S)
+        inlet = open_inlet(info, limit_s, length, as_numpy=True)
         if not self._xml:
             described = read_description(inlet, info.uid(), limit_s)
             # The bytes as they came: a header of another program may be no UTF-8.

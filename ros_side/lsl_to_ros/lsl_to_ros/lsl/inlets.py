@@ -12,7 +12,13 @@ import pylsl
 from pylsl import util
 
 from biosensor_common.announcements import read_core
-from biosensor_common.lsl.inlets import read_description, unopened_inlet
+from biosensor_common.lsl.inlets import (
+    LAST_ENTRY_S,
+    buffer_length,
+    read_description,
+    undelivered,
+    unopened_inlet,
+)
 from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
 from biosensor_common.quantities import ChannelFormat
@@ -25,16 +31,13 @@ from lsl_to_ros.lsl.liblsl import matches_query
 from lsl_to_ros.lsl.reading import Reading
 
 OPEN_TIMEOUT_S = 10.0
-LAST_ENTRY_S = 0.1
 # What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
 FROM_ROS = all_of(has("desc/ros"), none_of(has("desc/replay")))
-# For as long may the node stand still. liblsl reserves 16 bytes a sample at once, on both sides:
-# its own default, 360 s, is 1.5 MB for 256 Hz.
+# For as long may the node stand still: liblsl's own default, 360 s, is 1.5 MB for 256 Hz, on both
+# sides.
 BUFFER_S = 120
 # A stream of no rate may burst, and no time says how much that is: here liblsl's default stays.
 BUFFER_HUNDREDS = 360
-# What other programs announce may be anything, and liblsl would reserve memory for it.
-BUFFER_SAMPLES = 4_000_000
 CORRECTIONS_KEPT = 10
 
 
@@ -239,7 +242,7 @@ class Inlet:
             self._delivery.clock_known()
 
     def _open(self) -> None:
-        length = buffer_length(self.core.rate)
+        length = buffer_length(self.core.rate, BUFFER_S if self.core.rate else BUFFER_HUNDREDS)
         try:
             lsl = unopened_inlet(self.info, length, as_numpy=True)
         except RuntimeError as error:
@@ -281,11 +284,9 @@ class Inlet:
             self.state = InletState.FAILED
 
     def _count_undelivered(self, lsl: pylsl.StreamInlet) -> None:
-        # The last entry of a lost stream's queue is no sample: it wakes who waits. A thread of
-        # liblsl puts it there after it has called the stream lost, on a busy machine some time
-        # after. Nothing tells when it is there, and other streams must not wait for it.
+        # Other streams must not wait for it.
         time.sleep(LAST_ENTRY_S)
-        self._delivery.end(max(0, lsl.flush() - 1))
+        self._delivery.end(undelivered(lsl))
         self.state = InletState.LOST
 
     def _without_waiting(self, work: Callable[[Reading], None]) -> None:
@@ -304,13 +305,6 @@ class Inlet:
     def _close(self) -> None:
         with self._pulling:
             self._reading = None
-
-
-def buffer_length(rate: float) -> int:
-    """Return the seconds to buffer; hundreds of samples where the rate is 0, as liblsl has it."""
-    if not rate:
-        return BUFFER_HUNDREDS
-    return BUFFER_S if rate * BUFFER_S <= BUFFER_SAMPLES else max(1, int(BUFFER_SAMPLES / rate))
 
 
 class Corrections:
