@@ -406,6 +406,16 @@ def test_an_inlet_of_data_is_never_asked_for_its_clock(
     assert contents(file)["asked"].footer.count(b"<offset>") >= 1
 
 
+def test_a_rate_that_somebody_announces_takes_no_memory(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """liblsl reserves it at once, here for inlet and outlet: without a bound 1.2 GB."""
+    _outlet = pylsl.StreamOutlet(pylsl.StreamInfo("fast", "EEG", 1, 1e5, "float32", "fast-id"))
+    before = psutil.Process().memory_info().rss
+    with recorder_here(monkeypatch, tmp_path / "fast.xdf"):
+        assert psutil.Process().memory_info().rss - before < 400e6
+
+
 SLOW_TO_ANSWER = """
 import time
 import pylsl
@@ -429,10 +439,10 @@ def test_a_stream_that_answers_late_is_recorded_from_then_on(
             assert sender.stdout is not None
             assert sender.stdout.readline() == b"up\n"
 
-            def open_held(stream: ReceivedStream, *arguments: Any) -> None:
+            def open_held(stream: ReceivedStream, *arguments: Any) -> bool:
                 if stream.title.startswith("held") and not stopped:
                     stopped.append(os.kill(sender.pid, signal.SIGSTOP))
-                open_(stream, *arguments)
+                return open_(stream, *arguments)
 
             stopped: list[None] = []
             monkeypatch.setattr(ReceivedStream, "open", open_held)
@@ -448,6 +458,30 @@ def test_a_stream_that_answers_late_is_recorded_from_then_on(
     assert set(found) == {"held", "other"}
     assert set(values_of(found["held"])) == {1.0}
     assert b"<sample_count>%d<" % len(found["held"].samples) in found["held"].footer
+
+
+def test_what_comes_back_with_other_channels_is_another_stream(tmp_path: Path) -> None:
+    def start(unit: str) -> pylsl.StreamOutlet:
+        info = pylsl.StreamInfo("unit", "EEG", 1, 0.0, "float32", "unit-id")
+        channel = info.desc().append_child("channels").append_child("channel")
+        channel.append_child_value("label", "Fz")
+        channel.append_child_value("unit", unit)
+        return pylsl.StreamOutlet(info)
+
+    file = tmp_path / "unit.xdf"
+    outlet = start("microvolts")
+    with own_recorder(file):
+        log = file.with_suffix(".log")
+        for number, unit, said in (0, "volts", "later than others"), (1, "microvolts", "goes on"):
+            outlet.push_sample([float(number)])
+            time.sleep(1.0)
+            del outlet
+            outlet = start(unit)
+            wait_until(lambda said=said: said in log.read_text(), "the recorder goes on")
+        outlet.push_sample([2.0])
+        time.sleep(1.0)
+    found = {each.header.units: values_of(each) for each in streams_of(file)}
+    assert found == {("microvolts",): [0.0, 2.0], ("volts",): [1.0]}
 
 
 def test_it_looks_as_long_as_other_streams_come(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
@@ -84,6 +85,9 @@ class _Recorder:
         self._pool = ThreadPoolExecutor(_OPENED_AT_ONCE)
         self._streams: list[ReceivedStream] = []
         self._opening: dict[ReceivedStream, tuple[str, Future[None]]] = {}
+        self._numbers = count(1)
+        # Of streams that have come back with other channels.
+        self._renewed: list[pylsl.StreamInfo] = []
 
     def run(self, over: threading.Event) -> int:
         try:
@@ -95,7 +99,7 @@ class _Recorder:
 
     def _run(self, over: threading.Event) -> int:
         found = self._found()
-        opened = self._pool.map(self._open, range(1, len(found) + 1), found)
+        opened = self._pool.map(self._open, self._numbers, found)
         self._streams = [each for each in opened if each is not None]
         ready = [each for each in self._streams if each.is_open]
         for each in ready:
@@ -148,6 +152,10 @@ class _Recorder:
 
     def _look_for_absent(self, resolver: pylsl.ContinuousResolver) -> None:
         """Go on with streams that did not answer, and with those that were started again."""
+        while self._renewed:
+            again = ReceivedStream(next(self._numbers), self._renewed.pop(), self._write)
+            self._streams.append(again)
+            _say(f"{again.title} has other channels than before; it is recorded as another stream")
         self._opening = {each: one for each, one in self._opening.items() if not one[1].done()}
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
         infos = sorted(resolver.results(), key=by_start) if absent else []
@@ -164,8 +172,9 @@ class _Recorder:
     def _open_again(self, stream: ReceivedStream, info: pylsl.StreamInfo) -> None:
         # If it does not answer, it is tried again.
         with suppress(RuntimeError):
-            stream.open(info, _OPEN_S)
-            if stream.has_begun:
+            if not stream.open(info, _OPEN_S):
+                self._renewed.append(info)
+            elif stream.has_begun:
                 _say(f"{stream.title} goes on")
 
     def _found(self) -> list[pylsl.StreamInfo]:
@@ -197,7 +206,7 @@ class _Recorder:
         for each in self._streams:
             if each.is_open and not each.has_begun:
                 each.begin()
-                _say(f"Started data collection for stream {each.title}, which answered late")
+                _say(f"Started data collection for stream {each.title}, later than others")
             if (gone := each.take()) is not None:
                 _say(f"{each.title} has ended; {gone} of its samples were not received")
 

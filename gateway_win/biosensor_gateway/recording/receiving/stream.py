@@ -25,6 +25,8 @@ from biosensor_common.lsl.inlets import (
 )
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf.container import ChunkError
+from biosensor_gateway.recording.xdf.header import parse_stream_header
 
 _BUFFER_S = 360
 _MOST_VALUES = 1 << 18
@@ -97,10 +99,16 @@ class ReceivedStream:
         """What was measured last of its sender's clock, in s; None before the first time."""
         return self.clock_offsets[-1][1] if self.clock_offsets else None
 
-    def open(self, info: pylsl.StreamInfo, limit_s: float) -> None:
-        """Have liblsl keep what an outlet sends from now on, and ask the first one for the header.
+    def open(self, info: pylsl.StreamInfo, limit_s: float) -> bool:
+        """Have liblsl keep what an outlet sends from now on.
 
-        LabRecorder's inlets go on with another outlet by themselves.
+        LabRecorder's inlets go on with another outlet by themselves, whatever its header says.
+
+        Returns
+        -------
+        bool
+            False if it is not received: its channels are not those of the header that was read
+            first, so that its samples would be taken for something else.
 
         Raises
         ------
@@ -109,12 +117,15 @@ class ReceivedStream:
         """
         length = buffer_length(self._core.rate, _BUFFER_S)
         inlet = open_inlet(info, limit_s, length, as_numpy=True)
-        if not self._xml:
-            described = read_description(inlet, info.uid(), limit_s)
-            # The bytes as they came: a header of another program may be no UTF-8.
-            self._xml = cast("bytes", lib.lsl_get_xml(described.obj))
+        described = read_description(inlet, info.uid(), limit_s)
+        # The bytes as they came: a header of another program may be no UTF-8.
+        xml = cast("bytes", lib.lsl_get_xml(described.obj))
+        if self._xml and _channels(self._xml) != _channels(xml):
+            return False
+        self._xml = self._xml or xml
         self._inlet, self._info, self.uid = inlet, info, info.uid()
         self.is_open = True
+        return True
 
     def goes_on_as(self, info: pylsl.StreamInfo) -> bool:
         """Whether *info* is of its outlet, or of one that was started again with the same shape."""
@@ -185,3 +196,12 @@ class ReceivedStream:
         taken_at = pylsl.local_clock() - correction
         self.clock_offsets.append((taken_at, correction))
         self._write(writing.clock_offset(self._number, taken_at, correction))
+
+
+def _channels(xml: bytes) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Return the labels and units of a header; None if it cannot be read."""
+    try:
+        header = parse_stream_header(xml)
+    except ChunkError:
+        return None
+    return header.labels, header.units
