@@ -10,7 +10,7 @@ from functools import cache
 
 import pylsl
 
-from biosensor_common.lsl_outlet import REST_S
+from biosensor_common.lsl.outlet import REST_S
 
 _OF_THE_LAST_FAILURE = ("last_type", "last_value", "last_traceback", "last_exc")
 _made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []

@@ -11,7 +11,7 @@ import time
 
 import pylsl
 
-from biosensor_common.lsl_outlet import LslOutlet
+from biosensor_common.lsl.outlet import LslOutlet
 from tests.bench.child import Orders, say
 from tests.bench.samples import CHANNELS, CONTENT_TYPE, FILLER, stream_names, values_of
 

@@ -13,7 +13,7 @@ import pylsl
 import pytest
 from pylsl.lib import lib
 
-from biosensor_common.lsl_outlet import REST_S, LslOutlet
+from biosensor_common.lsl.outlet import REST_S, LslOutlet
 
 ROOT = Path(__file__).parents[2]
 PUSHES: dict[str, Callable[[LslOutlet], None]] = {

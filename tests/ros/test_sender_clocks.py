@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
-from biosensor_common import sender_clocks
-from biosensor_common.sender_clocks import PERIOD_S, ClockInlet, Measurement, SenderClocks
+from biosensor_common.lsl import sender_clocks
+from biosensor_common.lsl.sender_clocks import PERIOD_S, ClockInlet, Measurement, SenderClocks
 from lsl_to_ros.lsl.inlets import Inlet
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 

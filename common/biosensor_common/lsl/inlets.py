@@ -103,7 +103,7 @@ class Connection:
     Attributes
     ----------
     is_ready
-        Whether its sender's clock can be measured, see `biosensor_common.sender_clocks`.
+        Whether its sender's clock can be measured, see `biosensor_common.lsl.sender_clocks`.
     correction
         What was measured last, in seconds to add to stamps; None before the first time.
     """

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
-from biosensor_common.announcements import Announcement
+from biosensor_common.lsl.announcements import Announcement
 from biosensor_common.stream_header import StreamHeader
 
 

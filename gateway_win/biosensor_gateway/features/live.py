@@ -14,12 +14,12 @@ import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
 from biosensor_common.lsl.inlets import Connection, read_description, unopened_inlet
+from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl.predicates import any_of, equals
+from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
-from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from biosensor_common.sender_clocks import SenderClocks
 from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info

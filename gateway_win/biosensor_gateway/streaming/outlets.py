@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from biosensor_common import naming
 from biosensor_common.description_xml import append_children
 from biosensor_common.device_clock import LONGEST_DELAY_S
+from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
-from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals

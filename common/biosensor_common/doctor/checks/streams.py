@@ -10,7 +10,7 @@ from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, ok
 from biosensor_common.doctor.lsl_api_file import LOOPBACK
 from biosensor_common.doctor.surveyed_stream import SurveyedStream
-from biosensor_common.sender_clocks import LIMIT_S
+from biosensor_common.lsl.sender_clocks import LIMIT_S
 
 SEARCH_S, LISTEN_S = 3.0, LIMIT_S
 """A sender's clock is asked for anew every 2 s, and the first answers may be late."""

@@ -14,8 +14,8 @@ from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import Connection, read_description, unopened_inlet
 from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.predicates import Predicate
+from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
-from biosensor_common.sender_clocks import SenderClocks
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.network.inlets import Inlets

@@ -26,7 +26,7 @@ from biosensor_common.errors import SpecError
 from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl.namesakes import by_start
 from biosensor_common.lsl.network import Streams, search
-from biosensor_common.sender_clocks import LIMIT_S, STEP_S, SenderClocks
+from biosensor_common.lsl.sender_clocks import LIMIT_S, STEP_S, SenderClocks
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf import writing
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pylsl import util
 from pylsl.lib import lib
 
-from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.announcements import read_core
 from biosensor_common.lsl.inlets import (
     LAST_ENTRY_S,
     buffer_length,

@@ -13,7 +13,7 @@ import pylsl
 from numpy.typing import NDArray
 from pylsl.lib import lib
 
-from biosensor_common.lsl_outlet import LslOutlet
+from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.replay import Replay, mark_as_replay
 from biosensor_gateway.recording.contents.stream import Samples

@@ -11,7 +11,7 @@ from enum import Enum, unique
 import pylsl
 from pylsl import util
 
-from biosensor_common.announcements import read_core
+from biosensor_common.lsl.announcements import read_core
 from biosensor_common.lsl.inlets import (
     LAST_ENTRY_S,
     buffer_length,

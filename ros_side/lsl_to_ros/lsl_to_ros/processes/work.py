@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from biosensor_common.sender_clocks import SenderClocks
+from biosensor_common.lsl.sender_clocks import SenderClocks
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.configuration import configure_lsl

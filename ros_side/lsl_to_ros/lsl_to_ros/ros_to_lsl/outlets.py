@@ -25,7 +25,7 @@ import pylsl
 
 from biosensor_common import naming
 from biosensor_common.description_xml import append_children
-from biosensor_common.lsl_outlet import LslOutlet
+from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_common.ros.layout import Channel
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
