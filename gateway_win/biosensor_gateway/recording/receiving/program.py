@@ -152,11 +152,12 @@ class _Recorder:
 
     def _look_for_absent(self, resolver: pylsl.ContinuousResolver) -> None:
         """Go on with streams that did not answer, and with those that were started again."""
+        # First: whoever is done has noted before what is renewed.
+        self._opening = {each: one for each, one in self._opening.items() if not one[1].done()}
         while self._renewed:
             again = ReceivedStream(next(self._numbers), self._renewed.pop(), self._write)
             self._streams.append(again)
             _say(f"{again.title} has other channels than before; it is recorded as another stream")
-        self._opening = {each: one for each, one in self._opening.items() if not one[1].done()}
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
         infos = sorted(resolver.results(), key=by_start) if absent else []
         for stream in absent:
@@ -179,12 +180,12 @@ class _Recorder:
 
     def _found(self) -> list[pylsl.StreamInfo]:
         """Look for streams; of many, on a busy computer, some answer late."""
-        count, newest_s = 0, 0.0
+        known, newest_s = 0, 0.0
 
         def is_enough(found: Streams, elapsed_s: float) -> bool:
-            nonlocal count, newest_s
-            if len(found) > count:
-                count, newest_s = len(found), elapsed_s
+            nonlocal known, newest_s
+            if len(found) > known:
+                known, newest_s = len(found), elapsed_s
             return elapsed_s >= min(newest_s + _QUIET_S, _LONGEST_S)
 
         return search(is_enough, self._predicate)
