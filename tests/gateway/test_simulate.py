@@ -19,7 +19,12 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.demo.virtual_devices import virtual_class, virtual_names
+from biosensor_gateway.demo.virtual_devices import (
+    Wanted,
+    turns_of,
+    virtual_class,
+    virtual_names,
+)
 from biosensor_gateway.devices.registry import sensor
 from biosensor_gateway.simulation import virtual_device
 from biosensor_gateway.simulation.effects import Effect
@@ -27,6 +32,7 @@ from biosensor_gateway.simulation.faults import (
     Fault,
     FaultKind,
     Kind,
+    OfWearer,
     ScheduledFault,
     parse_fault,
 )
@@ -59,6 +65,8 @@ SHORT_S = 0.05
         (" stall:2.5@0.5s ", ScheduledFault(Fault(FaultKind.STALL, 2.5), 0.5)),
         ("garbage@1", ScheduledFault(Fault(FaultKind.GARBAGE, 64.0), 1.0)),
         ("late@1", ScheduledFault(Fault(FaultKind.LATE, 1.0), 1.0)),
+        ("hr:140bpm@30s", ScheduledFault(Fault(OfWearer.HEART_RATE, 140.0), 30.0)),
+        ("hr@30", ScheduledFault(Fault(OfWearer.HEART_RATE, 120.0), 30.0)),
         ("low_battery:7%@5s", ScheduledFault(Fault(FaultKind.LOW_BATTERY, 7.0), 5.0)),
         ("low_battery@5s", ScheduledFault(Fault(FaultKind.LOW_BATTERY, 4.0), 5.0)),
         ("drift:-80ppm@0s", ScheduledFault(Fault(FaultKind.DRIFT, -80.0), 0.0)),
@@ -132,6 +140,9 @@ BAD_FAULTS = (
     "low_battery:400%@1s",
     "drift:1000000ppm@1s",
     "explode:5s@1s",
+    "hr:20@1s",
+    "hr:250bpm@1s",
+    "hr:5s@1s",
     "Polar:drop:5s@1s",
     "drop:5s@1s@2s",
 )
@@ -151,6 +162,9 @@ def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> N
         ("ble_heart_rate", "refuse:5s@1s", "none of the virtual devices"),
         ("zephyr:recording,zephyr", "zephyr:recording:off_body@1s", "zephyr:recording"),
         ("polar_h10", "zephyr:drop:5s@1s", "zephyr"),
+        ("vernier_respiration_belt", "hr:120@1s", "none of the virtual devices"),
+        ("zephyr:recording", "hr:120@1s", "none of the virtual devices"),
+        ("polar_h10", "zephyr:hr:120@1s", "zephyr"),
     ],
 )
 def test_a_fault_that_nobody_can_have_ends_the_command(
@@ -160,6 +174,24 @@ def test_a_fault_that_nobody_can_have_ends_the_command(
     assert (code, out) == (2, "")
     assert err.startswith(f"biosensor-gateway: {who} cannot have the fault ")
     assert err.count("\n") == 1
+
+
+def test_a_heart_beats_for_all_sensors_of_a_person_and_for_nobody_else() -> None:
+    scheduled = [parse_fault(each) for each in ("zephyr:hr:90@60s", "polar_h10:hr:120@30s")]
+    wanted = [
+        Wanted(*each)
+        for each in (
+            ("polar_h10", "P01"),
+            ("shimmer3_gsr", "P01"),
+            ("zephyr", "P02"),
+            ("empatica_e4", ""),
+            ("zephyr", ""),
+        )
+    ]
+    turns = turns_of(wanted, scheduled)
+    assert list(turns) == wanted
+    first, second = ((60.0, 90.0),), ((30.0, 120.0),)
+    assert list(turns.values()) == [second, second, first, (), first]
 
 
 @pytest.mark.parametrize("name", ["nobody", "", "zephyr:", "zephyr:nothing", ":recording"])

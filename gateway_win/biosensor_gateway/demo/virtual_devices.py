@@ -10,6 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import cached_property
 from importlib import import_module
 from itertools import chain
@@ -18,15 +19,22 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
 from biosensor_common.misspelt import did_you_mean
+from biosensor_common.quantities import ContentType
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import (
     DeviceSettings,
     GatewaySettings,
 )
 from biosensor_gateway.settings.names import require_participant
-from biosensor_gateway.simulation.faults import Fault, ScheduledFault, parse_fault
+from biosensor_gateway.simulation.faults import (
+    Fault,
+    FaultKind,
+    OfWearer,
+    ScheduledFault,
+    parse_fault,
+)
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.wearer import someone
+from biosensor_gateway.simulation.wearer import Wearer, someone
 from biosensor_gateway.simulation.world import World
 
 if TYPE_CHECKING:
@@ -34,6 +42,7 @@ if TYPE_CHECKING:
 
 ALL = "all"
 _WORN_BY = "@"
+_OF_HEART = frozenset({ContentType.HR, ContentType.RR, ContentType.ECG, ContentType.PPG})
 # A virtual device may run for days; nobody asks this one what it has sent.
 _KEPT = 0
 
@@ -158,8 +167,11 @@ def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
     return tuple(dict.fromkeys(chain.from_iterable(expanded)))
 
 
-def _start(wanted: Sequence[Wanted], stack: ExitStack) -> dict[Wanted, VirtualDevice]:
+def _start(
+    wanted: Sequence[Wanted], hearts: Iterable[ScheduledFault], stack: ExitStack
+) -> dict[Wanted, VirtualDevice]:
     """Switch them on: those of one participant on the same person, those of a kind apart."""
+    turns = turns_of(wanted, hearts)
     scene = Scene(stack)
     people = list(dict.fromkeys(each.participant for each in wanted))
     kinds: Counter[str] = Counter()
@@ -167,12 +179,42 @@ def _start(wanted: Sequence[Wanted], stack: ExitStack) -> dict[Wanted, VirtualDe
     for each in wanted:
         options: Mapping[str, object] = {}
         if each.participant:
-            wearer = someone(people.index(each.participant))
+            wearer = replace(someone(people.index(each.participant)), turns=turns[each])
             options = virtual_class(each.name).worn_by(wearer, kinds[each.name])
+        elif turns[each]:
+            options = virtual_class(each.name).worn_by(Wearer(turns=turns[each]), 0)
         kinds[each.name] += 1
         device = make(each.name, scene, kept=_KEPT, **options)
         devices[each] = stack.enter_context(device)
     return devices
+
+
+def turns_of(
+    wanted: Sequence[Wanted], hearts: Iterable[ScheduledFault]
+) -> dict[Wanted, tuple[tuple[float, float], ...]]:
+    """Return how the heart of whoever wears a device turns; a participant has one heart.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, if a device is named, or none is there, that measures a heart.
+    """
+    turns: dict[Wanted, tuple[tuple[float, float], ...]] = dict.fromkeys(wanted, ())
+    for each in hearts:
+        hit = [one for one in wanted if each.sensor in ("", one.name) and _has_heart(one.name)]
+        if not hit:
+            raise _cannot_have(each)
+        people = {one.participant for one in hit if one.participant}
+        for one in wanted:
+            if one in hit or one.participant in people:
+                turns[one] += ((each.start_s, each.fault.value),)
+    return turns
+
+
+def _has_heart(name: str) -> bool:
+    """Whether somebody wears it, which nobody does of a recording, and it measures a heart."""
+    kinds = {stream.content_type for stream in sensor(name.partition(":")[0]).spec.streams}
+    return FaultKind.OFF_BODY in virtual_class(name).faults and not kinds.isdisjoint(_OF_HEART)
 
 
 def make(name: str, scene: Scene, /, **options: object) -> VirtualDevice:
@@ -218,8 +260,9 @@ def simulated_settings(
         if each.participant:
             require_participant(each.participant)
     with ExitStack() as stack:
-        devices = _start(wanted, stack)
-        _schedule(scheduled, devices)
+        hearts = [each for each in scheduled if each.fault.kind is OfWearer.HEART_RATE]
+        devices = _start(wanted, hearts, stack)
+        _schedule((each for each in scheduled if each not in hearts), devices)
         stack.enter_context(_environment(devices.values()))
         tables = tuple(_settings(each, device) for each, device in devices.items())
         yield (settings or GatewaySettings()).model_copy(update={"devices": tables})
@@ -244,11 +287,15 @@ def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[Wanted, Virtual
             if each.sensor in ("", wanted.name) and each.fault.kind in device.faults
         ]
         if not hit:
-            whom = each.sensor or "none of the virtual devices"
-            message = f"{whom} cannot have the fault {each.fault.kind.value}"
-            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+            raise _cannot_have(each)
         for device in hit:
             device.schedule(Fault(each.fault.kind, each.fault.value), each.start_s)
+
+
+def _cannot_have(scheduled: ScheduledFault) -> ConfigError:
+    whom = scheduled.sensor or "none of the virtual devices"
+    message = f"{whom} cannot have the fault {scheduled.fault.kind.value}"
+    return ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
 @contextmanager

@@ -2,7 +2,8 @@
 
 ``[SENSOR:]KIND[:VALUE]@START``, for instance ``drop:5s@10s`` (the link is gone for
 five seconds, ten seconds after the start), ``polar_h10:off_body:20s@15s``,
-``low_battery:4%@5s``, ``drift:150ppm@0s``, ``garbage:64@10s``.
+``low_battery:4%@5s``, ``drift:150ppm@0s``, ``garbage:64@10s``; ``hr:120bpm@30s`` is no fault,
+but happens to whoever wears it.
 """
 
 from __future__ import annotations
@@ -73,7 +74,15 @@ class Untidiness(Enum):
     """It advertises no name [s]."""
 
 
-Kind = FaultKind | Untidiness
+@unique
+class OfWearer(Enum):
+    """What happens to the person, and to no device."""
+
+    HEART_RATE = "hr"
+    """The heart comes to beat so often, within ten seconds [1/min]."""
+
+
+Kind = FaultKind | Untidiness | OfWearer
 
 _UNITS: dict[Kind, str] = {
     FaultKind.GARBAGE: "",
@@ -83,6 +92,7 @@ _UNITS: dict[Kind, str] = {
     FaultKind.DRIFT: "ppm",
     Untidiness.RATE: "Hz",
     Untidiness.STRAY: "",
+    OfWearer.HEART_RATE: "bpm",
 }
 _DEFAULTS: dict[Kind, float] = {
     FaultKind.GARBAGE: 64.0,
@@ -93,14 +103,17 @@ _DEFAULTS: dict[Kind, float] = {
     Untidiness.RATE: 100.0,
     Untidiness.BUNDLED: 2.0,
     Untidiness.STRAY: 3.0,
+    OfWearer.HEART_RATE: 120.0,
 }
-_KINDS: dict[str, Kind] = {kind.value: kind for kind in (*FaultKind, *Untidiness)}
+_KINDS: dict[str, Kind] = {kind.value: kind for kind in (*FaultKind, *Untidiness, *OfWearer)}
 _RANGES: dict[Kind, tuple[float, float]] = {
     FaultKind.LOW_BATTERY: (0.0, 100.0),
     FaultKind.GARBAGE: (0.0, 1e6),
     Untidiness.STRAY: (0.0, 1e6),
     Untidiness.RATE: (1.0, 1000.0),
     Untidiness.BUNDLED: (0.0, 60.0),
+    # In which a beat is one beat to every sensor.
+    OfWearer.HEART_RATE: (30.0, 200.0),
     # Far beyond any crystal, and far from one that stands still.
     FaultKind.DRIFT: (-100_000.0, 100_000.0),
 }
@@ -109,7 +122,7 @@ _DEFAULT_SECONDS = 5.0
 _FAULT = re.compile(
     r"(?:(?P<sensor>[a-z][a-z0-9_]*(?::[a-z][a-z0-9_]*)?):)?"
     rf"(?P<kind>{'|'.join(_KINDS)})"
-    r"(?::(?P<value>-?[0-9]+(?:\.[0-9]+)?)(?P<unit>s|%|ppm|Hz)?)?"
+    r"(?::(?P<value>-?[0-9]+(?:\.[0-9]+)?)(?P<unit>s|%|ppm|Hz|bpm)?)?"
     r"@(?P<start>[0-9]+(?:\.[0-9]+)?)s?"
 )
 

@@ -27,6 +27,8 @@ _ECG_WAVES = (
     (-220.0, 0.035, 0.011),
     (280.0, 0.26, 0.045),
 )
+TURN_S = 10.0
+"""How long a heart takes from one mean rate to another."""
 PULSE_TRANSIT_S = 0.22
 """From the R peak to the steepest rise of the pulse wave at finger or wrist."""
 _NOISE_TONES = 16
@@ -34,7 +36,7 @@ _NOISE_TONES = 16
 
 @dataclass(frozen=True)
 class Wearer:
-    """A person with a steady mean heart rate and respiration.
+    """A person with a steady respiration, and a mean heart rate that is steady unless told.
 
     Parameters
     ----------
@@ -42,29 +44,29 @@ class Wearer:
         Of all noise and of the skin's responses; equal seeds give equal people.
     heart_rate_bpm, respiration_rate_bpm
         Mean rates [1/min].
+    turns
+        From when on [s] the mean heart rate turns to another one [1/min], in `TURN_S`.
     """
 
     seed: int = 0
     heart_rate_bpm: float = 72.0
     respiration_rate_bpm: float = 15.0
+    turns: tuple[tuple[float, float], ...] = ()
 
     def heart_rate(self, t: Floats) -> Floats:
         """Momentary heart rate [1/min]."""
-        return self.heart_rate_bpm * (1 + SINUS_ARRHYTHMIA * np.sin(self._breath_omega * t))
+        swing = SINUS_ARRHYTHMIA * np.sin(self._breath_omega * t)
+        return self._course.rate(t) + self.heart_rate_bpm * swing
 
     def beat_count(self, t: Floats) -> Floats:
         """Beats until ``t``, with fractions: the heart rate, integrated."""
-        omega = self._breath_omega
-        swing = SINUS_ARRHYTHMIA / omega * (1 - np.cos(omega * t))
-        return self.heart_rate_bpm / 60 * (t + swing)
+        return self._course.count(t) + self._swing(t)
 
     def beat_time(self, beats: Floats) -> Floats:
         """When R peaks happen [s]; the inverse of `beat_count`, by fixed-point iteration."""
-        omega = self._breath_omega
-        unmodulated = beats * 60 / self.heart_rate_bpm
-        t = unmodulated
+        t = self._course.time(beats)
         for _ in range(12):  # each step shrinks the error by the arrhythmia's swing
-            t = unmodulated - SINUS_ARRHYTHMIA / omega * (1 - np.cos(omega * t))
+            t = self._course.time(beats - self._swing(t))
         return t
 
     def beats_between(self, begin_s: float, end_s: float) -> Floats:
@@ -140,6 +142,15 @@ class Wearer:
         tones = np.sin(2 * pi * t[:, np.newaxis] * frequencies + phases)
         return rms * np.sqrt(2 / _NOISE_TONES) * tones.sum(axis=1)
 
+    def _swing(self, t: Floats) -> Floats:
+        """Beats that respiration has added until ``t``."""
+        omega = self._breath_omega
+        return self.heart_rate_bpm / 60 * SINUS_ARRHYTHMIA / omega * (1 - np.cos(omega * t))
+
+    @cached_property
+    def _course(self) -> _Course:
+        return _Course(self.heart_rate_bpm, self.turns)
+
     @property
     def _breath_omega(self) -> float:
         return 2 * pi * self.respiration_rate_bpm / 60
@@ -149,6 +160,48 @@ class Wearer:
         steps = _rng(self.seed, "responses").uniform(12.0, 20.0, 64)
         onsets = np.cumsum(steps)
         return onsets[onsets < _RESPONSE_CYCLE_S - 30.0]
+
+
+class _Course:
+    """A mean heart rate that is linear in time between some corners, and how often it beats."""
+
+    def __init__(self, bpm: float, turns: tuple[tuple[float, float], ...]) -> None:
+        times, rates = [0.0], [bpm]
+        for begin_s, target_bpm in sorted(turns):
+            # One that begins before the last one has ended, ends it.
+            here = float(np.interp(begin_s, times, rates))
+            while times[-1] > begin_s:
+                del times[-1], rates[-1]
+            times += [begin_s, begin_s + TURN_S]
+            rates += [here, target_bpm]
+        self._times, self._rates = np.array(times), np.array(rates)
+        spans = np.diff(self._times)
+        means = (self._rates[1:] + self._rates[:-1]) / 2
+        self._counts = np.concatenate(([0.0], np.cumsum(spans * means / 60)))
+        steepness = np.diff(self._rates) / np.where(spans > 0, spans, 1.0)
+        self._slopes = np.concatenate((steepness, [0.0]))
+
+    def rate(self, t: Floats) -> Floats:
+        """Mean rate [1/min]."""
+        return np.interp(t, self._times, self._rates)
+
+    def count(self, t: Floats) -> Floats:
+        """Beats since 0 s."""
+        at = self._piece(self._times, t)
+        since = t - self._times[at]
+        # What was before 0 s was as at 0 s.
+        slopes = np.where(since < 0, 0.0, self._slopes[at])
+        return self._counts[at] + since * (self._rates[at] + slopes * since / 2) / 60
+
+    def time(self, counts: Floats) -> Floats:
+        """When so many beats are over [s]."""
+        at = self._piece(self._counts, counts)
+        beats = 60 * (counts - self._counts[at])
+        slopes, rates = np.where(beats < 0, 0.0, self._slopes[at]), self._rates[at]
+        return self._times[at] + 2 * beats / (rates + np.sqrt(rates**2 + 2 * slopes * beats))
+
+    def _piece(self, corners: Floats, values: Floats) -> NDArray[np.intp]:
+        return np.maximum(np.searchsorted(corners, values, side="right") - 1, 0)
 
 
 def _rng(seed: int, name: str) -> np.random.Generator:
