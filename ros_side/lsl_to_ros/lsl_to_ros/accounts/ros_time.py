@@ -20,13 +20,18 @@ from biosensor_common.ros_clock import (
 class RosTime:
     """Maps stamps of this machine's LSL clock to ROS time.
 
-    Under ``use_sim_time`` there is no relation to map by: the time of a sample is
+    Under ``use_sim_time`` there is no relation to map by: the time of what came together is
     then the simulated time at which it was received.
     """
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
         self._tracker = OffsetTracker(_measure(), pylsl.local_clock())
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether ROS goes by ``/clock``."""
+        return self._clock.ros_time_is_active
 
     @property
     def steps(self) -> int:
@@ -39,7 +44,7 @@ class RosTime:
 
     def are_times(self, lsl_s: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Say of each stamp on this machine's LSL clock whether ROS has such a time."""
-        if self._clock.ros_time_is_active:
+        if self.is_simulated:
             return np.isfinite(lsl_s)
         offset_s = self._tracker.to_ros_ns(0.0) / NS_PER_S
         with np.errstate(invalid="ignore"):
@@ -47,7 +52,7 @@ class RosTime:
 
     def to_ns(self, lsl_s: float) -> int:
         """ROS time of a stamp on this machine's LSL clock, in nanoseconds."""
-        if self._clock.ros_time_is_active:
+        if self.is_simulated:
             return self._clock.now().nanoseconds
         return self._tracker.to_ros_ns(lsl_s)
 

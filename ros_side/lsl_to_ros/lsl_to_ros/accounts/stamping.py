@@ -81,6 +81,25 @@ class Stamping:
         times = [self._ros_time.to_ns(self.local(stamp)) for stamp in stamps.tolist()]
         return np.array(times, np.int64)
 
+    def of_run(self, stamps: Stamps) -> NDArray[np.int64]:
+        """Return the ROS times of samples that came together, in nanoseconds.
+
+        They are as far apart as their stamps. In simulated time the newest is of now, and no
+        sample of later: there would be no transform for it.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`to_ns`.
+        """
+        if self._ros_time.is_simulated:
+            (now,) = self.to_ns(stamps[-1:])
+            ages_s = np.clip(stamps[-1] - stamps, 0.0, now / NS_PER_S)
+            return now - np.rint(ages_s * NS_PER_S).astype(np.int64)
+        # One time for all, for the relation of the clocks may change from one to the next.
+        offsets = np.rint((stamps - stamps[0]) * NS_PER_S).astype(np.int64)
+        return self.to_ns(stamps[:1]) + offsets
+
 
 def _are_unix(stamps: Stamps | np.float64, correction: float) -> NDArray[np.bool_]:
     """Say of each stamp whether it is a time since 1970; some LSL clocks count from then, too."""

@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.naming import TopicName
@@ -122,12 +121,9 @@ class SamplesWriter(Writer):
 
     def write(self, run: Run) -> None:
         """Publish a run as one message."""
-        # One time for all, for the relation of the clocks may change from one to the next.
-        first_ns = self._stamping.to_ns(run.stamps[:1])
-        offsets = np.rint((run.stamps - run.stamps[0]) * 1e9).astype(np.int64)
         lost = self._lost()
         message = self._messages.encode(
-            first_ns + offsets,
+            self._stamping.of_run(run.stamps),
             run.samples,
             run.sequence,
             lost.count,
@@ -163,7 +159,7 @@ class StandardMessageWriter(Writer):
 
     def write(self, run: Run) -> None:
         """Publish each sample."""
-        times = self._stamping.to_ns(run.stamps)
+        times = self._stamping.of_run(run.stamps)
         self.publisher.publish(*self._messages.encode(times, run.samples))
 
 
