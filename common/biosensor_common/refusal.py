@@ -90,6 +90,7 @@ class Refusal(Enum):
         "maybe_doubled",
         "another node publishes this topic, too, or was killed less than half a minute ago",
     )
+    READ_IN_VAIN = _standing("read_in_vain", "a subscriber gets nothing: {why}")
     NODE_TWICE = _standing(
         "node_twice",
         "this node runs twice, under one name: each sample is published twice; end one of "

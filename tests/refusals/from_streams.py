@@ -33,10 +33,12 @@ from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.share import ALL
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import reporting
 from lsl_to_ros.reports.diagnostics import LEASE_S, judge
 from lsl_to_ros.reports.reporting import Reporting
+from lsl_to_ros.reports.survey import Survey
 from lsl_to_ros.routing import Routing
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.outputs import open_outputs
@@ -255,7 +257,12 @@ def unsent(patch: pytest.MonkeyPatch) -> Shown:
 def routing(create_publisher: Callable[..., Any]) -> Routing:
     settings = fake(declare=lambda *_: None, settings=lambda *_: ON)
     log: Any = LimitedLog(fake(warning=lambda _: None, info=lambda _: None))
-    node: Any = fake(create_publisher=create_publisher, destroy_publisher=lambda _: None)
+    node: Any = fake(
+        create_publisher=create_publisher,
+        destroy_publisher=lambda _: None,
+        resolve_topic_name=lambda topic: topic,
+        has_parameter=lambda _: False,
+    )
     pacer = Pacer(Pace(), lambda _: None)
     return Routing(node, "biosensors", Register(), settings, RosTime(NODE), log, pacer)
 
@@ -348,6 +355,20 @@ def concerns(
     (concern,) = reports._concerns()
     assert concern.level == what.level
     return Shown(concern.level, concern.text)
+
+
+@provokes(Refusal.READ_IN_VAIN)
+def read_in_vain(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    read = send(bridge(), now())
+    told = {"node_namespace": "/", "topic_type": "std_msgs/msg/Int32"}
+    reader = fake(node_name="client", **told)
+    node: Any = fake(
+        count_subscribers=lambda _: 2, get_subscriptions_info_by_topic=lambda _: [reader]
+    )
+    other: Any = None
+    Survey(node, other, other, other, pytest.fail, ALL)._look_at_readers(read)
+    return in_entry(read)
 
 
 @provokes(Refusal.NODE_TWICE)

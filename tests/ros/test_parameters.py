@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 
 from biosensor_common.spec import DeviceIdentity
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings, prefixes
+from lsl_to_ros.topics.publishers import make_publisher
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
@@ -230,6 +232,15 @@ def test_what_param_dump_writes_of_keys_that_are_not_set_is_read_as_that(
     assert set_to(node, zephyr__ecg__Chunk_Enable="None", zephyr__ecg__Chunk_Length="null") == ""
     assert node.get_parameter("zephyr.ecg.Chunk_Length").value is None
     assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 7
+
+
+@pytest.mark.nightly
+def test_of_quality_of_service_only_what_is_set_is_listed(make_node: MakeNode) -> None:
+    given = "qos_overrides./overridden.publisher.depth"
+    node = make_node(**{given: 7})
+    opened = [make_publisher(node, topic, String) for topic in ("usual", "overridden")]
+    assert list(node.get_parameters_by_prefix("qos_overrides")) == ["/overridden.publisher.depth"]
+    assert [publisher.qos_profile.depth for publisher in opened] == [300, 7]
 
 
 @pytest.mark.seam

@@ -26,3 +26,14 @@ class QoSProfile:
     def reliability(self) -> ReliabilityPolicy: ...
     @property
     def durability(self) -> DurabilityPolicy: ...
+    @property
+    def depth(self) -> int: ...
+
+class QoSCompatibility(Enum):
+    OK = 0
+    WARNING = 1
+    ERROR = 2
+
+def qos_check_compatible(
+    publisher_qos: QoSProfile, subscription_qos: QoSProfile
+) -> tuple[QoSCompatibility, str]: ...

@@ -257,7 +257,7 @@ def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:
         for what, is_so in found.items()
         if is_so
     ]
-    return [*told, *((each.what.level, each.sentence) for each in facts.refused)]
+    return [*told, *((each.what.level, each.sentence_about) for each in facts.refused)]
 
 
 def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:

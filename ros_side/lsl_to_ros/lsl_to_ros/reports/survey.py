@@ -130,6 +130,7 @@ class Survey:
         if route.bridge is None or route.topic is None:
             return None
         inlet = route.inlet
+        self._look_at_readers(route.bridge)
         facts = stream_facts(
             route.topic,
             route.bridge,
@@ -149,6 +150,17 @@ class Survey:
         if facts.is_fast:
             facts = replace(facts, best_effort=self._best_effort_readers(topic))
         return stream_status(facts)
+
+    def _look_at_readers(self, bridge: Bridge) -> None:
+        """See who subscribes to the topics of a stream in a way that brings nothing."""
+        for publisher in bridge.outputs.publishers:
+            name = publisher.name
+            # Who is matched is counted often, and asking for all that there are costs little.
+            has_others = self._node.count_subscribers(name) > publisher.readers
+            known = self._node.get_subscriptions_info_by_topic(name) if has_others else []
+            told = [why for each in known if (why := publisher.misfit(each))]
+            why = "; ".join(dict.fromkeys(told))
+            bridge.counters.refusals.hold(Refusal.READ_IN_VAIN, bool(why), about=name, why=why)
 
     def _doubled_for_s(self, topic: str) -> float:
         """Return for how long another node has published a topic, too."""

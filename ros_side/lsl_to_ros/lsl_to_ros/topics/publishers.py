@@ -9,10 +9,18 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSPolicyKind,
+    QoSProfile,
+    qos_check_compatible,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.topic_shape import piece_messages, queue_depth
+from lsl_to_ros.parameters.node import QOS_OVERRIDES
 from lsl_to_ros.topics.pacing import Lane, Pacer
 
 _POLICIES = (
@@ -80,6 +88,16 @@ class TopicPublisher:
     def count_readers(self) -> None:
         """Ask ROS for the number of matched subscribers."""
         self.readers = self.ros_publisher.get_subscription_count()
+
+    def misfit(self, reader: TopicEndpointInfo) -> str:
+        """Say why a subscriber gets nothing; empty if it may get all."""
+        who = f"{reader.node_namespace.rstrip('/')}/{reader.node_name}"
+        if reader.topic_type != self.type_name:
+            return f"{who} reads it as {reader.topic_type}, and it is {self.type_name}"
+        fits, reason = qos_check_compatible(self.ros_publisher.qos_profile, reader.qos_profile)
+        if fits != QoSCompatibility.ERROR:
+            return ""
+        return f"{who} asks for another quality of service ({reason.rstrip('; ')})"
 
     def _is_taken(self) -> bool:
         """Whether the reliable subscribers have all that was published."""
@@ -184,5 +202,15 @@ def make_publisher(
         qos,
         # Each would be looked at by the executor at every turn: 7 % of a core for 300 topics.
         event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
-        qos_overriding_options=QoSOverridingOptions(_POLICIES),
+        qos_overriding_options=QoSOverridingOptions(_overridden(node, topic)),
     )
+
+
+def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:
+    """Return the policies that somebody has set: ROS makes a parameter of each that is named."""
+    try:
+        owner = f"{QOS_OVERRIDES}{node.resolve_topic_name(topic)}.publisher"
+    except RuntimeError:
+        # nothing is dropped: whoever makes the publisher says what is wrong with the name
+        return []
+    return [each for each in _POLICIES if node.has_parameter(f"{owner}.{each.name.lower()}")]
