@@ -44,6 +44,8 @@ COMMENTED_OUT: dict[str, Any] = {
     "qos_overrides./biosensors/zephyr/ecg.publisher.depth": 50,
     "qos_overrides./biosensors/zephyr/ecg.publisher.reliability": "best_effort",
     "qos_overrides./biosensors/zephyr/ecg.publisher.durability": "volatile",
+    "diagnostic_updater.period": 5.0,
+    "aliases": ["Muse (00:55:DA)=muse_left", "Muse (*=muse_right"],
     "session_id": "lab-2",
     "known_peers": ["127.0.0.1"],
 }

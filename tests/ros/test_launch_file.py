@@ -24,6 +24,7 @@ PARAMETERS = (
     "processes",
     "session_id",
     "known_peers",
+    "aliases",
     "use_sim_time",
 )
 NOTHING_GIVEN = {
@@ -201,4 +202,5 @@ def test_the_second_node_has_a_file_of_its_own(
         "params_file",
         "log_level",
         "respawn",
+        "use_sim_time",
     }

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pylsl
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import String
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Int32, String
 
 from biosensor_common.refusal import Refusal
 
@@ -104,3 +106,47 @@ def test_simulated_time_is_a_warning(ros: Ros, start_node: Start) -> None:
 
     ros.until(is_said, "the same in /diagnostics")
     assert status_of(ros, "node").level == DiagnosticStatus.WARN
+
+
+def test_a_subscriber_that_gets_nothing_is_told(ros: Ros, start_node: Start) -> None:
+    outlet = markers("typed", "typed-1")
+    node = start_node()
+    topic = "/biosensors/typed/Markers"
+    ros.until(lambda: ros.status(topic) is not None, "its entry")
+    ros.listen(Int32, topic)
+
+    def message() -> str:
+        status = ros.status(topic)
+        return "" if status is None else status.message
+
+    other_type = "/listener reads it as std_msgs/msg/Int32, and it is std_msgs/msg/String"
+    ros.until(lambda: other_type in message(), "a warning of the type")
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    assert node.count("[WARN]", topic, other_type) == 1
+    ros.stop_listening()
+    ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "nobody gets nothing")
+    ros.listen(String, topic, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    ros.until(lambda: "another quality of service" in message(), "a warning of the durability")
+    ros.listen(String, topic)
+    ros.attached(topic, readers=1)
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    del outlet
+
+
+def test_the_user_names_sensors_and_says_how_often_to_report(ros: Ros, start_node: Start) -> None:
+    outlet = markers("Muse (00:55:DA)", "muse-1")
+    heard = ros.listen(DiagnosticArray, "/diagnostics")
+    parameters = ("-p", 'aliases:=["Muse*=muse_left"]', "-p", "diagnostic_updater.period:=3600.0")
+    start_node("--ros-args", *parameters)
+    topic = "/biosensors/muse_left/Markers"
+    ros.until(lambda: ros.status(topic) is not None, "its entry under that name")
+    assert "/biosensors/Muse_x20_x2800_x3A55_x3ADA_x29/Markers" not in ros.topics()
+    assert status_of(ros, topic)["sensor"] == "muse_left"
+    ros.spin(4.0)
+    levels = [{each.name: each.level for each in report.status} for report in heard]
+    # Only what has become worse or better.
+    assert all(before != after for before, after in pairwise(levels))
+    assert ros.set("diagnostic_updater.period", 1.0) == ""
+    count = len(heard)
+    ros.until(lambda: len(heard) > count + 3, "reports each second")
+    del outlet

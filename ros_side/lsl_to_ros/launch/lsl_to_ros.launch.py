@@ -23,7 +23,7 @@ ARGUMENTS = {
     "processes": "processes that share the streams, each on a core of its own, 1 to 16",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
-    "use_sim_time": "true: stamps are times of /clock, of which the node warns",
+    "aliases": "names of sensors for streams of other programs, as in [Muse-1A2B*=muse_left]",
     "params_file": "parameter file; the share folder's config/params.yaml is an example",
 }
 PARAMETER_TYPES = {
@@ -35,7 +35,7 @@ PARAMETER_TYPES = {
     "processes": int,
     "session_id": str,
     "known_peers": List[str],
-    "use_sim_time": bool,
+    "aliases": List[str],
 }
 
 

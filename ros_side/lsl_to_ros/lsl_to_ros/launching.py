@@ -12,17 +12,18 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 NAMESPACE, NODE_NAME, PARAMS_FILE = "namespace", "node_name", "params_file"
-LOG_LEVEL, RESPAWN = "log_level", "respawn"
+LOG_LEVEL, RESPAWN, USE_SIM_TIME = "log_level", "respawn", "use_sim_time"
 # Of every node, whatever it does.
 _COMMON_ARGUMENTS = {
     LOG_LEVEL: "debug, info, warn, error or fatal",
     RESPAWN: "true: start the node again when it ends",
+    USE_SIM_TIME: "true: go by the time of /clock, which is not when anything was measured",
 }
 _SWITCH = {"true": True, "false": False, "": False}
 
 
 def description(
-    executable: str, arguments: Mapping[str, str], types: Mapping[str, Any]
+    executable: str, arguments: Mapping[str, str], types: dict[str, Any]
 ) -> LaunchDescription:
     """Declare the arguments and start one node.
 
@@ -65,12 +66,12 @@ def _switch(name: str, given: str) -> bool:
     return _SWITCH[given.lower()]
 
 
-def _node(context: LaunchContext, *, executable: str, types: Mapping[str, Any]) -> list[Node]:
+def _node(context: LaunchContext, *, executable: str, types: dict[str, Any]) -> list[Node]:
     """Make the node from what was given: an empty value must not overrule the file's."""
     params_file = _existing(LaunchConfiguration(PARAMS_FILE).perform(context))
     given = {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)
-        for name, kind in types.items()
+        for name, kind in (types | {USE_SIM_TIME: bool}).items()
         if LaunchConfiguration(name).perform(context)
     }
     log_level = LaunchConfiguration(LOG_LEVEL).perform(context)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
-from lsl_to_ros.topics.register import Names, claim_of
+from lsl_to_ros.topics.register import Names, claim_of, renamed
 from lsl_to_ros.topics.writers import StreamContext
 
 # So many topics of streams that are away stay open for their subscribers.
@@ -63,6 +64,8 @@ class Routing:
         First part of every topic, relative.
     names
         By which streams there are in all.
+    aliases
+        Names of sensors by those of other programs' LSL streams.
 
     Attributes
     ----------
@@ -79,7 +82,9 @@ class Routing:
         ros_time: RosTime,
         log: LimitedLog,
         pacer: Pacer,
+        aliases: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
+        self._aliases = aliases
         self._publishers = TopicPublishers(node, pacer)
         self._prefix = prefix
         self._names = names
@@ -112,7 +117,8 @@ class Routing:
             self._log.inform(f"{name}: its stream is gone")
         for inlet in ready:
             if inlet.header is not None and inlet.is_served:
-                self._routes[inlet.uid] = Route(inlet, inlet.header)
+                header = renamed(inlet.header, inlet.core.name, self._aliases)
+                self._routes[inlet.uid] = Route(inlet, header)
             elif inlet.header is not None:
                 self._listen_only(inlet, inlet.header)
         has_changed = bool(ready or left)

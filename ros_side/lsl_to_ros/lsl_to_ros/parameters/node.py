@@ -23,6 +23,9 @@ TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
 SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
 BURST_PACING = "burst_pacing"
 PROCESSES = "processes"
+ALIASES = "aliases"
+DIAGNOSTICS_PERIOD = "diagnostic_updater.period"
+"""As the nodes that use ``diagnostic_updater`` call it, so that one file may set it for all."""
 
 QOS_OVERRIDES = "qos_overrides."
 MAX_PREFIX_CHARACTERS = 100
@@ -30,7 +33,11 @@ MAX_DEPTH = 1_000_000
 # Measured: decision 32.
 PACING_PER_MS, MAX_PACING_PER_MS = 0.5, 1000.0
 MAX_PROCESSES = 16
+# Rates and delays are those of a second.
+PERIOD_S, MAX_PERIOD_S = 1.0, 3600.0
+PERIOD_TEXT = "seconds between two reports on /diagnostics, unless a level changes"
 
+_ALIAS = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 _RELATIVE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 _QOS_VALUES = {
     "history": ("keep_last", "keep_all", "system_default"),
@@ -47,12 +54,17 @@ class _Parameter:
     description: str
     fault: Callable[[Any], str | None]
     read_only: bool = False
+    least: float = 0.0
     most: float | None = None
     whole: range = range(0)
 
     @property
     def descriptor(self) -> ParameterDescriptor:
-        limits = [] if self.most is None else [FloatingPointRange(to_value=self.most)]
+        limits = (
+            []
+            if self.most is None
+            else [FloatingPointRange(from_value=self.least, to_value=self.most)]
+        )
         whole = self.whole
         steps = [IntegerRange(from_value=whole[0], to_value=whole[-1], step=1)] if whole else []
         return ParameterDescriptor(
@@ -98,6 +110,29 @@ def _pacing_fault(value: float) -> str | None:
     )
 
 
+def period_fault(value: float) -> str | None:
+    """Say why reports cannot come so many seconds apart."""
+    if PERIOD_S <= value <= MAX_PERIOD_S:
+        return None
+    return f"must be from {PERIOD_S:.0f} to {MAX_PERIOD_S:.0f} seconds, not {value!r}"
+
+
+def aliases_of(value: Sequence[str]) -> dict[str, str]:
+    """Return the names of sensors by those of LSL streams; in these, ``*`` is any text."""
+    pairs = (each.rpartition("=") for each in value if each)
+    return {name.strip(): alias.strip() for name, _, alias in pairs}
+
+
+def _aliases_fault(value: Sequence[str]) -> str | None:
+    for name, alias in aliases_of(value).items():
+        if not name or not _ALIAS.fullmatch(alias):
+            return (
+                "must be such as [Muse-1A2B*=muse_left], the name of an LSL stream and one of"
+                f" letters, digits and single underscores; it has {f'{name}={alias}'!r}"
+            )
+    return None
+
+
 def _processes_fault(value: int) -> str | None:
     return None if 1 <= value <= MAX_PROCESSES else _no_count(value)
 
@@ -126,6 +161,15 @@ _PARAMETERS = {
         _processes_fault,
         read_only=True,
         whole=range(1, MAX_PROCESSES + 1),
+    ),
+    ALIASES: _Parameter(
+        [""],
+        "names of sensors for streams of other programs, as in [Muse-1A2B*=muse_left]",
+        _aliases_fault,
+        read_only=True,
+    ),
+    DIAGNOSTICS_PERIOD: _Parameter(
+        PERIOD_S, PERIOD_TEXT, period_fault, least=PERIOD_S, most=MAX_PERIOD_S
     ),
     SESSION_ID: _Parameter(
         "", "LSL session; empty: LSL's own setting", lambda _: None, read_only=True
@@ -201,7 +245,7 @@ def _type_fault(
     if isinstance(default, float):
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         return None if is_number else f"must be a number such as {default}, not {value!r}"
-    return None if _is_text_list(value) else f"must be a list of host names, not {value!r}"
+    return None if _is_text_list(value) else f"must be a list of texts, not {value!r}"
 
 
 def _is_text_list(value: object) -> TypeGuard[Sequence[str]]:

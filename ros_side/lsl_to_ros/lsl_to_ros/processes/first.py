@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.parameters import node as node_parameters
-from lsl_to_ros.parameters.node import PROCESSES
+from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, PROCESSES
 from lsl_to_ros.processes.child import ENDS_WITHIN_S, Child
 from lsl_to_ros.processes.mail import AllClaims, Claims, Report, Settings, Setup, Topics
 from lsl_to_ros.processes.work import LOOK_PERIOD_S, Work
@@ -46,6 +46,8 @@ class LslToRos(Node):
         self._declared: set[Claim] = set()
         share = Share(0, node_parameters.declare(self, PROCESSES))
         self._share = share
+        # Before the rest, which is told of what changes.
+        node_parameters.declare(self, DIAGNOSTICS_PERIOD)
         self._work = Work(self, share, self._register, self._list_streams, self._report)
         log, parameters = self._work.log, self._work.parameters
         self._reporting = Reporting(self, self._work.ros_time, log.warn)

@@ -18,6 +18,7 @@ from lsl_to_ros.lsl.readers import Pump
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (
+    ALIASES,
     BURST_PACING,
     KNOWN_PEERS,
     SESSION_ID,
@@ -72,6 +73,7 @@ class Work:
         self.parameters = Parameters(node)
         prefix = node_parameters.declare(node, TOPIC_PREFIX)
         predicate = node_parameters.declare(node, STREAM_PREDICATE)
+        aliases = node_parameters.aliases_of(node_parameters.declare(node, ALIASES))
         warn = self.log.warn
         # What all processes see is said by the first of them.
         is_first = share.index == 0
@@ -79,7 +81,7 @@ class Work:
         inform_for_all = self.log.inform if is_first else _say_nothing
         self._pacer = Pacer(Pace(node_parameters.declare(node, BURST_PACING)), warn)
         self._routing = Routing(
-            node, prefix, names, self.parameters, self.ros_time, self.log, self._pacer
+            node, prefix, names, self.parameters, self.ros_time, self.log, self._pacer, aliases
         )
         self._discovery = Discovery(warn, predicate, share)
         self._pump = Pump(lambda: self._discovery.inlets)

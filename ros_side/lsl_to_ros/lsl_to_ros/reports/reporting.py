@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD
 from lsl_to_ros.reports.diagnostics import LEASE_S
 from lsl_to_ros.reports.processes import Concern, ProcessFacts, node_status, process_status
 from lsl_to_ros.topics.messages import HAS_STAMPED_TOPICS
@@ -19,6 +20,30 @@ from lsl_to_ros.topics.publishers import make_publisher
 
 TOPIC = "~/streams"
 USE_SIM_TIME = "use_sim_time"
+
+
+class Rhythm:
+    """Says which of the looks, one a second, are to be published.
+
+    Parameters
+    ----------
+    period_s
+        Returns the seconds between two reports.
+    """
+
+    def __init__(self, period_s: Callable[[], float]) -> None:
+        self._period_s = period_s
+        self._levels: dict[str, bytes] = {}
+        self._looks = 0
+
+    def is_due(self, statuses: Iterable[DiagnosticStatus]) -> bool:
+        """Whether it is time; what has become worse or better does not wait."""
+        before, self._levels = self._levels, {each.name: each.level for each in statuses}
+        self._looks += 1
+        if self._levels == before and self._looks < round(self._period_s()):
+            return False
+        self._looks = 0
+        return True
 
 
 class Reporting:
@@ -34,6 +59,7 @@ class Reporting:
         self._node = node
         self._refusals = Refusals(warn)
         self._doubled_s = monotonic()
+        self._rhythm = Rhythm(lambda: node.get_parameter(DIAGNOSTICS_PERIOD).value)
         self._concerns()
 
     def list_streams(self, entries: Sequence[DiagnosticStatus]) -> None:
@@ -45,7 +71,7 @@ class Reporting:
         self._streams.publish(DiagnosticArray(header=self._header(), status=ordered))
 
     def report(self, processes: Sequence[ProcessFacts]) -> None:
-        """Publish the state of everything; the first process is this one."""
+        """Publish the state of everything if it is time; the first process is this one."""
         values = {
             "clock_steps": str(self._ros_time.steps),
             "stamped_topics": "yes" if HAS_STAMPED_TOPICS else "no",
@@ -55,7 +81,8 @@ class Reporting:
             statuses += [process_status(each) for each in processes]
         statuses += [entry for each in processes for entry in each.statuses]
         statuses += merged(entry for each in processes for entry in each.devices)
-        self._diagnostics.publish(DiagnosticArray(header=self._header(), status=statuses))
+        if self._rhythm.is_due(statuses):
+            self._diagnostics.publish(DiagnosticArray(header=self._header(), status=statuses))
 
     def _concerns(self) -> list[Concern]:
         """Look at what concerns the whole node."""

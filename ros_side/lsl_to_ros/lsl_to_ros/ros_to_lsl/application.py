@@ -32,8 +32,9 @@ from lsl_to_ros import spinning
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.configuration import configure_lsl
-from lsl_to_ros.parameters.node import KNOWN_PEERS, SESSION_ID
+from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID
 from lsl_to_ros.reports.clock_pairs import events_outlet
+from lsl_to_ros.reports.reporting import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, are_named
 from lsl_to_ros.ros_to_lsl.parameters import read_requests
@@ -103,6 +104,7 @@ class RosToLsl(Node):
         for request in self._requests.topics:
             self._open(request)
         self._diagnostics = make_publisher(self, "/diagnostics", DiagnosticArray)
+        self._rhythm = Rhythm(lambda: value(DIAGNOSTICS_PERIOD).value)
         # By the node's own clock they would rest for as long as that is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
@@ -215,6 +217,9 @@ class RosToLsl(Node):
             )
         ]
         statuses += [topic_status(each) for each in self._topics.values()]
+        if not self._rhythm.is_due(statuses):
+            # nothing is dropped: they are as they were
+            return
         header = Header(stamp=self.get_clock().now().to_msg())
         self._diagnostics.publish(DiagnosticArray(header=header, status=statuses))
 

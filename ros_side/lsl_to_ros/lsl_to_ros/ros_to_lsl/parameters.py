@@ -11,7 +11,14 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rclpy.node import Node
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from lsl_to_ros.parameters.node import KNOWN_PEERS, SESSION_ID
+from lsl_to_ros.parameters.node import (
+    DIAGNOSTICS_PERIOD,
+    KNOWN_PEERS,
+    PERIOD_S,
+    PERIOD_TEXT,
+    SESSION_ID,
+    period_fault,
+)
 from lsl_to_ros.ros_to_lsl.requests import Requests, SendAs, TopicRequest, stream_name
 
 TOPICS, ALL_SMALL, STAMPS = "topics", "all_small", "stamps"
@@ -46,6 +53,7 @@ NODE_OPTIONS: Mapping[str, Option] = {
     STAMPS: Option(
         MEASURED, "measured: header, else source stamp, else arrival; arrival: always arrival"
     ),
+    DIAGNOSTICS_PERIOD: Option(PERIOD_S, PERIOD_TEXT),
     SESSION_ID: Option("", "LSL session; empty: LSL's own setting"),
     KNOWN_PEERS: Option([""], "hosts that multicast does not reach"),
 }
@@ -105,6 +113,8 @@ def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requ
     values = {name: _value(given, name, option) for name, option in NODE_OPTIONS.items()}
     requests = tuple(_request(topic, given, resolve) for topic in topics)
     _check_names(requests)
+    if reason := period_fault(values[DIAGNOSTICS_PERIOD]):
+        raise _wrong(f"{DIAGNOSTICS_PERIOD} {reason}")
     _check_stamps(values[STAMPS], use_sim_time=bool(given.get(USE_SIM_TIME)))
     if not requests and not values[ALL_SMALL]:
         message = (

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from biosensor_common.spec import DeviceIdentity
@@ -89,6 +90,23 @@ class Register:
 def claim_of(header: StreamHeader) -> Claim:
     """Return what a stream claims."""
     return Claim(header.identity, header.data_name, header.chunk, _is_named_after_unit(header))
+
+
+def renamed(header: StreamHeader, lsl_name: str, aliases: Mapping[str, str]) -> StreamHeader:
+    """Return the header of a stream under the name that the user has for it, if there is one.
+
+    Streams of agents keep their names: label and participant are set where they are.
+
+    Parameters
+    ----------
+    aliases
+        Names of sensors by those of LSL streams; in these, ``*`` is any text. The first one holds.
+    """
+    for pattern, alias in aliases.items():
+        texts = map(re.escape, pattern.split("*"))
+        if header.foreign and re.fullmatch(".*".join(texts), lsl_name, re.DOTALL):
+            return replace(header, identity=replace(header.identity, sensor=alias))
+    return header
 
 
 def _is_named_after_unit(header: StreamHeader) -> bool:
