@@ -28,7 +28,7 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test seams nightly explore faults fuzz installer check bench format docs docs-site changelog
-.PHONY: pictures lock venv-ros venv-dev venv-peers
+.PHONY: pictures lock venv-ros venv-dev venv-kilted venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -92,6 +92,9 @@ venv-ros:
 
 venv-dev:
 	@requirements/install.sh dev
+
+venv-kilted:
+	@requirements/install.sh kilted .venv-kilted
 
 venv-peers: venv-dev
 	@tests/peers/install.sh

@@ -24,6 +24,9 @@ compile() {
 compile gateway pyproject.toml "$@"
 compile ros pyproject.toml --extra ros "$@"
 compile dev pyproject.toml --extra ros --extra dev "$@"
+# The tests of the node on a newer ROS, with the same versions of all but ROS.
+sed -n '/^ros-/d; s/^\([a-z].*==.*\) \\$/\1/p' requirements/dev.txt |
+    compile kilted pyproject.toml requirements/kilted.in --constraints - "$@"
 # The one Python that is in the installer, so that each package is there in one version.
 python=$(sed -n 's/^PYTHON = "\(.*\)"$/\1/p' installer/layout.py)
 printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' |

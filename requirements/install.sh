@@ -1,15 +1,16 @@
 #!/bin/sh
-# Makes .venv and installs one hashed lock into it, then this project (editable).
-#   requirements/install.sh LOCK        e.g. requirements/install.sh ros
+# Makes .venv, or another folder, and installs one hashed lock into it, then this project (editable).
+#   requirements/install.sh LOCK [FOLDER]        e.g. requirements/install.sh ros
 # Needs a Python 3.11-3.14 with venv; uv itself comes from PyPI by its own lock.
 set -eu
 cd "$(dirname "$0")/.."
 lock="requirements/$1.txt"
-stamp=".venv/.installed-$1"
+venv="${2:-.venv}"
+stamp="$venv/.installed-$1"
 wanted=$(cat "$lock" pyproject.toml | sha256sum | cut -d' ' -f1)
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then exit 0; fi
 
-echo "Setting up .venv from $lock ..." >&2
+echo "Setting up $venv from $lock ..." >&2
 # A name on PATH proves nothing: version-manager shims exist for Pythons that do not run.
 usable='import ensurepip, sys, venv; raise SystemExit(not (3, 11) <= sys.version_info[:2] <= (3, 14))'
 python=
@@ -33,11 +34,11 @@ export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy UV_SYSTEM_CERTS=1
 cache=$(.uv/bin/uv cache dir)
 # Where the home folder cannot be written, nobody else shares it.
 mkdir -p "$cache" 2>/dev/null && [ -w "$cache" ] || export UV_CACHE_DIR="$PWD/.uv/cache"
-[ -x .venv/bin/python ] || .uv/bin/uv venv --quiet --python "$("$python" -c 'import sys; print(sys.executable)')" .venv
-.uv/bin/uv pip install --quiet --python .venv/bin/python --require-hashes -r "$lock"
-.uv/bin/uv pip install --quiet --python .venv/bin/python --no-deps --editable .
+[ -x "$venv/bin/python" ] || .uv/bin/uv venv --quiet --python "$("$python" -c 'import sys; print(sys.executable)')" "$venv"
+.uv/bin/uv pip install --quiet --python "$venv/bin/python" --require-hashes -r "$lock"
+.uv/bin/uv pip install --quiet --python "$venv/bin/python" --no-deps --editable .
 # Python before 3.13 reads these lines in the locale's encoding, and stops at a path with other letters.
-for lines in .venv/lib/python3.*/site-packages/*biosensor_gateway*.pth; do
+for lines in "$venv"/lib/python3.*/site-packages/*biosensor_gateway*.pth; do
     at="$PWD" awk '{
         if (index($0, ENVIRON["at"] "/") == 1) $0 = "../../../.." substr($0, length(ENVIRON["at"]) + 1)
         print

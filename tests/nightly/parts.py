@@ -18,6 +18,7 @@ _SELECTED = {
     "system": ("--tier", "nightly", "-m", "system and not alone"),
     "alone": ("--tier", "nightly", "-m", "alone"),
     "seams": ("--tier", "seams"),
+    "all": ("-m", "not alone"),
 }
 _LISTS = {"needs", "before", "tests", "commands"}
 # The longest files come first, as tests/time_spent/order.toml has them, and heavy ones take turns.
@@ -35,6 +36,7 @@ class Part:
     tests: tuple[str, ...] = ()
     only: str = "ordinary"
     workers: int = 0
+    environment: str = ""
     commands: tuple[str, ...] = ()
 
     def missing(self) -> list[str]:
@@ -45,7 +47,8 @@ class Part:
         """Return the command that runs its tests and writes their results to a file."""
         side_by_side = (*_SIDE_BY_SIDE, "-n", str(self.workers)) if self.workers else ()
         selected = (*_SELECTED[self.only], *side_by_side, f"--junit-xml={junit}")
-        return [sys.executable, "-m", "pytest", *selected, *self.tests]
+        python = f"{self.environment}/bin/python" if self.environment else sys.executable
+        return [python, "-m", "pytest", *selected, *self.tests]
 
 
 def read_parts(table: Path = TABLE, root: Path = ROOT) -> list[Part]:

@@ -19,6 +19,7 @@ def parts_of(file: str, only: str) -> list[str]:
         part.name
         for part in PARTS
         if part.only == only
+        and not part.environment
         and any(file == place or file.startswith(f"{place}/") for place in part.tests)
     ]
 
@@ -82,6 +83,17 @@ def test_a_wrong_kind_of_tests_is_refused(tmp_path: Path) -> None:
     table.write_text('[[part]]\nname = "a"\ndoes = "b"\nonly = "some"\n')
     with pytest.raises(ValueError, match='part a: only = "some" is none of'):
         read_parts(table)
+
+
+def test_a_part_of_another_environment_is_run_by_its_python(tmp_path: Path) -> None:
+    part = Part("a", "b", tests=("tests/x",), only="all", environment=".venv-b")
+    command = part.test_command(tmp_path / "a.xml")
+    assert command[:5] == [".venv-b/bin/python", "-m", "pytest", "-m", "not alone"]
+
+
+def test_only_another_environment_runs_what_another_part_has() -> None:
+    assert {part.only == "all" for part in PARTS if part.environment} == {True}
+    assert {part.only == "all" for part in PARTS if not part.environment} == {False}
 
 
 def test_a_need_that_is_not_met_is_missing() -> None:

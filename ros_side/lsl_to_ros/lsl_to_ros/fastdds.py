@@ -8,13 +8,15 @@ second (decision 29), and is ready when the others answer (decision 47).
 from __future__ import annotations
 
 from collections.abc import MutableMapping
+from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 
-# Fast DDS 2 reads the first, Fast DDS 3 the second.
+# Fast DDS 2 reads the first, Fast DDS 3 the second; ROS's own part beside Fast DDS 3 hands it the
+# first one's file, too.
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-# Fast DDS 3 refuses a file with an element that only Fast DDS 2 knows.
-FAMILIES = ("fastdds2", "fastdds")
+_FIRST_WITH_3 = 9
+"""The rclpy of Kilted, the first distribution that has Fast DDS 3. Jazzy has 7."""
 IN_FOLDER = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
@@ -22,7 +24,18 @@ LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
 """The predecessor of the range, which comes first where it is 1, and knows no peers."""
 
 
-def configure(environment: MutableMapping[str, str], folder: Path, middleware: str) -> bool:
+def generation() -> int:
+    """Return which Fast DDS this ROS has, 2 or 3: neither takes a file of the other."""
+    try:
+        major = int(version("rclpy").partition(".")[0])
+    except PackageNotFoundError:
+        major = _FIRST_WITH_3
+    return 3 if major >= _FIRST_WITH_3 else 2
+
+
+def configure(
+    environment: MutableMapping[str, str], folder: Path, middleware: str, fast_dds: int
+) -> bool:
     """Set Fast DDS for this process, unless the user has profiles.
 
     It has to be called before ROS starts.
@@ -35,6 +48,8 @@ def configure(environment: MutableMapping[str, str], folder: Path, middleware: s
         The working folder, where Fast DDS looks for profiles that no variable names.
     middleware
         ROS's name of it; only that of Fast DDS begins with ``rmw_fastrtps``.
+    fast_dds
+        2 or 3.
 
     Returns
     -------
@@ -52,8 +67,8 @@ def configure(environment: MutableMapping[str, str], folder: Path, middleware: s
             # subnet, and the profiles say what it would have: no multicast, and this machine.
             environment[RANGE] = "SUBNET"
             profiles = "localhost.xml"
-    for name, family in zip(PROFILES, FAMILIES, strict=True):
-        environment[name] = str(files("lsl_to_ros").joinpath(f"{family}_{profiles}"))
+    file = files("lsl_to_ros").joinpath(f"fastdds{fast_dds}_{profiles}")
+    environment[PROFILES[fast_dds - 2]] = str(file)
     return True
 
 

@@ -55,7 +55,8 @@ def run(program: str, make: Make) -> None:
 
 def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
     elsewhere = ensure_log_folder(os.environ)
-    fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
+    middleware = get_rmw_implementation_identifier()
+    fastdds.configure(os.environ, Path.cwd(), middleware, fastdds.generation())
     # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)

@@ -80,7 +80,8 @@ def _look(request: Request) -> None:
 @contextmanager
 def _node(name: str) -> Generator[Any]:
     # As the node itself starts, so that what holds for it holds here.
-    fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
+    middleware = get_rmw_implementation_identifier()
+    fastdds.configure(os.environ, Path.cwd(), middleware, fastdds.generation())
     ensure_log_folder(os.environ)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
