@@ -48,7 +48,10 @@ def _counted_each_second(*, lost: int = 0, more: int = 0) -> list[dict[str, Coun
 
 
 def _file(
-    stamps: list[float], counted: list[Mapping[str, Counters]] | None, off: Collection[str] = ()
+    stamps: list[float],
+    counted: list[Mapping[str, Counters]] | None,
+    off: Collection[str] = (),
+    late_s: float = 0.0,
 ) -> bytes:
     parts = [
         own_header(1, STRAP, "ecg"),
@@ -57,7 +60,10 @@ def _file(
     ]
     if counted is not None:
         texts = [[counters_text(counters, off=off)] for counters in counted]
-        times = [1001.0 + k for k in range(len(texts))]
+        times = [
+            1001.0 + k + (late_s if k == 10 or (k > 10 and late_s > 1) else 0)
+            for k in range(len(texts))
+        ]
         parts += [own_header(2, AGENT, "counters"), x.samples(2, "string", texts, times)]
         parts += [_end(2, len(texts))]
     return x.xdf(*parts)
@@ -76,6 +82,23 @@ def test_what_the_recorder_lost_is_an_error() -> None:
     assert codes(report, Level.ERROR) == {("not-recorded", name)}
     assert text_of(report, "not-recorded", name).startswith("100 of 3770 samples")
     assert ("gaps", name) in codes(report, Level.WARNING)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "level", "said"),
+    [
+        (0.4, None, ""),
+        (0.6, Level.NOTE, "1.6 s apart at 10.0 s, as on a busy computer; nothing is missing"),
+        (1.5, Level.WARNING, "2.5 s apart at 10.0 s, as on a busy computer; what has no clock"),
+    ],
+)
+def test_a_report_that_comes_late_is_no_gap(late_s: float, level: Level | None, said: str) -> None:
+    report = check(_file(STAMPS, [*_counted_each_second()], late_s=late_s))
+    counters = lsl_name(AGENT, "counters")
+    assert codes(report) == ({("held-up", counters)} if level else set())
+    if level:
+        assert codes(report, level) == {("held-up", counters)}
+        assert said in text_of(report, "held-up", counters)
 
 
 def test_what_the_device_lost_is_a_warning() -> None:

@@ -22,6 +22,8 @@ MAX_SCATTER_S, MAX_DRIFT_PPM, MIN_OFFSETS_FOR_DRIFT = 0.01, 500.0, 5
 # Streams start and stop this far apart in a recording that is all right.
 LATE_S = 5.0
 NAN_SHARE_TO_NOTE = 0.05
+# The agent's report comes once a second. What has no clock of its own is late by a second anyway.
+HELD_UP_S = 2.0
 # Gaps that pyxdf and the loader for MATLAB take for jitter unless told otherwise.
 _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
 
@@ -121,6 +123,9 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     worst = max(gaps.listed, key=lambda gap: gap.length_s)
     at = extent.since_begin(worst.after, measured)
+    if header.is_counters:
+        yield _held_up(worst.length_s, at)
+        return
     places = "1 gap" if gaps.count == 1 else f"{gaps.count} gaps"
     text = (
         f"{places} of {gaps.total_s:.3g} s together, about {gaps.lost} samples lost; "
@@ -136,11 +141,22 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield Level.WARNING, "smeared-gaps", text
 
 
+def _held_up(length_s: float, at: float) -> Verdict:
+    """Say what a late report of the agent means: it counts on, so nothing is missing by that."""
+    text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
+    if length_s < HELD_UP_S:
+        return Level.NOTE, "held-up", f"{text}; nothing is missing by that"
+    late = "what has no clock of its own, such as a heart rate, may be stamped so much too late"
+    return Level.WARNING, "held-up", f"{text}; {late}"
+
+
 def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     figures, nominal = measured.figures, measured.stream.header.rate
     rate = figures.rate_between_gaps_hz
     too_few = measured.stream.sample_count < MIN_SAMPLES_FOR_RATE
-    if rate is None or too_few or figures.backward_steps:
+    # A report that comes late is followed by one that is in time.
+    is_told = measured.stream.header.is_counters
+    if rate is None or too_few or figures.backward_steps or is_told:
         return
     error = abs(rate / nominal - 1)
     if error > ODD_RATE:
