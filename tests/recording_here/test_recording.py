@@ -19,7 +19,11 @@ import pylsl
 import pytest
 import pyxdf
 
-from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.errors import (
+    NotClosedError,
+    RecorderError,
+    RecorderReason,
+)
 from biosensor_gateway.recording.here.memory import RecorderFolder
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StandingHere
@@ -266,6 +270,9 @@ def test_a_full_disk_is_said_though_the_program_says_nothing(
     limit = 100_000
     resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (limit, limit))
     wait_until(lambda: codes(recording) == {"": "still"}, "that it does not grow is said")
-    with pytest.raises(RecorderError, match="disk is full") as caught:
+    with pytest.raises(NotClosedError, match="disk is full") as caught:
         recording.stop()
     assert caught.value.reason is RecorderReason.NOT_CLOSED
+    verdict = caught.value.verdict
+    assert verdict is not None
+    assert (verdict.colour, verdict.can_be_salvaged) == (Colour.RED, True)

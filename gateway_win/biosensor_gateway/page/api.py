@@ -122,6 +122,11 @@ def _add_recording(router: APIRouter, recorder: Recorder) -> None:
         """End the recording, and judge it."""
         return await recorder.stop()
 
+    @router.post("/recording/salvage")
+    async def salvage() -> Outcome:
+        """Write what can be read of a recording that was cut off to a file beside it."""
+        return await recorder.salvage()
+
 
 def _add_markers(router: APIRouter, marking: Marking) -> None:
     @router.post("/markers")

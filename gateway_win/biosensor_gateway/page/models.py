@@ -67,12 +67,18 @@ class VerdictView(BaseModel):
         ``green``, ``amber`` or ``red``.
     findings
         Sentences, the worst first.
+    can_be_salvaged
+        Whether it is cut or damaged, and samples can be read nevertheless.
+    salvaged
+        Where they were written to; empty before that.
     """
 
     colour: str
     sentence: str
     file: str
     findings: list[str]
+    can_be_salvaged: bool = False
+    salvaged: str = ""
 
 
 class RecordingView(BaseModel):

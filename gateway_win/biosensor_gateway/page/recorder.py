@@ -23,6 +23,7 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.recording.here.errors import NotClosedError
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
 from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
@@ -31,6 +32,8 @@ from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look, titles
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.system.cloud_folders import recordings_folder, warnings_of
 
 LOOK_S = 1.0
@@ -118,11 +121,33 @@ class Recorder:
         RecorderError
             It could not be ended, or there is none.
         """
+        file = self._recording.file
         with self._doing("ending"):
-            ended = await asyncio.to_thread(self._recording.stop)
-        self._verdict = _view(ended)
+            try:
+                self._verdict = _view(await asyncio.to_thread(self._recording.stop))
+            except NotClosedError as error:
+                self._verdict = _unclosed(str(file), error)
         await self._show()
-        return Outcome(sentence=ended.verdict.sentence)
+        return Outcome(sentence=self._verdict.sentence)
+
+    async def salvage(self) -> Outcome:
+        """Write what can be read of the last recording to a file beside it.
+
+        Raises
+        ------
+        ConfigError, RecordingError
+            There is nothing to salvage, or it cannot be written.
+        """
+        verdict = self._verdict
+        if verdict is None or not verdict.can_be_salvaged or verdict.salvaged:
+            message = "there is no recording here that was cut off and could be salvaged"
+            raise ConfigError(ConfigReason.NOT_FOUND, message)
+        file = Path(verdict.file)
+        outcome = await asyncio.to_thread(salvage, file, salvaged_path(file))
+        salvaged = str(outcome.written or file)
+        self._verdict = verdict.model_copy(update={"salvaged": salvaged})
+        await self._show()
+        return Outcome(sentence=f"All that can be read of it is in {salvaged}.")
 
     async def _show(self) -> None:
         """Say how the recording stands; not while it begins, because streams are missing then."""
@@ -222,6 +247,26 @@ def _view(ended: StoppedHere) -> VerdictView:
         sentence=verdict.sentence,
         file=verdict.file,
         findings=[*map(_said, verdict.findings), *ended.warnings],
+        can_be_salvaged=verdict.can_be_salvaged,
+    )
+
+
+def _unclosed(file: str, error: NotClosedError) -> VerdictView:
+    """Say of a recording that broke off, as on a full disk, what is in its file."""
+    verdict = error.verdict
+    if verdict is None:
+        return VerdictView(
+            colour=str(Colour.RED.value),
+            sentence="nothing of it can be read",
+            file=file,
+            findings=[error.why],
+        )
+    return VerdictView(
+        colour=str(Colour.RED.value),
+        sentence=verdict.sentence,
+        file=verdict.file,
+        findings=[error.why, *map(_said, verdict.findings)],
+        can_be_salvaged=verdict.can_be_salvaged,
     )
 
 

@@ -114,7 +114,8 @@ class Sharing:
         recording = status.recording
         verdict = recording.verdict
         if verdict is not None:
-            verdict = verdict.model_copy(update={"file": PurePath(verdict.file).name})
+            names = {each: PurePath(getattr(verdict, each)).name for each in ("file", "salvaged")}
+            verdict = verdict.model_copy(update=names)
         shown = recording.model_copy(
             update={"folder": "", "file": PurePath(recording.file).name, "verdict": verdict}
         )

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from enum import Enum, unique
+from typing import TYPE_CHECKING
 
 from biosensor_common.errors import GatewayError
+
+if TYPE_CHECKING:
+    from biosensor_gateway.recording.xdf.verdict import Verdict
 
 
 @unique
@@ -29,3 +33,19 @@ class RecorderReason(Enum):
 
 class RecorderError(GatewayError):
     """A recording was not begun, or not ended as it should be."""
+
+
+class NotClosedError(RecorderError):
+    """A recording ended, and its file was not closed.
+
+    Attributes
+    ----------
+    why
+        Why that is, as far as it is known.
+    verdict
+        What can be said of the file; None if nothing of it can be read.
+    """
+
+    def __init__(self, message: str, why: str, verdict: Verdict | None) -> None:
+        super().__init__(RecorderReason.NOT_CLOSED, message)
+        self.why, self.verdict = why, verdict

@@ -13,7 +13,11 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.recording.growing.growth import Growth
 from biosensor_gateway.recording.here import beside_agent
 from biosensor_gateway.recording.here.beside_agent import Devices
-from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.errors import (
+    NotClosedError,
+    RecorderError,
+    RecorderReason,
+)
 from biosensor_gateway.recording.here.keeper import END_S
 from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import PROGRAM_NAME
@@ -25,6 +29,7 @@ from biosensor_gateway.recording.labrecorder.recording_file import Glance, wait_
 from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence
+from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.verdict import check
@@ -181,11 +186,21 @@ def end(folder: RecorderFolder) -> StoppedHere:
         _wait_for_program(kept)
     seen = wait_until_closed(file, _STILL_S, _CLOSING_S)
     folder.forget()
-    if seen is None or not seen.is_closed:
-        said = Said(folder.what_was_said())
-        raise RecorderError(RecorderReason.NOT_CLOSED, _not_closed(kept, seen, said))
-    took_s = time.monotonic() - begun
     expected = [ExpectedStream(each, each) for each in kept.required]
+    if seen is None:
+        message = f"{kept.file} still grows, though nobody keeps it; record stop --file looks again"
+        raise RecorderError(RecorderReason.NOT_CLOSED, message)
+    if not seen.is_closed:
+        verdict = None
+        with contextlib.suppress(RecordingError):
+            verdict = check(file, expected, kept.without)
+        why = _why_not_closed(kept, seen)
+        message = (
+            f"{kept.file}: {why}. Look at it with: biosensor-gateway xdf check. The last that "
+            f"{kept.recorder} said: {Said(folder.what_was_said()).end}"
+        )
+        raise NotClosedError(message, why, verdict)
+    took_s = time.monotonic() - begun
     return StoppedHere(
         by=By.GATEWAY,
         verified=True,
@@ -223,15 +238,11 @@ def _wait_for_program(kept: Kept) -> None:
             program.wait(END_S)
 
 
-def _not_closed(kept: Kept, seen: Glance | None, said: Said) -> str:
-    if seen is None:
-        return f"{kept.file} still grows, though nobody keeps it; record stop --file looks again"
-    what = "is empty" if not seen.bytes else "was not closed: it breaks off, or its disk is full"
-    why = f"{kept.problem}; " if kept.problem else ""
-    return (
-        f"{why}{kept.file} {what}. Look at it with: biosensor-gateway xdf check. The last that "
-        f"{kept.recorder} said: {said.end}"
+def _why_not_closed(kept: Kept, seen: Glance) -> str:
+    what = (
+        "it is empty" if not seen.bytes else "it was not closed: it breaks off, or its disk is full"
     )
+    return f"{kept.problem}; {what}" if kept.problem else what
 
 
 def _warnings(kept: Kept) -> list[str]:

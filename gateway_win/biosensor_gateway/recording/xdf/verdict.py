@@ -50,6 +50,8 @@ class Verdict:
         From the first sample of any stream to the last.
     findings
         The worst first; of a green recording only notes.
+    can_be_salvaged
+        Whether it is cut or damaged, and samples can be read nevertheless.
     """
 
     file: str
@@ -59,6 +61,7 @@ class Verdict:
     length_s: float
     streams: tuple[JudgedStream, ...]
     findings: tuple[Finding, ...]
+    can_be_salvaged: bool
 
 
 def check(
@@ -99,6 +102,7 @@ def verdict(report: Report) -> Verdict:
             for each in report.streams
         ),
         findings=report.findings,
+        can_be_salvaged=report.can_be_salvaged,
     )
 
 

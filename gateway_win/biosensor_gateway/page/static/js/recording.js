@@ -47,12 +47,25 @@ export function State({ recording }) {
   return html`<p>nothing is recorded</p>`;
 }
 
-function Verdict({ verdict }) {
+// Of a recording that was cut off, as on a full disk. For who only looks on, only what came of it.
+function Salvage({ verdict, act }) {
+  const [isUnderWay, once] = useOneAtATime(act);
+  if (verdict.salvaged) return html`<p class="small file">All that can be read of it is in ${verdict.salvaged}</p>`;
+  if (!act || !verdict.can_be_salvaged) return null;
+  return html`
+    <div class="buttons">
+      <button disabled=${isUnderWay} onClick=${() => once("POST", "/recording/salvage")}>${isUnderWay ? "Salvaging …" : "Salvage it"}</button>
+      <span class="small soft">Writes what can be read to a file beside it, which stays as it is. It needs as much room.</span>
+    </div>`;
+}
+
+function Verdict({ verdict, act }) {
   const [sign, tone] = COLOURS[verdict.colour] ?? COLOURS.red;
   return html`
     <div class="verdict">
       <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${verdict.sentence}</p>
       <p class="small soft file">${verdict.file}</p>
+      <${Salvage} verdict=${verdict} act=${act} />
       ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><ul class="small found-in-it" tabindex="0">${verdict.findings.map((each) => html`<li>${each}</li>`)}</ul></details>`}
     </div>`;
 }
@@ -117,6 +130,6 @@ export function Session({ status, act }) {
           <ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>
           <button onClick=${() => act("POST", "/recording/stop")}>Close and check it</button>`}
         <${Begin} status=${status} act=${act} />`}
-      ${!recording.is_running && recording.verdict && html`<${Verdict} verdict=${recording.verdict} />`}
+      ${!recording.is_running && recording.verdict && html`<${Verdict} verdict=${recording.verdict} act=${act} />`}
     </section>`;
 }
