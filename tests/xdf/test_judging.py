@@ -9,9 +9,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.xdf.findings import Level
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, only, text_of
+from tests.xdf.own_streams import own_header
 
 RATE = 100.0
 
@@ -246,6 +248,23 @@ def test_streams_of_two_computers_cannot_be_aligned_without_offsets() -> None:
         x.xdf(*x.regular(1, "a", _times(3000), RATE), header, samples, x.footer(2, 3000))
     )
     assert codes(report, Level.ERROR) == {("not-aligned", "")}
+
+
+def test_what_a_device_computes_for_seconds_lets_nothing_begin_late() -> None:
+    wristband = DeviceIdentity("empatica_e4", "A1", "P01")
+    stamps = _times(200, start=1006.0, rate=64)
+    report = check(
+        x.xdf(
+            own_header(1, wristband, "hr"),
+            x.samples(1, "float32", [[72.0]] * 2, [1000.0, 1008.0]),
+            x.offsets(1, (1005, 1010, 1015)) + x.footer(1, 2),
+            own_header(2, wristband, "bvp"),
+            x.samples(2, "float32", [[1.0]] * len(stamps), stamps),
+            x.offsets(2, (1005, 1010, 1015)) + x.footer(2, len(stamps)),
+        )
+    )
+    assert "begins-late" not in {code for code, _ in codes(report)}
+    assert report.extent.begin == stamps[0]
 
 
 def test_a_stream_that_begins_late_or_ends_early() -> None:

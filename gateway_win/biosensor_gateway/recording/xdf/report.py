@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from biosensor_gateway.recording.xdf.counters import RecordedCounters
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import Figures
 from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
 
@@ -35,8 +36,10 @@ class Measured:
 class Extent:
     """When a recording begins and ends on the recorder's clock, in s.
 
-    That is the first and last sample of all streams that are on the LSL clock; of those that
-    tell of a device, which may be older than the recording, only where there are no others.
+    That is the first and last sample of all streams that are on the LSL clock. Of ours that have
+    no rate only where there are no others: a device may compute a heart rate for seconds, and a
+    web experiment sends a marker when it can. So, too, of those that tell of a device, which may
+    be older than the recording.
     """
 
     begin: float
@@ -60,15 +63,20 @@ class Extent:
 def extent(streams: Sequence[Measured]) -> Extent:
     """Work out the extent of a recording; empty at 0 if no stream has samples."""
     present = [
-        (each.stream.header.may_be_older, figures.first + offset_s, figures.last + offset_s)
+        (each.stream.header, figures.first + offset_s, figures.last + offset_s)
         for each in streams
         for figures, offset_s in [(each.figures, each.recorder_offset_s)]
         if figures.first is not None and figures.last is not None and not figures.clock_error
     ]
-    bounds = [bound for bound in present if not bound[0]] or present
+    timely = [bound for bound in present if not bound[0].may_be_older]
+    bounds = [bound for bound in timely if not _comes_when_it_comes(bound[0])] or timely or present
     if not bounds:
         return Extent(0.0, 0.0)
     return Extent(min(begin for _, begin, _ in bounds), max(end for _, _, end in bounds))
+
+
+def _comes_when_it_comes(header: RecordedHeader) -> bool:
+    return header.is_ours and not header.is_regular
 
 
 @dataclass(frozen=True, slots=True)
