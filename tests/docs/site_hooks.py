@@ -29,6 +29,7 @@ ROOT_PAGES = {
 
 _DOCS = "docs/"
 _BRANCH = "main"
+_DECISIONS, _BEHIND = "decisions/", 0.3
 # Code comes first, because what looks like a link in it is none.
 _CODE_OR_LINK = re.compile(
     r"(?P<code>^(?P<fence> *`{3,}).*?^ *`{3,}$|(?P<ticks>`+).+?(?P=ticks))"
@@ -70,6 +71,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     text, problems = relinked(markdown, page.file.src_uri, _extra(config)["repository"])
     for problem in problems:
         _log.warning("%s: %s", page.file.src_uri, problem)
+    if page.file.src_uri.startswith(_DECISIONS):
+        # Whoever looks for "delete recording" wants to do it, and not to know why it is so.
+        page.meta["search"] = {"boost": _BEHIND}
     return text
 
 

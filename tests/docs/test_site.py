@@ -8,8 +8,10 @@ import pytest
 from mkdocs.commands.build import build
 from mkdocs.config import load_config  # pyright: ignore[reportUnknownVariableType]
 from mkdocs.exceptions import Abort
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
-from tests.docs.site_hooks import ROOT, fetched, relinked
+from tests.docs.site_hooks import ROOT, fetched, on_page_markdown, relinked
 
 REPOSITORY = "https://example.org/lab/gateway"
 
@@ -60,6 +62,18 @@ def test_a_link_that_leads_nowhere_is_named(link: str) -> None:
     _, problems = relinked(f"[here]({link})", "index.md", REPOSITORY)
     assert len(problems) == 1
     assert link in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("page", "meta"), [("page.md", {}), ("decisions/0001-a.md", {"search": {"boost": 0.3}})]
+)
+def test_decisions_are_found_behind_the_pages_for_users(
+    page: str, meta: dict[str, object], tmp_path: Path
+) -> None:
+    config = load_config(config_file=str(ROOT / "mkdocs.yml"), site_dir=str(tmp_path))
+    shown = Page(None, File(page, str(ROOT), str(tmp_path), use_directory_urls=False), config)
+    on_page_markdown("delete recording", shown, config, Files([]))
+    assert shown.meta == meta
 
 
 @pytest.mark.parametrize(
