@@ -371,3 +371,11 @@ def test_a_device_has_the_faults_that_it_says_what_they_do() -> None:
 def test_a_fault_that_lasts_must_have_an_end() -> None:
     with pytest.raises(TypeError, match="Endless has no end for the faults stall"):
         type("Endless", (Recording,), {"effects": {FaultKind.STALL: Effect(Recording.stall)}})
+
+
+@pytest.mark.parametrize(
+    "text", ["dropp:5s@10s", "polar_h10:dropp@3", "Drop@3", "polar_h10:drpo:5s@1"]
+)
+def test_a_misspelt_kind_of_fault_is_guessed(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"\(did you mean 'drop'\?\); write"):
+        parse_fault(text)

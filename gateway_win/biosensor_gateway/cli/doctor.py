@@ -15,6 +15,7 @@ from biosensor_common.doctor.runner import run_checks
 from biosensor_common.doctor.two_sided import command
 from biosensor_common.doctor.two_sided.facts import AGENT
 from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
+from biosensor_common.misspelt import did_you_mean
 from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
@@ -30,7 +31,8 @@ def _chosen(names: list[str] | None) -> list[str]:
     known = {check.name for check in CHECKS}
     for name in names or ():
         if name not in known:
-            raise typer.BadParameter(f"there is no check {name!r}; there are {_NAMES}")
+            hint = did_you_mean(name, known)
+            raise typer.BadParameter(f"there is no check {name!r}{hint}; there are {_NAMES}")
     return names or []
 
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.misspelt import did_you_mean
 from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.cli.options import (
     FromOption,
@@ -104,7 +105,8 @@ def export_recording(
     """
     for each in to:
         if each not in FORMATS:
-            message = f"there is no format {each!r}; there is {', '.join(FORMATS)}"
+            hint = did_you_mean(each, FORMATS)
+            message = f"there is no format {each!r}{hint}; there is {', '.join(FORMATS)}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     wish = Wish(streams or (), begin, end, participant, without)
     # Brings what writes a data set.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from enum import Enum, unique
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.misspelt import did_you_mean
 
 
 @unique
@@ -176,7 +177,11 @@ def parse_fault(text: str) -> ScheduledFault:
     kind = _KINDS[found["kind"]] if found else None
     if found is None or kind is None or (found["unit"] or _unit(kind)) != _unit(kind):
         kinds = ", ".join(_KINDS)
-        message = f"{text!r} is no fault; write [SENSOR:]KIND[:VALUE]@START, as in drop:5s@10s"
+        words = re.findall(r"\w+", text.partition("@")[0])
+        hint = next(filter(None, (did_you_mean(each, _KINDS) for each in words)), "")
+        message = (
+            f"{text!r} is no fault{hint}; write [SENSOR:]KIND[:VALUE]@START, as in drop:5s@10s"
+        )
         raise ConfigError(ConfigReason.WRONG_VALUE, f"{message}; kinds are {kinds}")
     value = float(found["value"]) if found["value"] else _DEFAULTS.get(kind, _DEFAULT_SECONDS)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.misspelt import did_you_mean
 from biosensor_common.spec import DeviceIdentity
 
 
@@ -41,7 +42,9 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
         message = f"several devices are called {name!r}; say which one: {_listed(matching)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     there = f"there are: {_listed(known)}" if known else "there is none"
-    raise ConfigError(ConfigReason.NOT_FOUND, f"no device is called {name!r}; {there}")
+    callable_by = (e for each in known for e in (device_name(each), each.sensor, each.label))
+    hint = did_you_mean(name, filter(None, callable_by))
+    raise ConfigError(ConfigReason.NOT_FOUND, f"no device is called {name!r}{hint}; {there}")
 
 
 def _listed(devices: Iterable[DeviceIdentity]) -> str:
