@@ -192,3 +192,20 @@ def test_an_old_name_stays_until_it_is_changed(tmp_path: Path) -> None:
     code, _ = page.ask("PATCH", "devices", {**A, "participant": "P-01", "label": "left"})
     assert code == 200
     assert page.devices()[0]["label"] == "left"
+
+
+@pytest.mark.parametrize("wrong", ["/data\0", "~nobody-of-that-name/data"])
+@pytest.mark.parametrize(
+    ("method", "path", "more"),
+    [
+        ("recording/start", "folder", {"participant": "P01"}),
+        ("recordings/contents", "path", {}),
+        ("replay/start", "path", {}),
+    ],
+)
+def test_what_can_be_no_path_is_said(
+    method: str, path: str, more: dict[str, Any], wrong: str, paused: Page
+) -> None:
+    code, answer = paused.ask("POST", method, {**more, path: wrong})
+    assert code == 422
+    assert "nothing on this computer can be called so" in answer["problem"]

@@ -59,6 +59,22 @@ def test_it_records_until_it_is_stopped(record: Record, sources: Sources, tmp_pa
     del sources
 
 
+def test_where_no_folder_is_named_it_is_that_of_the_page(
+    state: Path, sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Where Linux keeps documents, and where Windows and macOS do without being asked.
+    (tmp_path / "Documents").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_DOCUMENTS_DIR", str(tmp_path / "Documents"))
+    command_line = CommandLine(state)
+    begun = command_line("record", "start", "--here", "--participant", "P07", "--json")
+    assert begun.code == 0, begun.err
+    assert command_line("record", "stop").code == 0
+    folder = tmp_path / "Documents" / "Biosensor recordings"
+    assert Path(begun.json["file"]).is_relative_to(folder)
+    del sources
+
+
 def test_virtual_devices_are_recorded_in_the_session_of_the_settings(
     state: Path, record: Record, tmp_path: Path
 ) -> None:
@@ -78,8 +94,9 @@ def test_virtual_devices_are_recorded_in_the_session_of_the_settings(
         agent.communicate(timeout=60)
 
 
-def test_there_is_nothing_to_stop(record: Record) -> None:
-    outcome = record("stop")
+@pytest.mark.parametrize("command", ["stop", "status"])
+def test_there_is_nothing_to_stop_or_to_look_at(record: Record, command: str) -> None:
+    outcome = record(command)
     assert outcome.code == 1
     assert "nothing is being recorded here" in outcome.err
 

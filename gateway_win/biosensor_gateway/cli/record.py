@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +15,7 @@ from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.recording_here import look_for
 from biosensor_gateway.cli.recording_words import as_text, start_text, stop_text, warn, window_text
-from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.here.recording import Recording, not_recording
 from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
 from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
@@ -24,6 +25,7 @@ from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order
 from biosensor_gateway.recording.labrecorder.starting import start as start_recording
 from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
 from biosensor_gateway.settings.places import state_folder
+from biosensor_gateway.system.cloud_folders import usual_recordings_folder
 
 _LOCAL = "127.0.0.1"
 
@@ -61,7 +63,11 @@ def start(
     ] = None,
     folder: Annotated[
         Path | None,
-        typer.Option(help="Record below this folder; it is looked at to see the file grow."),
+        typer.Option(
+            help="Record below this folder; it is looked at to see the file grow. Without a "
+            "window it is the page's, 'Biosensor recordings' among your documents, if you name "
+            "none."
+        ),
     ] = None,
     recorder_folder: Annotated[
         str, typer.Option(help="How LabRecorder's computer calls that folder, if differently.")
@@ -136,6 +142,9 @@ def start(
         window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)
     )
 
+    if is_here and file is None and folder is None:
+        order = replace(order, place=replace(place, folder=usual_recordings_folder()))
+
     def begin(order: Order) -> Started:
         if is_here:
             return recording_here.start(order, loaded, counts_up=run is None)
@@ -169,14 +178,18 @@ def stop(
     as_json: JsonOption = False,
 ) -> None:
     """End the recording, and see its file closed; exit code 1 if it is not."""
-    nothing = file is None and not recording_here.may_be_of_window(_LOCAL, DEFAULT_PORT)
-    if not (host or port) and (recording_here.is_of(file) or nothing):
+    if not (host or port) and (recording_here.is_of(file) or _is_nothing(file)):
         stopped = Recording(state_folder()).stop()
     else:
         with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
             stopped = stop_recording(remote, file, state_folder())
     warn(stopped.warnings, silent=as_json)
     typer.echo(as_text(stopped) if as_json else stop_text(stopped))
+
+
+def _is_nothing(file: Path | None) -> bool:
+    """Whether nobody here records or was told to."""
+    return file is None and not recording_here.may_be_of_window(_LOCAL, DEFAULT_PORT)
 
 
 @app.command("status")
@@ -189,13 +202,15 @@ def status(
     port: PortOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how the recording stands; exit code 1 if something is wrong with it.
+    """Say how the recording stands; exit code 1 if something is wrong with it, or there is none.
 
     Of LabRecorder's window, what can be known of it; exit code 1 if it does not answer.
     """
     if not (host or port) and recording_here.is_of(file):
         recording_here.status(watch=watch, as_json=as_json)
         return
+    if not (host or port) and _is_nothing(file):
+        raise not_recording()
     host, port = host or _LOCAL, port or DEFAULT_PORT
     known = window_standing(host, port, file, state_folder())
     typer.echo(as_text(known) if as_json else window_text(f"{host}:{port}", known))

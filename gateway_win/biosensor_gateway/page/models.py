@@ -13,7 +13,7 @@ from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
 from biosensor_gateway.doctor.told import SearchedPlace
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.network.models import SeenStreamView
-from biosensor_gateway.page.replay_models import ReplayView
+from biosensor_gateway.page.replay_models import PathText, ReplayView
 from biosensor_gateway.page.screen_models import ScreenStream
 from biosensor_gateway.settings.models import ShortText, UnitText
 
@@ -92,6 +92,8 @@ class RecordingView(BaseModel):
         Where recordings go if nothing else is said.
     elapsed_s, bytes, streams
         Of the recording that goes on.
+    started
+        Unix time in s at which the recording began; 0 without one.
     colour
         ``red`` if something is wrong, ``amber`` if not all is recorded that could be, or something
         has happened that its analysis must know; else ``green``.
@@ -110,6 +112,7 @@ class RecordingView(BaseModel):
     folder: str = ""
     file: str = ""
     elapsed_s: float = 0.0
+    started: float = 0.0
     bytes: int = 0
     streams: int = 0
     colour: str = "green"
@@ -249,7 +252,7 @@ class NewRecording(BaseModel):
     participant: str
     session: str = "S001"
     task: str = "Default"
-    folder: str = ""
+    folder: PathText = ""
     allow_missing: bool = False
     set_sensors: bool = False
     other_participants: bool = False

@@ -10,8 +10,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import platformdirs
-
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.absences import Absence, absences, clock_time
 from biosensor_gateway.page.models import (
@@ -34,10 +32,9 @@ from biosensor_gateway.recording.participants import Mismatch, OtherParticipants
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import Colour
-from biosensor_gateway.system.cloud_folders import recordings_folder, warnings_of
+from biosensor_gateway.system.cloud_folders import usual_recordings_folder, warnings_of
 
 LOOK_S = 1.0
-_FOLDER = "Biosensor recordings"
 _MOST_TOLD_OF = 20
 """Of a sensor that comes and goes, the newest are enough."""
 
@@ -62,7 +59,7 @@ class Recorder:
         self._busy = ""
         self._looking = asyncio.Lock()
         self._verdict: VerdictView | None = None
-        self._folder = recordings_folder(platformdirs.user_documents_path(), Path.home(), _FOLDER)
+        self._folder = usual_recordings_folder()
         self._used: set[Path] = set()
         self._story = Story()
 
@@ -229,6 +226,7 @@ class Recorder:
             update={
                 "is_running": standing.recording,
                 "file": str(standing.file),
+                "started": standing.started,
                 "elapsed_s": max(0.0, time.time() - standing.started),
                 "bytes": 0 if sight is None else sight.bytes,
                 "streams": 0 if sight is None else len(sight.streams),

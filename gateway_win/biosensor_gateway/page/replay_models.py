@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from biosensor_gateway.page.screen_models import ScreenStream
 from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
 
 LongText = Annotated[str, Field(max_length=1024)]
+
+
+def _can_be_path(text: str) -> str:
+    try:
+        is_usable = "\0" not in str(Path(text).expanduser())
+    except RuntimeError:
+        # It names the home folder of somebody whom this computer does not know.
+        is_usable = False
+    if not is_usable:
+        raise ValueError("nothing on this computer can be called so")
+    return text
+
+
+PathText = Annotated[LongText, AfterValidator(_can_be_path)]
 
 
 class ReplayedStreamView(ScreenStream):
@@ -123,7 +138,7 @@ class RecordingPath(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    path: LongText
+    path: PathText
 
 
 class NewReplay(RecordingPath):

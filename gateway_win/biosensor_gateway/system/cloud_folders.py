@@ -8,6 +8,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import platformdirs
+
 _ONEDRIVE = ("OneDrive", "OneDriveConsumer", "OneDriveCommercial")
 """Variables that OneDrive sets to its folders, which may have any names."""
 _FOLDERS = (
@@ -19,6 +21,7 @@ _FOLDERS = (
     (re.compile(r"CloudStorage"), "a cloud service"),
 )
 """Names that such folders have by default; macOS has all of them in CloudStorage."""
+_RECORDINGS = "Biosensor recordings"
 _FETCHED_WHEN_OPENED = 0x00040000 | 0x00400000
 """FILE_ATTRIBUTE_RECALL_ON_OPEN and FILE_ATTRIBUTE_RECALL_ON_DATA_ACCESS of Windows."""
 
@@ -44,6 +47,11 @@ def warnings_of(folder: Path) -> tuple[str, ...]:
         "and the file may be held while it grows. Choose a folder that stays here"
     )
     return (sentence,) if cloud else ()
+
+
+def usual_recordings_folder() -> Path:
+    """Return where this user's recordings go if nothing else is said."""
+    return recordings_folder(platformdirs.user_documents_path(), Path.home(), _RECORDINGS)
 
 
 def recordings_folder(documents: Path, home: Path, name: str) -> Path:

@@ -172,6 +172,12 @@ class Recording:
         return "the recording's keeper was killed, and the recording ended with it"
 
 
+def not_recording() -> RecorderError:
+    """Return what is said where there is nothing to end or to look at."""
+    message = "nothing is being recorded here; begin with: biosensor-gateway record start"
+    return RecorderError(RecorderReason.NOT_RECORDING, message)
+
+
 def end(folder: RecorderFolder) -> StoppedHere:
     """End a recording; see `Recording.stop`."""
     begun = time.monotonic()
@@ -179,8 +185,7 @@ def end(folder: RecorderFolder) -> StoppedHere:
         _ask(folder)
     kept = folder.kept()
     if kept is None:
-        message = "nothing is being recorded here; begin with: biosensor-gateway record start"
-        raise RecorderError(RecorderReason.NOT_RECORDING, message)
+        raise not_recording()
     file = Path(kept.file)
     if not kept.ended:
         _wait_for_program(kept)

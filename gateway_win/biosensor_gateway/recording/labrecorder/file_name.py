@@ -41,7 +41,9 @@ class BidsLabels:
         require_participant(self.participant)
         for name, value in self._labels().items():
             if not LABEL.fullmatch(value) and (value or name != "acquisition"):
-                message = f"--{name} {value!r} is no BIDS label: use letters and digits only"
+                message = (
+                    f"{value!r} cannot be the {name} in a file's name: use letters and digits only"
+                )
                 raise ConfigError(ConfigReason.WRONG_VALUE, message)
         if not 1 <= self.run <= MAX_RUN:
             message = f"--run {self.run} is out of range: LabRecorder counts from 1 to {MAX_RUN}"
