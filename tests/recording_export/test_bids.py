@@ -261,7 +261,7 @@ def test_a_task_that_is_no_label_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "some.xdf"
     path.write_bytes(SHAPES["irregular only"])
     task = Task(["bids"], Wish(), task="go away")
-    with pytest.raises(ConfigError, match="'go away' is no BIDS label") as caught:
+    with pytest.raises(ConfigError, match="'go away' cannot be the task") as caught:
         export(path, task, lambda _name, _s: lambda _done: None)
     assert caught.value.reason is ConfigReason.WRONG_VALUE
     assert [each.name for each in tmp_path.iterdir()] == ["some.xdf"]
