@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -18,6 +19,7 @@ from hypothesis.extra import numpy as arrays
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
+from tests.recording_export.bids_shapes import SHAPES
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, UNIX_NS, ecg_values, study
 from tests.xdf import xdf_file as made
@@ -76,8 +78,10 @@ def test_streams_of_one_name_have_tables_of_their_own(exported: Exporting) -> No
     same = [made.stream_header(n, "a/b:c") + made.samples(n, "float32", [[n]], [n]) for n in (1, 2)]
     folder = exported(made.xdf(*same), "csv").written[0].path
     assert sorted(each.name for each in folder.iterdir()) == [
+        "README.txt",
         "a_b_c.csv",
         "a_b_c_2.csv",
+        "all_markers.csv",
         "streams.json",
     ]
 
@@ -143,3 +147,34 @@ def test_every_sample_is_read_back(
         dtype = np.dtype(made.DTYPES.get(fmt, "<i8"))
         again = [[dtype.type(text) for text in line] for line in read]
         np.testing.assert_array_equal(np.array(again), np.array(rows, dtype))
+
+
+def test_all_that_happened_is_one_table_that_can_be_read(exported: Exporting) -> None:
+    folder = exported(SHAPES["one person"], "csv").written[0].path
+    head, *rows = _rows((folder / "all_markers.csv").read_bytes())
+    assert head == ["seconds", "lsl_time", "marker", "note", "undone", "participant", "stream"]
+    told = [(row[2], row[3], row[4]) for row in rows if not row[6].endswith("events")]
+    # As typed, not as JSON has it.
+    first, undone, noted = told[:3]
+    assert (first, undone) == (("baseline", "", "no"), ("stimulus\ton", "", "yes"))
+    assert noted == ("note", "Übelkeit?", "no")
+    begin_s = float(rows[0][1]) - float(rows[0][0])
+    assert f"The recording begins at {begin_s:.6f}" in (folder / "README.txt").read_text("utf-8")
+    assert all(float(row[1]) - float(row[0]) == pytest.approx(begin_s) for row in rows)
+
+
+def test_names_that_no_file_can_have_everywhere(exported: Exporting) -> None:
+    names = ["AUX", "con", "nul.txt", "COM1", "-rf", "all_markers"]
+    streams = [
+        made.stream_header(n, name) + made.samples(n, "float32", [[n]], [n])
+        for n, name in enumerate(names, 1)
+    ]
+    folder = exported(made.xdf(*streams), "csv").written[0].path
+    assert [each["file"] for each in _streams(folder)] == [
+        "AUX_.csv",
+        "con_.csv",
+        "nul.txt_.csv",
+        "COM1_.csv",
+        "rf.csv",
+        "all_markers_2.csv",
+    ]

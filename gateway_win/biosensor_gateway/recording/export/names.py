@@ -9,6 +9,8 @@ from biosensor_gateway.recording.contents.stream import Stream
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 _LONGEST_NAME = 80
+_OF_WINDOWS = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
+"""Names of devices, which no file there can have, with whatever suffix."""
 
 
 def unique(names: Iterable[str]) -> list[str]:
@@ -29,15 +31,23 @@ class FileNames:
 
     No two are the same, neither of streams of one name nor of a run and another stream, also
     where upper case counts for nothing.
+
+    Parameters
+    ----------
+    reserved
+        Names of other files, which no stream is to have.
     """
 
-    def __init__(self) -> None:
-        self._taken: set[str] = set()
+    def __init__(self, reserved: Iterable[str] = ()) -> None:
+        self._taken = {each.casefold() for each in reserved}
 
     def of(self, stream: Stream, runs: int = 1) -> list[str]:
         """Return a name for each run of a stream."""
-        plain = _UNSAFE.sub("_", stream.header.name)[:_LONGEST_NAME].strip("._")
+        # A name that begins with a hyphen would be an option of many a command.
+        plain = _UNSAFE.sub("_", stream.header.name)[:_LONGEST_NAME].strip("._-")
         name = plain or f"stream_{stream.number}"
+        if _OF_WINDOWS.fullmatch(name):
+            name = f"{name}_"
         candidate, number = name, 2
         while not self._take(names := _of_runs(candidate, runs)):
             candidate, number = f"{name}_{number}", number + 1
@@ -56,7 +66,7 @@ def _of_runs(name: str, runs: int) -> list[str]:
     return [name] if runs == 1 else [name, *(f"{name}_run{each}" for each in range(1, runs + 1))]
 
 
-def file_names(streams: Sequence[Stream]) -> list[str]:
+def file_names(streams: Sequence[Stream], reserved: Iterable[str] = ()) -> list[str]:
     """Return a name for the file of each stream, see `FileNames`."""
-    names = FileNames()
+    names = FileNames(reserved)
     return [names.of(each)[0] for each in streams]

@@ -10,13 +10,7 @@ from pathlib import Path
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.bids.events import (
-    COLUMN_DESCRIPTIONS,
-    Events,
-    Happening,
-    happenings,
-    is_left_out,
-)
+from biosensor_gateway.recording.export.bids.events import COLUMN_DESCRIPTIONS, Events
 from biosensor_gateway.recording.export.bids.file_names import Entities, labels
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, Remarks, SignalWriter
 from biosensor_gateway.recording.export.bids.subjects import (
@@ -26,9 +20,10 @@ from biosensor_gateway.recording.export.bids.subjects import (
     find_subjects,
 )
 from biosensor_gateway.recording.export.bids.tables import write_json, write_rows, write_text
-from biosensor_gateway.recording.export.bids.timeline import timeline
 from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
+from biosensor_gateway.recording.export.happenings import Happening, happenings, is_left_out
 from biosensor_gateway.recording.export.markers import is_markers
+from biosensor_gateway.recording.export.timeline import timeline
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
 from biosensor_gateway.recording.participants import entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason

@@ -32,11 +32,11 @@ from biosensor_gateway.recording.export.bids.sidecars import (
     unit,
 )
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
-from biosensor_gateway.recording.export.bids.timeline import Timeline
 from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
 from biosensor_gateway.recording.export.csv.tables import table_file
 from biosensor_gateway.recording.export.exporter import SampleCount
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.xdf.measuring import cuts_of
 
 # Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.

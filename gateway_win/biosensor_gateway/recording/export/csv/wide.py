@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv import tables
@@ -18,11 +21,35 @@ from biosensor_gateway.recording.export.exporter import (
     SampleCount,
     on_clock,
 )
+from biosensor_gateway.recording.export.happenings import (
+    Happening,
+    happenings,
+    in_order,
+    is_left_out,
+)
+from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.export.timeline import Timeline, timeline
 
 CONTENTS = "streams.json"
 """What the tables are, beside them."""
+MARKERS = "all_markers.csv"
+"""All that happened, of all streams of markers, in one table."""
+_README = """\
+One table for each stream of {recording}, as biosensor-gateway {version} has exported it.
+
+- {time}: when it was, in s{clock}. The recording begins at {begin}.
+  {time} - {begin} is the time since then.
+- One row for each sample, one column for each channel. NaN means that there is no value; nothing
+  was filled in. Where samples are missing, so are their rows.
+- streams.json: unit of each column, rate, sensor and who wore it.
+- all_markers.csv: what happened, with seconds since the begin. undone is yes where a marker was
+  taken back later.
+
+The files are UTF-8, columns are separated by commas, decimals have a point. In a spreadsheet whose
+decimals are commas, import them as text with a point (in Excel: Data > From Text/CSV).
+"""
 
 
 class WideCsv:
@@ -50,7 +77,8 @@ class WideCsv:
         suffix = ".csv.gz" if self._is_packed else ".csv"
         count = SampleCount(chosen, progress)
         described: list[dict[str, Any]] = []
-        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
+        names = file_names(chosen.streams, [Path(MARKERS).stem])
+        for stream, name in zip(chosen.streams, names, strict=True):
             path = target / f"{name}{suffix}"
             samples = self._write_stream(chosen, stream, order.clock, path, count)
             described.append(_described(stream, order.clock, samples, path.name))
@@ -62,6 +90,8 @@ class WideCsv:
         }
         text = json.dumps(content, indent=2, ensure_ascii=False)
         (target / CONTENTS).write_text(text + "\n", "utf-8", newline="\n")
+        _write_markers(chosen, order, target / MARKERS)
+        _write_readme(chosen, order, target / "README.txt")
         return ()
 
     def _write_stream(
@@ -76,6 +106,45 @@ class WideCsv:
                 written += len(samples)
                 count.add(len(samples))
         return written
+
+
+def _write_markers(chosen: Chosen, order: Order, path: Path) -> None:
+    line = timeline(chosen, order.clock)
+    streams = [each for each in chosen.streams if is_markers(each) and not is_left_out(each)]
+
+    def all_of_them() -> Iterator[tuple[Stream, Happening]]:
+        for stream, samples in merged(streams, chosen.begin_s, chosen.end_s):
+            for each in happenings(stream, samples, line):
+                yield stream, each
+
+    begin_s = _begin_s(order.clock, line)
+    with path.open("xb") as file:
+        heads = ["seconds", tables.time_column(order.clock)]
+        heads += ["marker", "note", "undone", "participant", "stream"]
+        file.write(tables.quoted([heads]))
+        for stream, each in in_order(all_of_them()):
+            told = (each.name or each.text, each.note, "yes" if each.undone else "no")
+            times = (round(each.onset_s, 6), begin_s + each.onset_s)
+            row = (*times, *told, each.participant, stream.header.name)
+            file.write(tables.quoted([row]))
+
+
+def _write_readme(chosen: Chosen, order: Order, path: Path) -> None:
+    clock = " on the LSL clock of the computer that has recorded"
+    if order.clock is Clock.WALL:
+        clock = " since 1970 (unix time)"
+    text = _README.format(
+        recording=chosen.contents.path.name,
+        version=version("biosensor-gateway"),
+        time=tables.time_column(order.clock),
+        clock=clock,
+        begin=f"{_begin_s(order.clock, timeline(chosen, order.clock)):.6f}",
+    )
+    path.write_text(text, "utf-8", newline="\n")
+
+
+def _begin_s(clock: Clock, line: Timeline) -> float:
+    return (line.zero_unix_ns or 0) / NS_PER_S if clock is Clock.WALL else line.zero_s
 
 
 def _rows(chosen: Chosen, clock: Clock, samples: Samples) -> bytes:

@@ -1,0 +1,166 @@
+"""Reads what happened out of streams of markers, in the order of time."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from biosensor_common.naming import AGENT, NODE
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.contents.wall_clock import EVENTS
+from biosensor_gateway.recording.export.markers import MARKERS, texts
+from biosensor_gateway.recording.export.timeline import Timeline
+
+_KEPT = 10_000
+"""Rows that are held back, to be sorted, and because they may be undone."""
+_LONGEST_NAME = 100
+# A marker that was told later is at most an hour late.
+_MOST_APART_S = 2 * 3600.0
+_OF_DEVICES = frozenset(
+    {
+        "connected",
+        "disconnected",
+        "gap_start",
+        "gap_end",
+        "clock_reanchored",
+        "settings_changed",
+        "off_body",
+        "on_body",
+        "paused",
+        "resumed",
+    }
+)
+
+
+@dataclass(slots=True)
+class Happening:
+    """Something that happened at one moment.
+
+    Attributes
+    ----------
+    onset_s
+        Seconds since zero.
+    name
+        Empty where only `text` tells it.
+    text
+        As recorded.
+    participant
+        Whose it is only; empty for all for whom the stream is.
+    id, undoes
+        Of a marker of the agent, its number, and that of the one that it takes back.
+    undone
+        Whether it was taken back.
+    note
+        Free text of a marker of the agent.
+    """
+
+    onset_s: float
+    name: str
+    text: str
+    participant: str = ""
+    id: int | None = None
+    undoes: int | None = None
+    undone: bool = False
+    note: str = ""
+
+
+def is_left_out(stream: Stream) -> bool:
+    """Whether a stream of ours tells nothing of a person: counters, and what a node says."""
+    identity = stream.header.identity
+    if identity is None or identity.sensor not in (AGENT, NODE):
+        return False
+    return identity.sensor == NODE or stream.header.data_name not in (EVENTS, MARKERS)
+
+
+def happenings(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator[Happening]:
+    """Give what the samples of a stream of markers say."""
+    identity = stream.header.identity
+    kind = stream.header.data_name if identity is not None and identity.sensor == AGENT else ""
+    onsets = timeline.since_zero(samples.times).tolist()
+    for place, onset_s in enumerate(onsets):
+        told = texts(samples.values[place])
+        whole = told[0] if len(told) == 1 else json.dumps(told, ensure_ascii=False)
+        happening = Happening(onset_s, "", whole)
+        if kind:
+            content = _content(happening.text)
+            if kind == EVENTS and content.get("event") not in _OF_DEVICES:
+                continue
+            _tell(happening, content)
+            happening.onset_s = _told_onset(samples, place, content, timeline, onset_s)
+        elif len(whole) <= _LONGEST_NAME:
+            happening.name = ", ".join(told)
+        yield happening
+
+
+def _tell(happening: Happening, content: Mapping[str, Any]) -> None:
+    happening.name = str(content.get("marker") or content.get("event") or "")
+    happening.participant = str(content.get("participant") or "")
+    happening.note = str(content.get("note") or "")
+    happening.id = _whole(content.get("id"))
+    happening.undoes = _whole(content.get("of"))
+
+
+def _told_onset(
+    samples: Samples, place: int, content: Mapping[str, Any], timeline: Timeline, onset_s: float
+) -> float:
+    """Return when it happened by its own words: a stamp is never before that of another marker."""
+    told = content.get("lsl_time")
+    if not isinstance(told, int | float) or not math.isfinite(told):
+        return onset_s
+    time_s, stamp_s = float(samples.times[place]), float(samples.stamps[place])
+    if abs(told - stamp_s) > _MOST_APART_S:
+        return onset_s
+    return float(timeline.since_zero(np.array([time_s - stamp_s + told]))[0])
+
+
+def _content(text: str) -> Mapping[str, Any]:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return cast("Mapping[str, Any]", content) if isinstance(content, dict) else {}
+
+
+def _whole(value: object) -> int | None:
+    return value if isinstance(value, int) else None
+
+
+def in_order(
+    happenings: Iterable[tuple[Stream, Happening]],
+) -> Iterator[tuple[Stream, Happening]]:
+    """Sort by time, and undo what is undone, as far as it is held back."""
+    kept: list[_Kept] = []
+    newest: dict[tuple[int, int], Happening] = {}
+    for order, (stream, happening) in enumerate(happenings):
+        if happening.undoes is not None:
+            if undone := newest.get((stream.number, happening.undoes)):
+                undone.undone = True
+        elif happening.id is not None:
+            newest[stream.number, happening.id] = happening
+        heapq.heappush(kept, _Kept(happening.onset_s, order, stream, happening))
+        if len(kept) > _KEPT:
+            first = heapq.heappop(kept)
+            _forget(newest, first)
+            yield first.stream, first.happening
+    while kept:
+        first = heapq.heappop(kept)
+        yield first.stream, first.happening
+
+
+class _Kept(NamedTuple):
+    onset_s: float
+    order: int
+    stream: Stream
+    happening: Happening
+
+
+def _forget(newest: dict[tuple[int, int], Happening], kept: _Kept) -> None:
+    number = kept.happening.id
+    if number is not None and newest.get((kept.stream.number, number)) is kept.happening:
+        del newest[kept.stream.number, number]
