@@ -6,10 +6,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 
+import pylsl
 import pytest
 
 from biosensor_common.lsl import sender_clocks
-from biosensor_common.lsl.sender_clocks import PERIOD_S, ClockInlet, Measurement, SenderClocks
+from biosensor_common.lsl.sender_clocks import PERIOD_S, Measurement, SenderClocks
 from lsl_to_ros.lsl.inlets import Inlet
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 
@@ -105,7 +106,7 @@ def test_an_inlet_that_is_gone_is_not_measured_any_more(
 ) -> None:
     begun: list[Measurement] = []
 
-    def measure(clock: ClockInlet) -> Measurement:
+    def measure(clock: pylsl.StreamInlet) -> Measurement:
         begun.append(Measurement(clock))
         present.clear()
         return begun[-1]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_CHANNELS
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields
+
+if TYPE_CHECKING:
+    import pylsl
 
 MAX_RATE_HZ = 1e6
 
@@ -23,39 +26,7 @@ _FORMATS = {
 }
 
 
-class Announcement(Protocol):
-    """A stream as a resolver gives it, without description: ``pylsl.StreamInfo``."""
-
-    def name(self) -> str:
-        """Return its name."""
-        ...
-
-    def type(self) -> str:
-        """Return its content type."""
-        ...
-
-    def source_id(self) -> str:
-        """Return what it is recovered by, possibly empty."""
-        ...
-
-    def hostname(self) -> str:
-        """Return the sender's computer."""
-        ...
-
-    def channel_count(self) -> int:
-        """Return how many channels it has."""
-        ...
-
-    def nominal_srate(self) -> float:
-        """Return its rate in Hz, 0 if irregular."""
-        ...
-
-    def channel_format(self) -> int:
-        """Return the number of its format."""
-        ...
-
-
-def read_core(info: Announcement) -> CoreFields:
+def read_core(info: pylsl.StreamInfo) -> CoreFields:
     """Return what a stream announces of itself.
 
     Raises

@@ -9,22 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
-from biosensor_common.lsl.announcements import Announcement
 from biosensor_common.stream_header import StreamHeader
 
-
-class Sender(Announcement, Protocol):
-    """A stream as a resolver gives it: ``pylsl.StreamInfo``."""
-
-    def uid(self) -> str:
-        """Return what is its own, and new with each start."""
-        ...
-
-    def created_at(self) -> float:
-        """Return when it was started, on its computer's clock."""
-        ...
+if TYPE_CHECKING:
+    import pylsl
 
 
 def numbered(header: StreamHeader, number: int) -> StreamHeader:
@@ -56,7 +46,7 @@ class Namesakes:
     def __init__(self) -> None:
         self._numbers: dict[tuple[str, str, str], list[_Number]] = {}
 
-    def number(self, info: Sender, live: Collection[str]) -> int:
+    def number(self, info: pylsl.StreamInfo, live: Collection[str]) -> int:
         """Return a sender's number, from 1.
 
         Parameters
@@ -78,12 +68,12 @@ class Namesakes:
         return given.index(chosen) + 1
 
 
-def by_start(info: Sender) -> tuple[float, str]:
+def by_start(info: pylsl.StreamInfo) -> tuple[float, str]:
     """Return what sorts senders by their start, whichever was found first."""
     return info.created_at(), info.uid()
 
 
-def _place_of(info: Sender) -> _Place:
+def _place_of(info: pylsl.StreamInfo) -> _Place:
     return _Place(
         info.hostname(), info.channel_format(), info.channel_count(), info.nominal_srate()
     )

@@ -12,7 +12,10 @@ import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from time import monotonic
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import pylsl
 
 # As LabRecorder does, so that stamps are as good in ROS as in a recording.
 PERIOD_S = 5.0
@@ -22,20 +25,6 @@ PROBES_S = 0.64
 # By then it has tried twice: it begins anew every 2 s, unless the user's lsl_api.cfg has another
 # TimeUpdateInterval.
 LIMIT_S = 3.0
-
-
-class ClockInlet(Protocol):
-    """What measures: ``pylsl.StreamInlet``, opened for one measurement."""
-
-    def time_correction(self, timeout: float) -> float:
-        """Return the seconds to add to the sender's stamps.
-
-        Raises
-        ------
-        RuntimeError
-            It takes longer than that, or does not work.
-        """
-        ...
 
 
 class Sender(Protocol):
@@ -51,7 +40,7 @@ class Sender(Protocol):
         """What was measured last; None before the first time."""
         ...
 
-    def open_clock(self) -> ClockInlet:
+    def open_clock(self) -> pylsl.StreamInlet:
         """Open an inlet for one measurement.
 
         Raises
@@ -75,7 +64,7 @@ class Measurement:
         For this measurement alone.
     """
 
-    def __init__(self, inlet: ClockInlet) -> None:
+    def __init__(self, inlet: pylsl.StreamInlet) -> None:
         self._lsl = inlet
         self._begun_s = monotonic()
         self._ask()
