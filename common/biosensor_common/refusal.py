@@ -121,6 +121,9 @@ class Refusal(Enum):
     )
     UNDELIVERED = _passing("undelivered", "{samples} {were} lost with the connection")
     READ_FAILED = _passing("read_failed", "reading it failed, it is opened anew ({why})")
+    NOT_JOINED = _passing(
+        "not_joined", "{samples} {were} published without {columns}: {stream} did not bring them"
+    )
     UNSENT = _passing("unsent", "ROS has not published {messages} ({why})")
     NO_COUNTS = _passing(
         "no_counts",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from biosensor_gateway.cli.bag import app
 from biosensor_gateway.recording.bag.errors import BagError, BagReason
+from biosensor_gateway.recording.bag.headers import listed_facts
 from biosensor_gateway.recording.bag.importing import import_bag
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -402,3 +404,29 @@ def test_without_any_time_there_is_no_bag(tmp_path: Path) -> None:
         made.to_bag(tmp_path / "a.xdf", tmp_path / "a")
     assert caught.value.reason is RecordingReason.EMPTY
     assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(
+    ("raw_type", "labels", "expected"),
+    [
+        ("std_msgs/msg/UInt8", "HR", "std_msgs/msg/UInt8"),
+        # As for clients of the original framework.
+        ("std_msgs/msg/Int32", "HR", "std_msgs/msg/Float32"),
+        ("other_msgs/msg/Some", "X, Y", "std_msgs/msg/Float32MultiArray"),
+    ],
+)
+def test_a_stream_is_known_by_the_list_also_where_its_raw_topic_has_another_type(
+    raw_type: str, labels: str, expected: str
+) -> None:
+    topic = "/biosensors/polar_h10/hr"
+    values = {
+        "lsl_name": "polar_h10-U1-hr", "lsl_type": "HR", "source_id": "polar_h10-U1-hr",
+        "host": "lab-pc", "rate": "0", "format": "float32", "foreign": "false",
+        "labels": labels, "units": labels, "participant": "", "label": "",
+        f"topic {topic}": raw_type, f"topic {topic}_stamped": "biosensor_msgs/msg/Samples",
+    }
+    pairs = [SimpleNamespace(key=key, value=value) for key, value in values.items()]
+    entry = SimpleNamespace(name=topic, hardware_id="U1", values=pairs)
+    facts = listed_facts([entry])[f"{topic}_stamped"]
+    assert (facts.name, facts.host) == ("polar_h10-U1-hr", "lab-pc")
+    assert dict(facts.block)["message_type"] == expected

@@ -46,6 +46,7 @@ COMMENTED_OUT: dict[str, Any] = {
     "qos_overrides./biosensors/zephyr/ecg.publisher.durability": "volatile",
     "diagnostic_updater.period": 5.0,
     "aliases": ["Muse (00:55:DA)=muse_left", "Muse (*=muse_right"],
+    "compat": "",
     "session_id": "lab-2",
     "known_peers": ["127.0.0.1"],
 }

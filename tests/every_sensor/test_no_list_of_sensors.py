@@ -44,6 +44,13 @@ OF_ALL_SENSORS = (
 NAMED_ON_PURPOSE = {
     # What others send, a sensor's manufacturer among them.
     "common/biosensor_common/known_senders.py": {"emotiv"},
+    # What the original framework's nodes publish; it is finished and gets no further sensor.
+    "ros_side/lsl_to_ros/lsl_to_ros/topics/originals.py": {
+        "polar_h10",
+        "empatica_e4",
+        "shimmer3_gsr",
+        "emotiv_insight",
+    },
     # The extra of the sensor that needs one, by the name of what it brings.
     "pyproject.toml": {"brainflow"},
 }

@@ -29,7 +29,7 @@ from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.lsl.blocks import Block, Run
 from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState
@@ -41,6 +41,7 @@ from lsl_to_ros.reports.reporting import Reporting
 from lsl_to_ros.reports.survey import Survey
 from lsl_to_ros.routing import Routing
 from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.originals import ORIGINALS, Joined
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Lane, Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicTypeError
@@ -94,6 +95,19 @@ def unfit(patch: pytest.MonkeyPatch) -> Shown:
 def no_time(patch: pytest.MonkeyPatch) -> Shown:
     del patch
     return in_entry(send(bridge(), now(), 1e300, now()))
+
+
+@provokes(Refusal.NOT_JOINED)
+def not_joined(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    (((_, data), (original,)),) = [each for each in ORIGINALS.items() if each[1][0].beside]
+    half = bridge(KIND)
+    joined = Joined(original)
+    joined.refusals = half.counters.refusals
+    stamps, others = np.array([0.0, 0.01]), np.array([0.01, 0.02])
+    joined.take(Block(np.zeros((2, original.beside_channels), np.float32), others))
+    assert len(joined(Run(np.zeros((2, 5), np.float32), stamps, 0)).samples) == 2, data
+    return in_entry(send(half, now()))
 
 
 @provokes(Refusal.UNSTAMPED)
@@ -308,7 +322,7 @@ def format_changed(patch: pytest.MonkeyPatch) -> Shown:
 def no_counts(patch: pytest.MonkeyPatch) -> Shown:
     del patch
     routes = routing(lambda *_, **__: None)
-    routes._take_counters(np.array(["nonsense"], object))
+    routes._take_report(np.array(["nonsense"], object))
     return at_node(routes.refusals)
 
 

@@ -272,7 +272,7 @@ def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -
         ON,
         counters,
         Clocks(ros.node),
-        listen=lambda sample: heard.append(sample.tolist()),
+        listen=lambda block: heard.extend(block.samples.tolist()),
     )
     assert bridge.wants_each_sample
     bridge.receive(Block(np.array([[1.0], [2.0]], np.float32), np.array([5.0, 5.01])))

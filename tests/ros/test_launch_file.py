@@ -25,6 +25,7 @@ PARAMETERS = (
     "session_id",
     "known_peers",
     "aliases",
+    "compat",
     "use_sim_time",
 )
 NOTHING_GIVEN = {

@@ -23,7 +23,8 @@ ARGUMENTS = {
     "processes": "processes that share the streams, each on a core of its own, 1 to 16",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
-    "aliases": "names of sensors for streams of other programs, as in [Muse-1A2B*=muse_left]",
+    "aliases": "names of sensors for streams of other programs, as in [UN-2019*=unicorn]",
+    "compat": "smartlab: types and values for clients of ros2-foxy-wearable-biosensors",
     "params_file": "parameter file; the share folder's config/params.yaml is an example",
 }
 PARAMETER_TYPES = {
@@ -36,6 +37,7 @@ PARAMETER_TYPES = {
     "session_id": str,
     "known_peers": List[str],
     "aliases": List[str],
+    "compat": str,
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +15,7 @@ from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import clock_of, read_counters
 from lsl_to_ros.accounts.counters import NodeCounters, can_estimate_losses
@@ -22,9 +23,11 @@ from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.limited_log import LimitedLog
+from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
 from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.originals import BESIDE, ORIGINALS, Alone, Joined, Original, Shape
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
@@ -66,6 +69,8 @@ class Routing:
         By which streams there are in all.
     aliases
         Names of sensors by those of other programs' LSL streams.
+    is_as_original
+        Whether topics are to be as the original framework has them, see `topics.originals`.
 
     Attributes
     ----------
@@ -83,8 +88,12 @@ class Routing:
         log: LimitedLog,
         pacer: Pacer,
         aliases: Mapping[str, str] = MappingProxyType({}),
+        *,
+        is_as_original: bool = False,
     ) -> None:
         self._aliases = aliases
+        self._is_as_original = is_as_original
+        self._joined: dict[tuple[DeviceIdentity, str], Joined] = {}
         self._publishers = TopicPublishers(node, pacer)
         self._prefix = prefix
         self._names = names
@@ -227,8 +236,10 @@ class Routing:
             refusals=counters.refusals,
         )
         used = self._used_publishers()
+        originals = self._originals(header)
+        shape = self._shape(header, originals, counters.refusals)
         try:
-            outputs = open_outputs(self._publishers, context, used)
+            outputs = open_outputs(self._publishers, context, used, originals, shape)
         except TopicTypeError as error:
             route.bridge = None
             refuse, name = self.refusals.refuse, inlet.core.name
@@ -243,6 +254,8 @@ class Routing:
             stamping=stamping,
             listen=self._listener(header),
         )
+        if isinstance(shape, Joined):
+            shape.more = route.bridge.more
         if topic.conflict and header.identity.sensor != naming.AGENT:
             # nothing is dropped: each has a topic, and its entry says so
             self._warn(f"{topic.name}: {Refusal.TWO_UNITS.told()}")
@@ -285,13 +298,39 @@ class Routing:
             self._counters[inlet.source_id] = record.counters
         return record
 
-    def _listener(self, header: StreamHeader) -> Callable[[NDArray[Any]], None] | None:
+    def _originals(self, header: StreamHeader) -> Sequence[Original]:
+        is_meant = self._is_as_original and not header.foreign
+        return ORIGINALS.get(_key(header), ()) if is_meant else ()
+
+    def _shape(
+        self, header: StreamHeader, originals: Sequence[Original], refusals: Refusals
+    ) -> Shape | None:
+        if not originals:
+            return None  # nothing is dropped: samples are published as they are
+        if not originals[0].beside:
+            return Alone(originals[0])
+        joined = self._joined_of(header, header.data_name, originals[0])
+        joined.refusals = refusals
+        return joined
+
+    def _joined_of(self, header: StreamHeader, data_name: str, original: Original) -> Joined:
+        return self._joined.setdefault((header.identity, data_name), Joined(original))
+
+    def _listener(self, header: StreamHeader) -> Callable[[Block], None] | None:
+        part_of = BESIDE.get(_key(header), "")
+        if part_of and self._is_as_original and not header.foreign:
+            (original,) = ORIGINALS[header.identity.sensor, part_of]
+            return self._joined_of(header, part_of, original).take
         is_counters = header.message_type is MessageType.DIAGNOSTIC_ARRAY
         # Counts in a replay are of samples that another computer got on another day.
         return self._take_counters if is_counters and header.replay is None else None
 
-    def _take_counters(self, sample: NDArray[Any]) -> None:
+    def _take_counters(self, block: Block) -> None:
         """Hand on the agent's counters; runs in the thread that reads that stream."""
+        for sample in block.samples:
+            self._take_report(sample)
+
+    def _take_report(self, sample: NDArray[Any]) -> None:
         try:
             told = read_counters(sample[0])
         except ValueError as error:
@@ -303,3 +342,7 @@ class Routing:
                 pushed, lost = int(entry["pushed"]), int(entry["lost"])
                 known.comparison.reported(pushed, lost, entry["last_stamp"])
                 known.clock = clock_of(entry)
+
+
+def _key(header: StreamHeader) -> tuple[str, str]:
+    return header.identity.sensor, header.data_name

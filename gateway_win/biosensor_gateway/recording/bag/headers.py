@@ -203,7 +203,7 @@ def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
         # Its fields hold none of these characters.
         of_device = re.split("[.-]", source_id.rpartition("@")[2])
         identity = DeviceIdentity(of_device[0], unit, values["participant"], values["label"])
-        data, message_type = source_id.rpartition("-")[2], MessageType(raw_type)
+        data, message_type = source_id.rpartition("-")[2], _message_type(raw_type, form, labels)
         block = _block(identity, data, message_type, is_state=False)
     return Facts(
         name=values["lsl_name"],
@@ -216,6 +216,16 @@ def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
         units=tuple(units),
         block=tuple(block.items()),
     )
+
+
+def _message_type(raw_type: str, form: ChannelFormat, labels: Sequence[str]) -> MessageType:
+    """Return the type of a stream's messages, also where the node has published another one."""
+    known = {each.value for each in MessageType}
+    if raw_type in known:
+        return MessageType(raw_type)
+    if form is not ChannelFormat.FLOAT32:
+        raise ValueError(f"no stream of {form} has messages {raw_type}")
+    return MessageType.FLOAT32 if len(labels) == 1 else MessageType.FLOAT32_MULTI_ARRAY
 
 
 def _rate(text: str) -> float:

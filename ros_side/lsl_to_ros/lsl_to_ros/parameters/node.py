@@ -24,6 +24,7 @@ SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
 BURST_PACING = "burst_pacing"
 PROCESSES = "processes"
 ALIASES = "aliases"
+COMPAT, SMARTLAB = "compat", "smartlab"
 DIAGNOSTICS_PERIOD = "diagnostic_updater.period"
 """As the nodes that use ``diagnostic_updater`` call it, so that one file may set it for all."""
 
@@ -127,10 +128,14 @@ def _aliases_fault(value: Sequence[str]) -> str | None:
     for name, alias in aliases_of(value).items():
         if not name or not _ALIAS.fullmatch(alias):
             return (
-                "must be such as [Muse-1A2B*=muse_left], the name of an LSL stream and one of"
+                "must be such as [UN-2019*=unicorn], the name of an LSL stream and one of"
                 f" letters, digits and single underscores; it has {f'{name}={alias}'!r}"
             )
     return None
+
+
+def _compat_fault(value: str) -> str | None:
+    return None if value in ("", SMARTLAB) else f"must be {SMARTLAB} or empty, not {value!r}"
 
 
 def _processes_fault(value: int) -> str | None:
@@ -164,8 +169,14 @@ _PARAMETERS = {
     ),
     ALIASES: _Parameter(
         [""],
-        "names of sensors for streams of other programs, as in [Muse-1A2B*=muse_left]",
+        "names of sensors for streams of other programs, as in [UN-2019*=unicorn]",
         _aliases_fault,
+        read_only=True,
+    ),
+    COMPAT: _Parameter(
+        "",
+        "smartlab: types and values of ros2-foxy-wearable-biosensors, for its clients",
+        _compat_fault,
         read_only=True,
     ),
     DIAGNOSTICS_PERIOD: _Parameter(
@@ -182,8 +193,9 @@ _PARAMETERS = {
 
 TEXTS = {name: each.description for name, each in _PARAMETERS.items()}
 """What each is for, by its name."""
-# With a wrong value, or under a wrong name, the node would serve other streams than it should.
-_WHICH_STREAMS = (STREAM_PREDICATE, SESSION_ID, KNOWN_PEERS)
+# With a wrong value, or under a wrong name, the node would serve other streams than it should, or
+# in another form.
+_WHICH_STREAMS = (STREAM_PREDICATE, SESSION_ID, KNOWN_PEERS, COMPAT)
 
 
 def check(given: Mapping[str, object]) -> None:
@@ -201,6 +213,9 @@ def check(given: Mapping[str, object]) -> None:
         if similar and name not in _WHICH_STREAMS:
             message = f"{name} is no parameter of this node; {similar[0]} is"
             raise ConfigError(ConfigReason.UNKNOWN_KEY, message)
+    if given.get(COMPAT) and given.get(PROCESSES) not in (None, 1):
+        message = f"{COMPAT} joins streams of a device, which several {PROCESSES} have apart"
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"{message}; leave one of the two out")
 
 
 def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them

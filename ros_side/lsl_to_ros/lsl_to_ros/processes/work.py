@@ -20,6 +20,7 @@ from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (
     ALIASES,
     BURST_PACING,
+    COMPAT,
     KNOWN_PEERS,
     SESSION_ID,
     STREAM_PREDICATE,
@@ -81,7 +82,15 @@ class Work:
         inform_for_all = self.log.inform if is_first else _say_nothing
         self._pacer = Pacer(Pace(node_parameters.declare(node, BURST_PACING)), warn)
         self._routing = Routing(
-            node, prefix, names, self.parameters, self.ros_time, self.log, self._pacer, aliases
+            node,
+            prefix,
+            names,
+            self.parameters,
+            self.ros_time,
+            self.log,
+            self._pacer,
+            aliases,
+            is_as_original=bool(node_parameters.declare(node, COMPAT)),
         )
         self._discovery = Discovery(warn, predicate, share)
         self._pump = Pump(lambda: self._discovery.inlets)

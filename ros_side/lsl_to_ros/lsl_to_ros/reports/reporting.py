@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD
+from lsl_to_ros.parameters.node import COMPAT, DIAGNOSTICS_PERIOD
 from lsl_to_ros.reports.diagnostics import LEASE_S
 from lsl_to_ros.reports.processes import Concern, ProcessFacts, node_status, process_status
 from lsl_to_ros.topics.messages import HAS_STAMPED_TOPICS
@@ -75,6 +75,7 @@ class Reporting:
         values = {
             "clock_steps": str(self._ros_time.steps),
             "stamped_topics": "yes" if HAS_STAMPED_TOPICS else "no",
+            COMPAT: self._node.get_parameter(COMPAT).value,
         }
         statuses = [node_status(processes, values, self._concerns())]
         if len(processes) > 1:

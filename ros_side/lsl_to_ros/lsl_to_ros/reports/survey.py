@@ -21,10 +21,12 @@ from lsl_to_ros.accounts.load import Load, LoadFacts
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.share import Share
+from lsl_to_ros.parameters.node import COMPAT, SMARTLAB
 from lsl_to_ros.reports.diagnostics import LEASE_S, status, stream_facts, stream_status
 from lsl_to_ros.reports.overload import overload
 from lsl_to_ros.routing import Route, Routing
 from lsl_to_ros.topics.bridge import Bridge
+from lsl_to_ros.topics.originals import ORIGINALS
 
 LOW_BATTERY_PERCENT = 10.0
 
@@ -153,12 +155,16 @@ class Survey:
 
     def _look_at_readers(self, bridge: Bridge) -> None:
         """See who subscribes to the topics of a stream in a way that brings nothing."""
+        key = bridge.header.identity.sensor, bridge.header.data_name
+        is_known_otherwise = key in ORIGINALS and bridge.outputs.shape is None
         for publisher in bridge.outputs.publishers:
             name = publisher.name
             # Who is matched is counted often, and asking for all that there are costs little.
             has_others = self._node.count_subscribers(name) > publisher.readers
             known = self._node.get_subscriptions_info_by_topic(name) if has_others else []
             told = [why for each in known if (why := publisher.misfit(each))]
+            if told and is_known_otherwise:
+                told.append(f"with {COMPAT}:={SMARTLAB} it is as the original framework has it")
             why = "; ".join(dict.fromkeys(told))
             bridge.counters.refusals.hold(Refusal.READ_IN_VAIN, bool(why), about=name, why=why)
 

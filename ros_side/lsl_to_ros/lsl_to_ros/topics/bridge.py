@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.refusal import Refusal
@@ -36,11 +38,14 @@ class Outputs:
         What needs the time of a sample.
     chunk
         None for a stream without chunks.
+    shape
+        Makes what `raw` and `chunk` get of the samples; None if they get them as they are.
     """
 
     raw: Writer | None = None
     timed: list[Writer] = field(default_factory=list[Writer])
     chunk: ChunkWriter | None = None
+    shape: Callable[[Run], Run] | None = None
 
     @property
     def of_samples(self) -> list[Writer]:
@@ -64,7 +69,7 @@ class Bridge:
     counters
         Their refusals are told what cannot be published.
     listen
-        Called with each sample before it is published.
+        Called with what comes before it is published.
 
     Attributes
     ----------
@@ -79,7 +84,7 @@ class Bridge:
         settings: StreamSettings,
         counters: NodeCounters,
         stamping: Stamping,
-        listen: Callable[[NDArray[Any]], None] | None = None,
+        listen: Callable[[Block], None] | None = None,
     ) -> None:
         self.header = header
         self.outputs = outputs
@@ -94,6 +99,7 @@ class Bridge:
         self._gaps = GapFinder(header.rate, foreign=header.foreign)
         # nothing is dropped: `_hold` reports what is given up
         self._held: deque[Run] = deque(maxlen=HELD_RUNS)
+        self._shaping = threading.Lock()
         # Asked for with each block of samples.
         self._publishers = outputs.publishers
         self._of_samples = [writer.publisher for writer in outputs.of_samples]
@@ -149,8 +155,7 @@ class Bridge:
         if self._keeps_newest:
             self.newest = block.samples[-1].copy()
         if self._listen is not None:
-            for sample in block.samples:
-                self._listen(sample)
+            self._listen(block)
         gaps = self._gaps.find(block.stamps)
         if gaps:
             self._write_around(gaps, block, sequence)
@@ -181,21 +186,38 @@ class Bridge:
             start = gap.place
         self._write(part(block, start, len(block.stamps), sequence))
 
+    def more(self) -> None:
+        """Write what is complete by now; called by whichever thread brings what was missing."""
+        nothing = Run(np.empty((0, len(self.header.labels))), np.empty(0), 0)
+        self._write_shaped(nothing, self.settings)
+
     def _write(self, run: Run) -> None:
         # Read once: it may be replaced by another thread at any time.
         settings = self.settings
+        self._write_shaped(run, settings)
         if settings.raw:
-            self._write_samples(run)
-        if self.outputs.chunk is not None:
+            self._write_timed_or_hold(run)
+
+    def _write_shaped(self, run: Run, settings: StreamSettings) -> None:
+        shape = self.outputs.shape
+        if shape is None:
+            self._write_untimed(run, settings)
+        else:
+            with self._shaping:
+                self._write_untimed(shape(run), settings)
+
+    def _write_untimed(self, run: Run, settings: StreamSettings) -> None:
+        outputs = self.outputs
+        if settings.raw and outputs.raw is not None:
+            self._publish(outputs.raw, run)
+        if outputs.chunk is not None:
             if settings.chunk:
-                self.outputs.chunk.add(run.samples, settings.chunk_length)
+                outputs.chunk.add(run.samples, settings.chunk_length)
             else:
                 self._discard()
 
-    def _write_samples(self, run: Run) -> None:
+    def _write_timed_or_hold(self, run: Run) -> None:
         outputs = self.outputs
-        if outputs.raw is not None:
-            self._publish(outputs.raw, run)
         if not any(writer.publisher.is_wanted for writer in outputs.timed):
             # nothing is dropped: nobody has subscribed
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusal
@@ -10,6 +10,13 @@ from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.topic_shape import chunk_type
 from lsl_to_ros.topics.bridge import Outputs
 from lsl_to_ros.topics.messages import CLASSES, HAS_STAMPED_TOPICS, STANDARD_CLASSES, stamped_class
+from lsl_to_ros.topics.originals import (
+    FurtherWriter,
+    Original,
+    Shape,
+    message_class,
+    writer,
+)
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
 from lsl_to_ros.topics.writers import (
     ChunkWriter,
@@ -25,9 +32,18 @@ from lsl_to_ros.topics.writers import (
 
 
 def open_outputs(
-    publishers: TopicPublishers, context: StreamContext, used: Collection[TopicPublisher] = ()
+    publishers: TopicPublishers,
+    context: StreamContext,
+    used: Collection[TopicPublisher] = (),
+    originals: Sequence[Original] = (),
+    shape: Shape | None = None,
 ) -> Outputs:
     """Open every topic of a stream: raw, stamped, those of ``sensor_msgs`` and chunks.
+
+    Parameters
+    ----------
+    originals, shape
+        What the original framework made of this stream, if the topics are to be as there.
 
     Raises
     ------
@@ -43,10 +59,20 @@ def open_outputs(
             f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used
         )
 
-    raw = opened(topic.data, CLASSES[header.message_type])
+    first, *further = originals or (None,)
+    usual = CLASSES[header.message_type]
+    raw = opened(topic.data, message_class(first, usual) if first else usual)
     if header.message_type is MessageType.DIAGNOSTIC_ARRAY:
         return Outputs(timed=[CountersWriter(raw, context.stamping)])
-    outputs = Outputs(raw=_raw_writer(raw, context))
+    outputs = Outputs(shape=shape)
+    outputs.raw = (
+        writer(raw, first, header.message_type, context.refusals)
+        if first
+        else _raw_writer(raw, context)
+    )
+    for each in filter(None, further):
+        publisher = opened(each.data, message_class(each, usual))
+        outputs.timed.append(FurtherWriter(publisher, each))
     if HAS_STAMPED_TOPICS:
         publisher = opened(f"{topic.data}_stamped", stamped_class(header.message_type))
         stamped = EventWriter if header.message_type.is_text else SamplesWriter
@@ -66,7 +92,8 @@ def open_outputs(
         # Its name is that of another data name only where a declaration says so.
         data = topic.data if header.chunk == header.data_name else header.chunk
         publisher = opened(f"{data}_chunk", CLASSES[kind])
-        outputs.chunk = ChunkWriter(publisher, kind, len(header.labels))
+        columns = first.columns if first else len(header.labels)
+        outputs.chunk = ChunkWriter(publisher, kind, columns)
     return outputs
 
 

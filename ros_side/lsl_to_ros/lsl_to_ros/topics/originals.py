@@ -1,0 +1,245 @@
+"""Topics as ros2-foxy-wearable-biosensors publishes them, for clients that were written for it.
+
+By its code, not by its description, where the two differ: its clients were run with the code.
+With the parameter ``compat`` they get what they know; the stamped topics, which it has not, stay
+as they are. The original is a finished program of others, so that its sensors can be named here.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Int32
+
+from biosensor_common.quantities import MessageType
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from lsl_to_ros.lsl.blocks import Block, Run
+from lsl_to_ros.topics.publishers import TopicPublisher
+from lsl_to_ros.topics.writers import NumberWriter, Writer
+
+_TICKS_PER_S = 1024
+_UNITS_PER_G = 64
+_KOHM_MICROSIEMENS = 1000.0
+# Two streams are pushed together, and sent and read apart.
+_MOST_HELD = 256
+_TOLERANCE_S = 0.002
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Original:
+    """One topic of the original, which is made of a stream.
+
+    Attributes
+    ----------
+    data
+        Last part of its name.
+    values
+        Makes its values, shape (n, columns), of the stream's, shape (n, channels).
+    is_int32
+        Whether its messages are ``Int32``; else they are of the stream's type.
+    beside
+        Data name of another stream of the device, whose channels stand behind those of this one.
+    without
+        What is missing where that stream brings nothing.
+    """
+
+    data: str
+    values: Callable[[Values], Values]
+    columns: int = 1
+    is_int32: bool = False
+    beside: str = ""
+    beside_channels: int = 0
+    without: str = ""
+
+
+def _ticks(seconds: Values) -> Values:
+    return np.rint(seconds * _TICKS_PER_S)
+
+
+def _low_byte(seconds: Values) -> Values:
+    return _ticks(seconds) % 256
+
+
+def _high_byte(seconds: Values) -> Values:
+    return _ticks(seconds) // 256
+
+
+def _or(default: float) -> Callable[[Values], Values]:
+    return lambda values: np.where(np.isnan(values), default, values)
+
+
+def _with_status(values: Values) -> Values:
+    """Return counter, interpolated, five electrodes and contact quality."""
+    eeg, counter, quality = values[:, :5], values[:, 5:7], values[:, 7:8]
+    return np.hstack((counter, eeg, quality))
+
+
+ORIGINALS: Mapping[tuple[str, str], tuple[Original, ...]] = MappingProxyType(
+    {
+        ("polar_h10", "hr"): (Original("hr", np.rint, is_int32=True),),
+        # It takes the two bytes of an interval for an interval and a battery.
+        ("polar_h10", "ibi"): (
+            Original("ibi", _low_byte, is_int32=True),
+            Original("dev", _high_byte, is_int32=True),
+        ),
+        ("empatica_e4", "acc"): (Original("acc", lambda g: g * _UNITS_PER_G, columns=3),),
+        ("empatica_e4", "bat"): (Original("bat", lambda percent: percent / 100),),
+        ("empatica_e4", "gsr"): (Original("gsr", _or(0.0)),),
+        ("shimmer3_gsr", "gsr"): (Original("gsr", lambda us: _KOHM_MICROSIEMENS / us),),
+        ("emotiv_insight", "eeg"): (
+            Original(
+                "eeg",
+                _with_status,
+                columns=8,
+                beside="eeg_status",
+                beside_channels=4,
+                without="counter and contact quality",
+            ),
+        ),
+        ("emotiv_insight", "met"): (Original("met", lambda all_8: _or(0.0)(all_8[:, :7]), 7),),
+        ("emotiv_insight", "dev"): (Original("dev", _or(-1.0), columns=9),),
+    }
+)
+"""By sensor and data name of the stream; the first one of each has the stream's own topic."""
+BESIDE: Mapping[tuple[str, str], str] = MappingProxyType(
+    {
+        (sensor, first.beside): data
+        for (sensor, data), (first, *_) in ORIGINALS.items()
+        if first.beside
+    }
+)
+"""By sensor and data name of a stream, of which other one it is a part in the original."""
+
+
+class Shape(Protocol):
+    """Makes of a stream's samples those that its own topics have."""
+
+    def __call__(self, run: Run) -> Run:
+        """Return as many as are complete."""
+        ...
+
+
+class Alone:
+    """The shape of what is made of one stream."""
+
+    def __init__(self, original: Original) -> None:
+        self._values = original.values
+
+    def __call__(self, run: Run) -> Run:
+        """Return all samples in the original's values."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return run._replace(samples=self._values(run.samples.astype(np.float64)))
+
+
+class _Row(NamedTuple):
+    stamp: float
+    values: NDArray[Any]
+
+
+class Joined:
+    """The shape of what is made of two streams, sample by sample.
+
+    What the other one has not brought yet is waited for.
+
+    Attributes
+    ----------
+    refusals
+        Are told what was not waited for any longer.
+    more
+        Called by :meth:`take`, in the thread that reads the other stream.
+    """
+
+    def __init__(self, original: Original) -> None:
+        self._original = original
+        self._held: deque[tuple[_Row, int]] = deque()
+        # nothing is dropped: it is read only while the other stream is there
+        self._others: deque[_Row] = deque(maxlen=4 * _MOST_HELD)
+        self.refusals: Refusals | None = None
+        self.more: Callable[[], None] | None = None
+
+    def take(self, block: Block) -> None:
+        """Take in samples of the other stream."""
+        self._others.extend(map(_Row, block.stamps.tolist(), block.samples.copy()))
+        if self.more is not None:
+            self.more()
+
+    def __call__(self, run: Run) -> Run:
+        """Return the samples, also earlier ones, that are complete or have waited too long."""
+        numbers = range(run.sequence, run.sequence + len(run.stamps))
+        self._held.extend(
+            zip(map(_Row, run.stamps.tolist(), run.samples.copy()), numbers, strict=True)
+        )
+        rows: list[tuple[_Row, int]] = []
+        missing = 0
+        while self._held:
+            row, number = self._held[0]
+            other = self._other(row.stamp)
+            if other is None and not self._others and len(self._held) <= _MOST_HELD:
+                break
+            if other is None:
+                missing += 1
+                other = np.full(self._original.beside_channels, np.nan)
+            rows.append((_Row(row.stamp, np.concatenate((row.values, other))), number))
+            self._held.popleft()
+        if missing and self.refusals is not None:
+            facts = {"columns": self._original.without, "stream": self._original.beside}
+            self.refusals.refuse(Refusal.NOT_JOINED, missing, **facts)
+        return self._run(rows)
+
+    def _other(self, stamp: float) -> NDArray[Any] | None:
+        """Return what was measured together with a sample; None if it is not there."""
+        while self._others and self._others[0].stamp < stamp - _TOLERANCE_S:
+            # nothing is dropped: it is on a topic of its own
+            self._others.popleft()
+        if self._others and self._others[0].stamp <= stamp + _TOLERANCE_S:
+            return self._others.popleft().values
+        return None  # nothing is dropped: it is not there
+
+    def _run(self, rows: list[tuple[_Row, int]]) -> Run:
+        if not rows:
+            return Run(np.empty((0, self._original.columns)), np.empty(0), 0)
+        samples = self._original.values(np.array([row.values for row, _ in rows], np.float64))
+        return Run(samples, np.array([row.stamp for row, _ in rows]), rows[0][1])
+
+
+class Int32Writer(Writer):
+    """One ``Int32`` per sample."""
+
+    def write(self, run: Run) -> None:
+        """Publish each sample; what is no number raises ValueError."""
+        self.publisher.publish(*(Int32(data=int(value)) for (value,) in run.samples.tolist()))
+
+
+class FurtherWriter(Int32Writer):
+    """Another topic that the original makes of a stream."""
+
+    def __init__(self, publisher: TopicPublisher, original: Original) -> None:
+        super().__init__(publisher)
+        self._shape = Alone(original)
+
+    def write(self, run: Run) -> None:
+        """Publish each sample."""
+        super().write(self._shape(run))
+
+
+def message_class(original: Original, usual: type[Any]) -> type[Any]:
+    """Return what the original's messages are."""
+    return Int32 if original.is_int32 else usual
+
+
+def writer(
+    publisher: TopicPublisher, original: Original, kind: MessageType, refusals: Refusals
+) -> Writer:
+    """Return what writes samples that have their shape already."""
+    if original.is_int32:
+        return Int32Writer(publisher)
+    return NumberWriter(publisher, kind, original.columns, refusals)
