@@ -26,13 +26,14 @@ _root = typer.Typer(
     cls=QuickGroup,
     help="Wearable biosensors as Lab Streaming Layer outlets.",
     no_args_is_help=True,
-    add_completion=False,
 )
 
 
 def app() -> TyperGroup:
     """Return the group of all commands."""
-    group = typer.main.get_group(_root)
+    # With what completes a command line in the shell, which the group alone has not.
+    group = typer.main.get_command(_root)
+    assert isinstance(group, TyperGroup)
     for command in COMMANDS:
         group.add_command(command)
     return group
