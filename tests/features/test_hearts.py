@@ -230,6 +230,34 @@ def test_a_hole_that_hides_no_beat_ends_no_window(lost: int) -> None:
     assert np.median([np.abs(expected - each).min() for each in found]) < 1e-9
 
 
+SLOW: dict[str, tuple[Array, float]] = {
+    "GSR": (signals.skin(4, 120)[0], 4.0),
+    "Respiration": (signals.breath(8, 120), 8.0),
+    "Accelerometer": (np.tile([0.0, 0.6, 0.8], (480, 1)), 4.0),
+}
+
+
+@pytest.mark.parametrize("foreign", [False, True])
+@pytest.mark.parametrize("kind", SLOW)
+def test_a_lost_sample_of_what_is_slow_ends_no_window_and_two_seconds_do(
+    kind: str, foreign: bool
+) -> None:
+    values, rate = SLOW[kind]
+    columns = values.reshape(len(values), -1)
+    stamps = np.arange(len(values)) / rate
+    whole = signals.new_runs(kind, rate, foreign=foreign).take(stamps, columns)
+    kept = np.arange(len(values)) % 29 != 28
+    events = signals.new_runs(kind, rate, foreign=foreign).take(stamps[kept], columns[kept])
+    assert {each.feature for each in events} == {each.feature for each in whole}
+    assert len(events) > 0.9 * len(whole)
+    kept = (stamps < 60) | (stamps >= 62)
+    runs = signals.new_runs(kind, rate, foreign=foreign)
+    windows = {"sqi", "activity_live"}
+    told = [e for e in runs.take(stamps[kept], columns[kept]) if e.feature in windows]
+    # Another window has to fill first.
+    assert min(each.stamp for each in told if each.stamp >= 62) > 66
+
+
 @pytest.mark.parametrize("rate", [2048.0, 5000.0])
 def test_a_fast_ecg_is_averaged(rate: float) -> None:
     core = CoreFields("Amp", "ECG", "amp", "host", 1, rate, ChannelFormat.FLOAT32)

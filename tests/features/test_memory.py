@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from biosensor_gateway.features.chains import new_runs
+from biosensor_gateway.features.witnesses import Motion, Warmth, Witness
 from tests.features import signals
 from tests.features.signals import Array
 
@@ -55,3 +56,17 @@ def test_what_is_kept_once_all_windows_are_full_grows_no_more(kind: str) -> None
     # One number more for each ten seconds would be more than this.
     assert max(sizes[1:]) < sizes[0] + 4096
     assert max(sizes) < 2_000_000
+
+
+@pytest.mark.parametrize(
+    ("witness", "columns"),
+    [(Warmth(keep_s=60), 1), (Motion(4.0, foreign=False, keep_s=60), 3)],
+    ids=["temperature", "acceleration"],
+)
+def test_what_other_streams_say_is_forgotten_in_time(witness: Witness, columns: int) -> None:
+    sizes: list[int] = []
+    for begin_s in range(0, 1200, 60):
+        witness.take(begin_s + np.arange(240) / 4, np.full((240, columns), 33.0))
+        sizes.append(_bytes(witness))
+    # It is kept for 60 s at least, and twice that at most.
+    assert max(sizes) <= 1.3 * max(sizes[:3])

@@ -122,7 +122,7 @@ def test_the_header_tells_origin_algorithm_version_window_and_delay() -> None:
     xml = stream_info(source, source.features[1]).as_xml()
     assert "<derived_from>ECG Amp 1</derived_from>" in xml
     assert "<algorithm>Hamilton 2002" in xml
-    assert "<version>4</version>" in xml
+    assert "<version>5</version>" in xml
     assert "<window_s>10.0</window_s>" in xml
     assert "<delay_s>0.3</delay_s>" in xml
     # An interval of at most 2 s, the delay, and a lump of 3 s.

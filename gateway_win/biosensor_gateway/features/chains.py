@@ -135,7 +135,7 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
     Parameters
     ----------
     content_type
-        One that :mod:`.outputs` declares features of.
+        One of `READ_TYPES` of :mod:`.outputs`.
     rate
         Nominal, in Hz, 0 if irregular.
     foreign
@@ -150,8 +150,10 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
         ContentType.RESPIRATION: partial(_breath, slow),
         ContentType.RR: lambda: _Together(_Intervals()),
         ContentType.ACCELEROMETER: partial(Activity, slow),
+        # It says something of skin, and has no feature.
+        ContentType.TEMPERATURE: _Together,
     }
-    make = makers[content_type]
+    make, hole_s = makers[content_type], at.HOLE_S.get(content_type, 0.0)
     if factor > 1:
-        return Runs(lambda: _Averaged(factor, make()), rate, foreign=foreign)
-    return Runs(make, rate, foreign=foreign)
+        return Runs(lambda: _Averaged(factor, make()), rate, hole_s=hole_s, foreign=foreign)
+    return Runs(make, rate, hole_s=hole_s, foreign=foreign)

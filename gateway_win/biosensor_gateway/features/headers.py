@@ -28,7 +28,7 @@ def stream_info(source: Source, feature: Feature) -> pylsl.StreamInfo:
 
         <features>
           <derived_from>polar_h10-…-ecg</derived_from> <source_id>…</source_id>
-          <algorithm>…</algorithm> <version>4</version>
+          <algorithm>…</algorithm> <version>5</version>
           <window_s>10.0</window_s> <delay_s>0.3</delay_s> <holds_s>5.3</holds_s>
         </features>
 

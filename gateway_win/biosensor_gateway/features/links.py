@@ -13,9 +13,9 @@ import pylsl
 
 from biosensor_common.lsl.inlets import Connection, buffer_length
 from biosensor_common.refusal import Refusal
-from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source
+from biosensor_gateway.features.witnesses import Witnesses
 
 _OPEN_S = 5.0
 _MOST_HELD = 4096
@@ -39,7 +39,7 @@ class Link:
         As a resolver gave it.
     asking
         Its threads wait for the sender.
-    motions
+    witnesses
         Of all devices.
 
     Attributes
@@ -57,13 +57,13 @@ class Link:
         source: Source,
         info: pylsl.StreamInfo,
         asking: ThreadPoolExecutor,
-        motions: Motions,
+        witnesses: Witnesses,
     ) -> None:
         self.uid, self._name = info.uid(), source.name
         length = buffer_length(source.header.rate, _BUFFER_S)
         self.connection = Connection(info, asking, _OPEN_S, length)
         self.is_here = info.hostname() == socket.gethostname()
-        self._computer = source.new_computer(motions)
+        self._computer = source.new_computer(witnesses)
         self._told = self._gone = self._told_gone = self._told_values = 0
         # nothing is dropped: what is given up is counted in `read` and told by `remarks`
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)

@@ -24,10 +24,10 @@ from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.links import Link, Remark
-from biosensor_gateway.features.motion import Motions
-from biosensor_gateway.features.outputs import TYPES
+from biosensor_gateway.features.outputs import READ_TYPES
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.features.witnesses import Witnesses
 
 READ_S = 0.02
 LOOK_EVERY = 25
@@ -78,13 +78,13 @@ class _Stage:
         source: Source,
         info: pylsl.StreamInfo,
         asking: ThreadPoolExecutor,
-        motions: Motions,
+        witnesses: Witnesses,
     ) -> None:
-        self.source, self._motions = source, motions
+        self.source, self._witnesses = source, witnesses
         self.is_lost = False
         self._sender: Sender | None = None
         self._asking = asking
-        self._link = Link(source, info, asking, motions)
+        self._link = Link(source, info, asking, witnesses)
 
     @property
     def uid(self) -> str:
@@ -99,7 +99,7 @@ class _Stage:
     def follow(self, info: pylsl.StreamInfo) -> None:
         """Go on with another outlet, whose header is the same."""
         self.close()
-        self._link = Link(self.source, info, self._asking, self._motions)
+        self._link = Link(self.source, info, self._asking, self._witnesses)
         self.is_lost = False
 
     @property
@@ -173,7 +173,7 @@ class Live:
         self._spare: dict[str, _Seen] = {}
         self._taken: Taken = set()
         self._stages: dict[str, _Stage] = {}
-        self._motions: Motions = {}
+        self._witnesses: Witnesses = {}
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
         self._rivals: dict[str, float] = {}
@@ -182,7 +182,7 @@ class Live:
 
     def run(self, stopping: threading.Event) -> None:
         """Read and send until it is set."""
-        raw_streams = any_of(*(equals("type", each.value) for each in TYPES))
+        raw_streams = any_of(*(equals("type", each.value) for each in READ_TYPES))
         resolver = pylsl.ContinuousResolver(pred=raw_streams)
         clocks = SenderClocks(lambda: self._measured)
         count = 0
@@ -237,7 +237,7 @@ class Live:
                 # No more files may be opened: neither for an inlet nor for outlets.
                 self._refuse(Refusal.NO_FEATURES, about=stage.source.name, why=error)
                 self._give_up(key)
-            if stage.has_begun and not had_begun:
+            if stage.has_begun and not had_begun and stage.source.features:
                 self._told.found(stage.source)
             for what, count, why in stage.remarks():
                 self._refuse(what, count, about=stage.source.name, why=why)
@@ -329,7 +329,7 @@ class Live:
         if (earlier := self._stages.pop(_key(info), None)) is not None:
             earlier.close()
             source = replace(source, features=(*earlier.source.features, *source.features))
-        self._stages[_key(info)] = _Stage(source, info, self._asking, self._motions)
+        self._stages[_key(info)] = _Stage(source, info, self._asking, self._witnesses)
 
 
 def _key(info: pylsl.StreamInfo) -> str:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from biosensor_gateway.features.choosing import choose
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
-from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.xdf import writing
@@ -66,7 +66,7 @@ def compute(path: Path, target: Path) -> Computed:
     """
     with open_contents(path) as contents:
         pairs, refused = _sources(contents.streams)
-        if not pairs:
+        if not any(source.features for _, source in pairs):
             told = "; ".join(refused) or "it has no stream of a type that features are of"
             raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {told}")
         try:
@@ -104,23 +104,23 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
     return [(by_header[id(each.header)], each) for each in choose(found, set())], refused
 
 
-def _motions(pairs: _Pairs) -> Motions:
-    """Return the motion of each device, over the whole recording."""
-    motions: Motions = {}
+def _witnesses(pairs: _Pairs) -> Witnesses:
+    """Return what streams say of others of their device, over the whole recording."""
+    witnesses: Witnesses = {}
     for stream, source in pairs:
-        motion = source.new_motion(keep_s=math.inf)
-        if motion is not None:
-            motions[source.identity] = motion
+        witness = source.new_witness(keep_s=math.inf)
+        if witness is not None:
+            witnesses[source.key] = witness
             for samples in stream.blocks():
-                motion.take(samples.stamps, source.scaled(samples.values))
-    return motions
+                witness.take(samples.stamps, source.scaled(samples.values))
+    return witnesses
 
 
 def _computed(
-    stream: Stream, source: Source, motions: Motions, remarks: list[str]
+    stream: Stream, source: Source, witnesses: Witnesses, remarks: list[str]
 ) -> Iterator[tuple[Samples, list[Event]]]:
-    # A copy, for an accelerometer has its motion told from its first sample on.
-    computer = source.new_computer(dict(motions))
+    # A copy, for a witness would else be told from its first sample on.
+    computer = source.new_computer(dict(witnesses))
     samples: Samples | None = None
     for samples in stream.blocks():
         yield samples, computer.take(samples.stamps, samples.values)
@@ -153,7 +153,7 @@ class _Written:
 def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) -> dict[str, int]:
     writing.begin(file, begun, ())
     counts: dict[str, int] = {}
-    motions, number = _motions(pairs), 0
+    witnesses, number = _witnesses(pairs), 0
     for stream, source in pairs:
         written: list[_Written] = []
         names: list[str] = []
@@ -165,7 +165,7 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) ->
             written.append(_Written(number, stream, feature))
             for taken_at, offset in stream.clock_offsets:
                 file.write(writing.clock_offset(number, taken_at, offset))
-        for _, events in _computed(stream, source, motions, remarks):
+        for _, events in _computed(stream, source, witnesses, remarks):
             file.writelines(each.chunk(events) for each in written)
         for name, each in zip(names, written, strict=True):
             file.write(writing.boundary() + writing.footer(each.number, each))
@@ -178,12 +178,12 @@ def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str, remarks: list[str]) -
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["time_s", "stream", "channel", "unit", "value"])
     counts: dict[str, int] = {}
-    motions = _motions(pairs)
+    witnesses = _witnesses(pairs)
     for stream, source in pairs:
         known = {each.name: each for each in source.features}
         names = {name: stream_info(source, each).name() for name, each in known.items()}
         counts |= dict.fromkeys(names.values(), 0)
-        for samples, events in _computed(stream, source, motions, remarks):
+        for samples, events in _computed(stream, source, witnesses, remarks):
             to_recorder = _clock(stream, samples)
             for event in events:
                 name = names[event.feature]

@@ -15,7 +15,7 @@ from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
 from biosensor_gateway.features.state import BR_STATE, HR_STATE
 
-VERSION = "4"
+VERSION = "5"
 """Of all algorithms here; another one where a value may differ for the same samples."""
 
 
@@ -236,6 +236,8 @@ TYPES = (
     ContentType.ACCELEROMETER,
 )
 """Types of streams that features are computed of, the best source of beats first."""
+READ_TYPES = (*TYPES, ContentType.TEMPERATURE)
+"""Types of streams that are read: temperature says something of skin, and has no feature."""
 
 
 def feature_streams() -> Predicate:

@@ -63,6 +63,8 @@ class Runs:
         Returns a new stage.
     rate
         Nominal, in Hz; 0 for an irregular stream, which has no gaps.
+    hole_s
+        What is lost for so long is no gap.
     foreign
         Whether stamps are another program's and may jitter.
 
@@ -76,13 +78,15 @@ class Runs:
         Samples so far that had an infinite value, or one that is too large to be true.
     """
 
-    def __init__(self, make: Callable[[], Stage], rate: float, *, foreign: bool = False) -> None:
+    def __init__(
+        self, make: Callable[[], Stage], rate: float, *, hole_s: float = 0.0, foreign: bool = False
+    ) -> None:
         self._make = make
-        longest_s = at.FOREIGN_JITTER_S if foreign else at.HOLE_S
-        # Half of a period more, for stamps jitter.
         self._longest_step = np.inf
         if rate > 0:
-            self._longest_step = max(at.GAP_PERIODS / rate, longest_s + (not foreign) * 1.5 / rate)
+            # Half of a period more, for stamps jitter.
+            longest_s = hole_s + at.GAP_PERIODS / rate
+            self._longest_step = max(longest_s, foreign * at.FOREIGN_JITTER_S)
         self._stage: Stage | None = None
         self._last = -np.inf
         self.left_out = self.steps_back = self.without_value = 0

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from biosensor_common.quantities import ChannelFormat, ContentType
+from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
-from biosensor_gateway.features.motion import Beside, Motion, Motions
-from biosensor_gateway.features.outputs import TYPES, Feature, features_of
+from biosensor_gateway.features.outputs import READ_TYPES, Feature, features_of
 from biosensor_gateway.features.runs import Array, Event
+from biosensor_gateway.features.witnesses import Beside, Motion, Warmth, Witness, Witnesses
 
 _SCALES: dict[str, dict[str, float]] = {
     ContentType.GSR: {"microsiemens": 1, "us": 1, "µs": 1, "μs": 1, "usiemens": 1},
@@ -31,11 +31,13 @@ _SCALES: dict[str, dict[str, float]] = {
 
 _AXES = 3
 _NOT_LIT = "ambient"
+_SKIN = "skin"
+"""The channel that is a temperature of skin, not of a case or of the air."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A stream that features are computed of.
+    """A stream that features are computed of, or that says something of others.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class Source:
     identity
         Of the device; lower-case ROS names also of another program's stream.
     features
-        What is computed of it.
+        What is computed of it; nothing if it only says something of others.
     columns
         Which of its channels are taken.
     scale
@@ -59,21 +61,28 @@ class Source:
     columns: range
     scale: float
 
-    def new_computer(self, motions: Motions | None = None) -> Computer:
+    @property
+    def key(self) -> tuple[DeviceIdentity, str]:
+        """By which it is found as a witness."""
+        return self.identity, self.header.content_type
+
+    def new_computer(self, witnesses: Witnesses | None = None) -> Computer:
         """Return what computes its features, from its first sample on.
 
         Parameters
         ----------
-        motions
-            Of the devices; that of an accelerometer is added.
+        witnesses
+            Of the devices; if it is one, it is added.
         """
-        return Computer(self, {} if motions is None else motions)
+        return Computer(self, {} if witnesses is None else witnesses)
 
-    def new_motion(self, keep_s: float = at.MOTION_KEPT_S) -> Motion | None:
-        """Return what tells motion of its samples, if it is an accelerometer."""
-        if self.header.content_type != ContentType.ACCELEROMETER:
-            return None  # nothing is dropped: it says nothing of motion
-        return Motion(self.header.rate, foreign=self.header.foreign, keep_s=keep_s)
+    def new_witness(self, keep_s: float = at.MOTION_KEPT_S) -> Witness | None:
+        """Return what tells of its samples what they say of other streams, if they do."""
+        if self.header.content_type == ContentType.ACCELEROMETER:
+            return Motion(self.header.rate, foreign=self.header.foreign, keep_s=keep_s)
+        if self.header.content_type == ContentType.TEMPERATURE:
+            return Warmth(keep_s)
+        return None  # nothing is dropped: it says nothing of others
 
     def scaled(self, values: object) -> Array:
         """Return those channels that are taken, in the unit that features are computed in."""
@@ -84,14 +93,13 @@ class Source:
 class Computer:
     """Computes the features of one source, whatever blocks its samples come in."""
 
-    def __init__(self, source: Source, motions: Motions) -> None:
+    def __init__(self, source: Source, witnesses: Witnesses) -> None:
         header = source.header
         self._source = source
-        self._motion = source.new_motion()
-        if self._motion is not None:
-            motions[source.identity] = self._motion
-        is_pulse = header.content_type == ContentType.PPG
-        self._beside = Beside(motions, source.identity, lowers=is_pulse)
+        self._witness = source.new_witness()
+        if self._witness is not None:
+            witnesses[source.key] = self._witness
+        self._beside = Beside(witnesses, *source.key)
         self._wanted = {each.name for each in source.features}
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
 
@@ -100,8 +108,8 @@ class Computer:
         if not len(stamps):
             return []  # nothing is dropped: there is nothing
         scaled = self._source.scaled(values)
-        if self._motion is not None:
-            self._motion.take(stamps, scaled)
+        if self._witness is not None:
+            self._witness.take(stamps, scaled)
         events = self._runs.take(stamps, scaled)
         told = self._beside.take(events, float(stamps[-1]))
         return [each for each in told if each.feature in self._wanted]
@@ -140,7 +148,7 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
         ``UNIT``, ``RATE`` or ``FORMAT``, if it is of such a type and nothing can be computed.
     """
     kind = header.content_type
-    if kind not in TYPES:
+    if kind not in READ_TYPES or (kind == ContentType.TEMPERATURE and not _is_of_skin(header)):
         return None  # nothing is dropped: no feature is of its type
     columns = _columns(header)
     if header.format is ChannelFormat.STRING or len(header.labels) < columns.stop:
@@ -153,22 +161,31 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     return Source(name, source_id, header, _identity(header), features, columns, scale)
 
 
+def _is_of_skin(header: StreamHeader) -> bool:
+    """Whether a temperature is that of the skin below a sensor; of others nothing says whose."""
+    pairs = zip(header.labels, header.units, strict=True)
+    return not header.foreign and (_SKIN, Unit.CELSIUS) in pairs
+
+
 def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
 def _columns(header: StreamHeader) -> range:
-    """Return three axes, or the first channel that is no ambient light, which may come first."""
+    """Return three axes, the skin, or the first channel that is no ambient light."""
     if header.content_type == ContentType.ACCELEROMETER:
         return range(_AXES)
+    if header.content_type == ContentType.TEMPERATURE:
+        place = header.labels.index(_SKIN)
+        return range(place, place + 1)
     lit = (place for place, label in enumerate(header.labels) if label.lower() != _NOT_LIT)
     first = next(lit, 0)
     return range(first, first + 1)
 
 
 def _require_rate(name: str, header: StreamHeader) -> None:
-    if header.content_type == ContentType.RR:
-        return  # nothing is dropped: beats have no rate
+    if header.content_type not in at.RATES_HZ:
+        return  # nothing is dropped: beats have no rate, and a temperature may have any
     low, high = at.RATES_HZ[header.content_type]
     if not low <= header.rate <= high:
         rate = f"{header.rate:g} Hz" if header.rate else "no nominal rate"

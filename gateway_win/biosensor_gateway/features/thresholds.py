@@ -39,9 +39,10 @@ HOP_S = 0.1
 """ECG is computed in steps of this length, counted from the begin of a run."""
 GAP_PERIODS, FOREIGN_JITTER_S = 1.5, 0.1
 """As in the node and in ``xdf check``: two samples further apart are not neighbours."""
-HOLE_S = 0.05
-"""What is lost for no longer hides at most a beat on which it lies, and that is told by its rule of
-artefacts."""
+HOLE_S = {"ECG": 0.05, "PPG": 0.05, "GSR": 0.5, "Respiration": 0.25, "Accelerometer": 0.25}
+"""What is lost for no longer hides nothing: of beats at most one on which it lies, and that is told
+by its rule of artefacts; a response rises for 1 s at least [6]_, a breath lasts as long, and of
+acceleration 5 s are looked at."""
 
 STEP_BACK_S = 1.0
 """Stamps that step back by more begin again; a sample that is late by less is left out."""
@@ -178,6 +179,8 @@ EDA_SLOPE_MICROSIEMENS_PER_S, EDA_SLOPE_LEVELS_PER_S = (0.5, 10.0), 1.0
 many times the level in a second, but not less than the smaller one."""
 EDA_INVALID_NEAR_S = 5.0
 """[7]_: what is so close to something invalid is not valid either."""
+SKIN_CELSIUS = (30.0, 40.0)
+"""[7]_: what is colder or warmer is no skin below a sensor that is worn."""
 BREATH_BAND_SHARE = (0.4, 0.8)
 """Power of 0.05 to 0.8 Hz to that of everything but the mean."""
 

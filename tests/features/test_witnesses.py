@@ -1,4 +1,4 @@
-"""Motion beside features: no, yes or unknown, and what it does to the quality of a pulse."""
+"""What other streams of a device say beside features: motion, and that skin is none."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import CoreFields, foreign_header
-from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.features.witnesses import Witnesses
 from tests.features import hearts, signals
 from tests.features.signals import Array
 
@@ -45,9 +45,9 @@ def _acceleration(hertz: float, height_mg: float) -> Array:
 
 def _together(pulse: Array, acceleration: Array | None, late_s: float = LATE_S) -> list[Event]:
     """Return what is told of a pulse while acceleration comes beside it, both a bit at a time."""
-    motions: Motions = {}
-    computer = PULSE.new_computer(motions)
-    beside = ACC.new_computer(motions)
+    witnesses: Witnesses = {}
+    computer = PULSE.new_computer(witnesses)
+    beside = ACC.new_computer(witnesses)
     events: list[Event] = []
     for second in np.arange(0, SECONDS + 5, 0.5):
         events += computer.take(*_part(pulse, PULSE_HZ, second))
@@ -108,10 +108,10 @@ def test_the_same_comes_when_all_acceleration_is_there_before() -> None:
     pulse = hearts.pulse_of(hearts.regular(70, SECONDS), PULSE_HZ, SECONDS)
     acceleration = _acceleration(1.0, 150)
     acceleration[: round(20 * ACC_HZ)] = [0, 0, 1000]
-    motion = ACC.new_motion()
+    motion = ACC.new_witness()
     assert motion is not None
     motion.take(100 + np.arange(len(acceleration)) / ACC_HZ, ACC.scaled(acceleration))
-    computer = PULSE.new_computer({PULSE.identity: motion})
+    computer = PULSE.new_computer({ACC.key: motion})
     whole = computer.take(100 + np.arange(len(pulse)) / PULSE_HZ, pulse) + computer.finish()
     live = _together(pulse, acceleration)
     for feature in ("beats", "hr_live", "hr_live_quality", "hr_state", "sqi", "hrv_live"):
@@ -119,3 +119,65 @@ def test_the_same_comes_when_all_acceleration_is_there_before() -> None:
         assert len(before) - len(told) <= 3, feature
         assert str(told) == str(before[: len(told)]), feature
     assert set(_column(live, "sqi", 6)) == {0.0, 1.0}
+
+
+SKIN_HZ, CELSIUS_HZ = 4.0, 4.0
+
+
+def _own(kind: str, label: str, unit: str, rate: float) -> Source | None:
+    core = CoreFields("Watch", kind, f"watch-{kind}", "host", 1, rate, ChannelFormat.FLOAT32)
+    header = replace(foreign_header(core, (label,), (unit,)), foreign=False)
+    source = judge("Watch", f"watch-{kind}", header)
+    return source and replace(source, identity=DeviceIdentity("watch", ""))
+
+
+def _skin(celsius: Array | None, late_s: float = 1.0) -> tuple[Array, Array]:
+    """Return the seconds at which quality is told, and what, of skin that is warm or not."""
+    skin = _own("GSR", "x", "microsiemens", SKIN_HZ)
+    thermometer = _own("Temperature", "skin", "celsius", CELSIUS_HZ)
+    assert skin is not None
+    assert thermometer is not None
+    witnesses: Witnesses = {}
+    computer = skin.new_computer(witnesses)
+    # One that is there may have something to say, and is waited for.
+    beside = thermometer.new_computer(witnesses if celsius is not None else {})
+    signal = signals.skin(SKIN_HZ, SECONDS)[0]
+    events: list[Event] = []
+    for second in np.arange(0, SECONDS + 5, 0.5):
+        events += computer.take(*_part(signal, SKIN_HZ, second))
+        if celsius is not None:
+            assert not beside.take(*_part(celsius, CELSIUS_HZ, second - late_s))
+    return signals.stamps_of(events, "sqi"), signals.values_of(events, "sqi")
+
+
+@pytest.mark.parametrize("cold", [24.0, 29.9, 41.0])
+def test_what_is_as_cold_as_a_table_is_no_skin_and_nothing_near_it_is_valid(cold: float) -> None:
+    celsius = np.full(round(SECONDS * CELSIUS_HZ), 33.0)
+    celsius[round(20 * CELSIUS_HZ) : round(30 * CELSIUS_HZ)] = cold
+    stamps, told = _skin(celsius)
+    off, near = (stamps > 23) & (stamps < 34.5), (stamps > 20) & (stamps < 40)
+    assert told[off, 0].max() < 0.5
+    assert told[off, 5].min() == 1
+    assert told[~near, 0].min() == 1
+    assert told[~near, 5].max() == 0
+
+
+@pytest.mark.parametrize("celsius", [None, np.full(round(SECONDS * CELSIUS_HZ), 30.5)])
+def test_skin_that_is_warm_or_of_which_nothing_is_known_is_good(celsius: Array | None) -> None:
+    stamps, told = _skin(celsius)
+    assert len(stamps) == pytest.approx(SECONDS - 9, abs=2)
+    assert told[:, 0].min() == 1
+
+
+def test_a_temperature_that_is_late_or_has_no_number_changes_nothing() -> None:
+    cold = np.full(round(SECONDS * CELSIUS_HZ), 20.0)
+    assert _skin(cold, late_s=30)[1][:5, 0].min() == 1
+    assert _skin(cold * np.nan)[1][:, 0].min() == 1
+
+
+def test_only_what_a_device_of_ours_calls_its_skin_is_asked() -> None:
+    assert _own("Temperature", "skin", "celsius", 4) is not None
+    for label, unit in (("case", "celsius"), ("skin", "kelvin"), ("", "")):
+        assert _own("Temperature", label, unit, 4) is None
+    core = CoreFields("T", "Temperature", "t", "host", 1, 4, ChannelFormat.FLOAT32)
+    assert judge("T", "t", foreign_header(core, ("skin",), ("celsius",))) is None
