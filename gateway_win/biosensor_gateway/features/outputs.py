@@ -13,6 +13,7 @@ from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.breathing import BR_QUALITY
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
+from biosensor_gateway.features.skin import smoothing_delay_s
 from biosensor_gateway.features.state import BR_STATE, HR_STATE
 
 VERSION = "5"
@@ -144,7 +145,7 @@ def _sqi(content_type: str, data_name: str, algorithm: str) -> Feature:
     return Feature("sqi", stream, algorithm, window_s, 0, at.QUALITY_EVERY_S)
 
 
-def _skin() -> tuple[Feature, ...]:
+def _skin(rate: float) -> tuple[Feature, ...]:
     level = raw("scl", ContentType.GSR, channels(Unit.MICROSIEMENS, "SCL"))
     return (
         Feature("scl", level, "running median", at.SCL_WINDOW_S, 0, at.SCL_EVERY_S),
@@ -153,7 +154,7 @@ def _skin() -> tuple[Feature, ...]:
             raw("scr", ContentType.GSR, _SCR),
             "trough to peak, Boucsein 2012",
             0,
-            0.5,
+            smoothing_delay_s(rate) + at.SCR_FALLS_S,
             at.SCR_HOLDS_S,
         ),
         Feature(
@@ -194,21 +195,23 @@ def _activity() -> tuple[Feature, ...]:
     return (Feature("activity_live", stream, "Vaha-Ypya 2015", epoch_s, 0, epoch_s),)
 
 
-def features_of(content_type: str, data_name: str, unit: str) -> tuple[Feature, ...]:
+def features_of(
+    content_type: str, data_name: str, unit: str, rate: float = 0.0
+) -> tuple[Feature, ...]:
     """Return what is computed of a stream; nothing of a type that none are of.
 
     Parameters
     ----------
     data_name
         Of the stream, a lower-case ROS name; its quality is called after it.
-    unit
+    unit, rate
         Of its values, as it says.
     """
     of_type: Mapping[str, tuple[Feature, ...]] = {
         ContentType.ECG: (*_heart("Hamilton 2002 on 8 to 20 Hz", 0.3), _HR_STATE),
         ContentType.PPG: (*_heart("Elgendi 2013", 0.35), _HR_STATE),
         ContentType.RR: _heart("intervals of the device", 0),
-        ContentType.GSR: _skin(),
+        ContentType.GSR: _skin(rate),
         ContentType.RESPIRATION: (*_breathing(unit), _BR_STATE),
         ContentType.ACCELEROMETER: _activity(),
     }

@@ -20,6 +20,7 @@ from biosensor_gateway.features.likeness import (
     unevenness,
 )
 from biosensor_gateway.features.runs import Array, Event, Hops
+from biosensor_gateway.features.skin import least_response
 from biosensor_gateway.pulses import thresholds as pulses
 from biosensor_gateway.pulses.moments import moment
 
@@ -164,7 +165,8 @@ def gsr(values: Array, rate: float) -> Judged:
 
     Rules 1, 2 and 4 of Kleckner 2018: its range, its slope, and nothing of either close by. Slopes
     are those of means of neighbours, since noise of single samples is steeper the faster they are
-    taken; where little is conducted, as at a wrist, less is a jump.
+    taken; where little is conducted, as at a wrist, less is a jump. Noise that hides responses is
+    not of his rules. His rule 3 is another stream's to tell.
     """
     slow, slow_hz = averaged(values, rate, at.EDA_RATE_HZ)
     low, high = at.EDA_RANGE_MICROSIEMENS
@@ -174,10 +176,12 @@ def gsr(values: Array, rate: float) -> Judged:
     jumps = np.abs(np.diff(slow, prepend=slow[0])) * slow_hz > steepest
     near = round(at.EDA_INVALID_NEAR_S * slow_hz)
     last = slice(-near, None)
-    quality = 1 - float(_spread(is_out | jumps, near)[last].mean())
     reasons = {"out_of_range": is_out, "noisy": jumps}
-    poor = {name: 1 - float(_spread(each, near)[last].mean()) for name, each in reasons.items()}
-    return quality, _judged(poor, {})[1]
+    scores = {name: 1 - float(_spread(each, near)[last].mean()) for name, each in reasons.items()}
+    hides = _scaled(least_response(slow, slow_hz), at.EDA_LEAST_MICROSIEMENS)
+    scores["noisy"] = min(scores["noisy"], 1 - hides)
+    quality = min(1 - float(_spread(is_out | jumps, near)[last].mean()), 1 - hides)
+    return quality, _judged(scores, {})[1]
 
 
 def _spread(flags: NDArray[np.bool_], near: int) -> NDArray[np.bool_]:

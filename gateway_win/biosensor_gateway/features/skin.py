@@ -5,14 +5,48 @@ References are in :mod:`.thresholds`.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from statistics import median
 from typing import NamedTuple
+
+import numpy as np
 
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.pulses.filters import MovingMean
+
+_MEDIAN = 0.6745
+"""Of noise, half is within so many standard deviations."""
+_TURNS = 2 / 3
+"""Of noise, so many samples are larger than both neighbours or smaller: I. J. Bienayme 1874."""
+
+
+def least_response(levels: Array, rate: float) -> float:
+    """Return the least response, in microsiemens, that can be told from the noise in these levels.
+
+    Noise is what bends from sample to sample, and turns at most of them; responses do not.
+    """
+    steps = np.diff(levels)
+    bends = np.abs(np.diff(steps))
+    turns = steps[1:] * steps[:-1] < 0
+    if not len(bends) or turns.mean() < _TURNS / 2:
+        return at.SCR_LEAST_MICROSIEMENS
+    noise = float(np.median(bends)) / _MEDIAN / math.sqrt(6)
+    smoothed = noise / math.sqrt(_smoothed(rate))
+    return max(at.SCR_LEAST_MICROSIEMENS, at.SCR_NOISE_TIMES * smoothed)
+
+
+def smoothing_delay_s(rate: float) -> float:
+    """Return how late the smoothed signal is of a stream of this rate, in Hz."""
+    slow = Decimator(rate, at.EDA_RATE_HZ).rate
+    return (_smoothed(slow) - 1) / 2 / slow if slow else 0.0
+
+
+def _smoothed(rate: float) -> int:
+    """Return how many samples are averaged before responses are looked for."""
+    return max(1, round(at.SCR_SMOOTHING_S * rate))
 
 
 class _Point(NamedTuple):
@@ -24,8 +58,9 @@ class Skin:
     """Gives `scl` every second, and `scr` and `scr_prominent` once the peak of each is passed.
 
     A response is what the smoothed signal rises from a trough to a peak, the classic way of
-    Boucsein 2012. A prominent one has at least a tenth of the largest ones of late, much as in
-    NeuroKit2; what is less is part of the rise or the fall of another.
+    Boucsein 2012; what is no more than noise is none. A prominent one has at least a tenth of the
+    largest ones of late, much as in NeuroKit2; what is less is part of the rise or the fall of
+    another.
 
     Parameters
     ----------
@@ -36,15 +71,16 @@ class Skin:
     def __init__(self, rate: float) -> None:
         self._decimator = Decimator(rate, at.EDA_RATE_HZ)
         slow = self._decimator.rate
-        length = max(1, round(at.SCR_SMOOTHING_S * slow))
-        self._smooth = MovingMean(length)
-        self._late_s = (length - 1) / 2 / slow
+        self._smooth = MovingMean(_smoothed(slow))
+        self._late_s = smoothing_delay_s(slow)
         # nothing is dropped: what a median slides over
         self._levels: deque[float] = deque(maxlen=round(at.SCL_WINDOW_S * slow))
+        # nothing is dropped: what is looked at for noise
+        self._last: deque[float] = deque(maxlen=round(at.SCR_NOISE_S * slow))
+        self._least = at.SCR_LEAST_MICROSIEMENS
         self._every = max(1, round(at.SCL_EVERY_S * slow))
         self._count = 0
-        self._responses = _Responses(at.SCR_LEAST_MICROSIEMENS / 2)
-        self._prominent = _Responses(at.SCR_LEAST_MICROSIEMENS)
+        self._responses, self._prominent = _Responses(0.5), _Responses(1.0)
         self._largest = _Largest(max(1, round(at.SCR_STEEP_S * slow)))
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
@@ -53,7 +89,12 @@ class Skin:
         for stamp, value in self._decimator.take(stamps, values):
             self._count += 1
             self._levels.append(value)
-            if len(self._levels) == self._levels.maxlen and self._count % self._every == 0:
+            self._last.append(value)
+            is_second = self._count % self._every == 0
+            if is_second:
+                self._least = least_response(np.array(self._last), self._decimator.rate)
+                self._responses.raise_limit(self._least)
+            if len(self._levels) == self._levels.maxlen and is_second:
                 events.append(Event("scl", stamp, (median(self._levels),)))
             events += self._response(_Point(stamp - self._late_s, self._smooth.take(value)))
         return events
@@ -63,7 +104,7 @@ class Skin:
         largest = self._largest.take(here)
         if found := self._responses.take(here):
             events.append(Event("scr", *found))
-        self._prominent.raise_limit(at.SCR_PROMINENT_SHARE * largest)
+        self._prominent.raise_limit(max(self._least, at.SCR_PROMINENT_SHARE * largest))
         if found := self._prominent.take(here):
             self._largest.add(found[0])
             events.append(Event("scr_prominent", *found))
@@ -74,16 +115,17 @@ _Found = tuple[float, tuple[float, float, float]]
 
 
 class _Responses:
-    """Finds what rises from a trough by a limit and falls again."""
+    """Finds what rises from a trough by a limit and falls again, by this share of the limit."""
 
-    def __init__(self, fall: float) -> None:
-        self._limit, self._fall = at.SCR_LEAST_MICROSIEMENS, fall
+    def __init__(self, fall_share: float) -> None:
+        self._fall_share = fall_share
+        self.raise_limit(at.SCR_LEAST_MICROSIEMENS)
         self._trough: _Point | None = None
         self._peak: _Point | None = None
 
     def raise_limit(self, limit: float) -> None:
-        """Have what is smaller be none, whatever the smallest ones are."""
-        self._limit = self._fall = max(at.SCR_LEAST_MICROSIEMENS, limit)
+        """Have what is smaller be none."""
+        self._limit, self._fall = limit, self._fall_share * limit
 
     def take(self, here: _Point) -> _Found | None:
         """Return the stamp of the peak of a response that is over, and its three values."""

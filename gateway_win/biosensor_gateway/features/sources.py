@@ -157,7 +157,7 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     _require_rate(name, header)
     scale = _scale(name, header, columns)
     data_name = _ros_name(header.data_name)
-    features = features_of(kind, data_name, header.units[columns.start])
+    features = features_of(kind, data_name, header.units[columns.start], header.rate)
     return Source(name, source_id, header, _identity(header), features, columns, scale)
 
 

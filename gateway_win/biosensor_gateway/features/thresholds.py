@@ -99,10 +99,15 @@ SCL_WINDOW_S, SCL_EVERY_S = 8.0, 1.0
 SCR_SMOOTHING_S = 0.5
 SCR_LEAST_MICROSIEMENS = 0.02
 """[6]_: 0.01 to 0.05 uS are usual."""
+SCR_NOISE_S, SCR_NOISE_TIMES = 30.0, 6.0
+"""What is less than so many standard deviations of the noise of late is no response: three for its
+peak and three for its trough, the limit of detection of IUPAC."""
 SCR_PROMINENT_SHARE, SCR_LARGEST_S = 0.1, 300.0
 """[12]_: of the largest response of a recording; here of the second largest of five minutes."""
 SCR_STEEP_S = 3.0
 """[6]_: a response rises for 1 to 3 s, so that what rises before is its level."""
+SCR_FALLS_S = 0.25
+"""How long after its peak a response has fallen by half of the least one, usually."""
 SCR_RISE_S = (0.25, 10.0)
 """[6]_: 1 to 3 s are typical; what overlaps takes longer, and a jump is none."""
 
@@ -179,6 +184,9 @@ EDA_SLOPE_MICROSIEMENS_PER_S, EDA_SLOPE_LEVELS_PER_S = (0.5, 10.0), 1.0
 many times the level in a second, but not less than the smaller one."""
 EDA_INVALID_NEAR_S = 5.0
 """[7]_: what is so close to something invalid is not valid either."""
+EDA_LEAST_MICROSIEMENS = (0.05, 0.1)
+"""Good while responses of 0.05 uS stand out of noise, the largest limit that is usual [6]_; bad
+where none below twice that does."""
 SKIN_CELSIUS = (30.0, 40.0)
 """[7]_: what is colder or warmer is no skin below a sensor that is worn."""
 BREATH_BAND_SHARE = (0.4, 0.8)
