@@ -14,7 +14,7 @@ from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.demo.virtual_devices import virtual_class, virtual_names
 from biosensor_gateway.devices import registry
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import Kind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -64,9 +64,9 @@ ON_AIR = pytest.mark.parametrize(
 """For what only Bluetooth LE does."""
 
 
-def every(*kinds: FaultKind) -> pytest.MarkDecorator:
+def every(*kinds: Kind) -> pytest.MarkDecorator:
     """Run a test for each device and each fault of these that it can have."""
-    cells = [(name, kind) for name in NAMES for kind in kinds if kind in class_of(name).faults]
+    cells = [(name, kind) for name in NAMES for kind in kinds if kind in class_of(name).effects]
     labels = [f"{name}-{kind.value}" for name, kind in cells]
     return pytest.mark.parametrize(("name", "kind"), cells, indirect=["name"], ids=labels)
 

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from math import inf, nan
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from hypothesis import given
@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.demo import virtual_devices
 from biosensor_gateway.demo.virtual_devices import (
     Wanted,
     turns_of,
@@ -34,6 +35,7 @@ from biosensor_gateway.simulation.faults import (
     Kind,
     OfWearer,
     ScheduledFault,
+    Untidiness,
     parse_fault,
 )
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
@@ -159,12 +161,12 @@ def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> N
 @pytest.mark.parametrize(
     ("simulated", "fault", "who"),
     [
-        ("ble_heart_rate", "refuse:5s@1s", "none of the virtual devices"),
-        ("zephyr:recording,zephyr", "zephyr:recording:off_body@1s", "zephyr:recording"),
-        ("polar_h10", "zephyr:drop:5s@1s", "zephyr"),
-        ("vernier_respiration_belt", "hr:120@1s", "none of the virtual devices"),
-        ("zephyr:recording", "hr:120@1s", "none of the virtual devices"),
-        ("polar_h10", "zephyr:hr:120@1s", "zephyr"),
+        ("ble_heart_rate", "refuse:5s@1s", "none of the virtual devices can"),
+        ("zephyr:recording,zephyr", "zephyr:recording:off_body@1s", "zephyr:recording cannot"),
+        ("polar_h10", "zephyr:drop:5s@1s", "zephyr cannot"),
+        ("vernier_respiration_belt", "hr:120@1s", "none of the virtual devices can"),
+        ("zephyr:recording", "hr:120@1s", "none of the virtual devices can"),
+        ("polar_h10", "zephyr:hr:120@1s", "zephyr cannot"),
     ],
 )
 def test_a_fault_that_nobody_can_have_ends_the_command(
@@ -172,7 +174,7 @@ def test_a_fault_that_nobody_can_have_ends_the_command(
 ) -> None:
     code, out, err = run("run", "--simulate", simulated, "--fault", fault)
     assert (code, out) == (2, "")
-    assert err.startswith(f"biosensor-gateway: {who} cannot have the fault ")
+    assert err.startswith(f"biosensor-gateway: {who} have the fault ")
     assert err.count("\n") == 1
 
 
@@ -192,6 +194,18 @@ def test_a_heart_beats_for_all_sensors_of_a_person_and_for_nobody_else() -> None
     assert list(turns) == wanted
     first, second = ((60.0, 90.0),), ((30.0, 120.0),)
     assert list(turns.values()) == [second, second, first, (), first]
+
+
+@pytest.mark.parametrize("kind", [*FaultKind, *Untidiness], ids=lambda kind: kind.value)
+def test_every_kind_can_be_given_to_whoever_can_have_it(kind: Kind) -> None:
+    whom = [name for name in virtual_names() if kind in virtual_class(name).effects]
+    assert whom
+    device = Scheduled(virtual_class(whom[0]))
+    devices = cast("dict[Wanted, VirtualDevice]", {Wanted(whom[0]): device})
+    for text in (f"{kind.value}@7s", f"{whom[0]}:{kind.value}@7s"):
+        fault = parse_fault(text)
+        virtual_devices._schedule([fault], devices)  # pyright: ignore[reportPrivateUsage]
+        assert device.told == (fault.fault, 7.0)
 
 
 @pytest.mark.parametrize("name", ["nobody", "", "zephyr:", "zephyr:nothing", ":recording"])
@@ -256,6 +270,17 @@ class Recording(VirtualDevice):
     def tell(self, what: str) -> None:
         self.thread_names.add(threading.current_thread().name)
         self.told.append(what)
+
+
+class Scheduled:
+    """Stands for a device of a class; notes what is scheduled."""
+
+    def __init__(self, kind: type[VirtualDevice]) -> None:
+        self.effects, self.faults = kind.effects, kind.faults
+        self.told: tuple[Fault, float] | None = None
+
+    def schedule(self, fault: Fault, after_s: float) -> None:
+        self.told = fault, after_s
 
 
 @pytest.fixture

@@ -36,12 +36,16 @@ async def test_every_sample_arrives_with_its_time(belt: SimulatedBelt) -> None:
     assert (run.sink.lost_count("force"), run.sink.dropped_bytes) == (0, 0)
 
 
-async def test_what_comes_in_bundles_is_stamped_as_measured(belt: SimulatedBelt) -> None:
+@pytest.mark.parametrize("bundle_s", [1.5, 2.5, 6.5])
+async def test_what_comes_in_bundles_is_stamped_as_measured(
+    belt: SimulatedBelt, bundle_s: float
+) -> None:
     async with streaming(belt) as run:
         await until(run.sink.has(20, "force"))
-        belt.apply(Fault(Untidiness.BUNDLED, 1.5))
-        await run.goes_on(60, "force")
+        belt.apply(Fault(Untidiness.BUNDLED, bundle_s))
+        await run.goes_on(60 + round(10 * bundle_s), "force")
         assert run.sink.lost_count("force") == 0
+        assert run.states == [State.CONNECTING, State.STREAMING]
     index = assert_true(run.sink, belt)
     assert index.tolist() == list(range(len(index)))
 

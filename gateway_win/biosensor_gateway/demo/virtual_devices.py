@@ -284,7 +284,7 @@ def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[Wanted, Virtual
         hit = [
             device
             for wanted, device in devices.items()
-            if each.sensor in ("", wanted.name) and each.fault.kind in device.faults
+            if each.sensor in ("", wanted.name) and each.fault.kind in device.effects
         ]
         if not hit:
             raise _cannot_have(each)
@@ -293,8 +293,8 @@ def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[Wanted, Virtual
 
 
 def _cannot_have(scheduled: ScheduledFault) -> ConfigError:
-    whom = scheduled.sensor or "none of the virtual devices"
-    message = f"{whom} cannot have the fault {scheduled.fault.kind.value}"
+    whom = f"{scheduled.sensor} cannot" if scheduled.sensor else "none of the virtual devices can"
+    message = f"{whom} have the fault {scheduled.fault.kind.value}"
     return ConfigError(ConfigReason.WRONG_VALUE, message)
 
 

@@ -40,7 +40,9 @@ WAKING_LIMIT_S = 1.0
 RESTART_LIMIT_S = 2.0
 GOODBYE_LIMIT_S = 0.4
 STATUS_PERIOD_S = 60.0
-PATIENCE_S = 2.0
+PATIENCE_S = 8.0
+"""Notifications were seen to come together after seconds: what is on its way then would be taken
+for what comes behind a new start."""
 KIND = "GDX-RB"
 ADVICE = (
     "press its button until its Bluetooth light blinks red, and end its connection to other apps"

@@ -1,0 +1,130 @@
+"""Devices that are untidy as real ones: each sample comes once, and has its own time."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+
+from biosensor_common.quantities import ChannelRole
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.transports import ble_scanner
+from tests.contracts.conftest import NAMES, class_of, every
+from tests.contracts.test_any_driver import COUNT, LONG_S, measured, places, role_of
+from tests.rigs.driver_run import Run, streaming
+from tests.rigs.polling import until
+
+BUNDLE_S = 3.0
+SETTLED_S, LATER_S = 8.0, 14.0
+"""Until the clocks of all devices are known; then for so long."""
+STAMP_LIMIT_S = 0.06
+SAID_LIMIT_S = 0.3
+"""Where packets stay late for seconds, as in bundles, that is taken for a jump of the device's
+clock: it is said, and stamps are late by the shortest wait."""
+HARMLESS = (Untidiness.APART, Untidiness.OVERTAKEN, Untidiness.GLUED, Untidiness.BUNDLED)
+
+
+def assert_true(device: VirtualDevice, run: Run, since_s: float, waits_s: float = 0.0) -> None:
+    """Assert that what came is what was measured, each once, whole, and stamped with its time.
+
+    Parameters
+    ----------
+    since_s
+        From this stamp on.
+    waits_s
+        So long may what the device does not stamp have waited.
+    """
+    first, *_ = measured(device)
+    is_said = run.sink.clock_state.reanchors > 0
+    limit_s = SAID_LIMIT_S if is_said and waits_s else STAMP_LIMIT_S
+    assert max(run.sink.times[first]) > since_s + COUNT
+    for name in measured(device):
+        truth = device.truth.samples(name)
+        has_value = ~np.isnan(truth.values).all(axis=1)
+        index = np.array(places(device, run, name), np.int64)
+        assert np.all(np.diff(index) == 1), f"{name}: samples are missing"
+        assert run.sink.lost_count(name) == 0, name
+        came = ~np.isnan(run.sink.array(name)).all(axis=1)
+        stamps = np.array(run.sink.times[name])[came]
+        errors_s = (stamps - truth.times[has_value][index])[stamps >= since_s]
+        late_s = device.expected.unstamped_s.get(name)
+        if not len(errors_s):
+            continue
+        if late_s is None:
+            assert np.abs(errors_s).max() < limit_s, (name, errors_s)
+        else:
+            assert errors_s.min() > -late_s - STAMP_LIMIT_S, (name, errors_s)
+            assert errors_s.max() < late_s + waits_s + STAMP_LIMIT_S, (name, errors_s)
+
+
+@every(*HARMLESS)
+async def test_what_is_untidy_is_whole_and_has_its_time(
+    device: VirtualDevice, kind: Untidiness
+) -> None:
+    async with streaming(device) as run:
+        await until(run.sink.has(COUNT, *measured(device)[:1]))
+        await asyncio.sleep(SETTLED_S)
+        begin_s = run.sink.clock()
+        value = BUNDLE_S if kind is Untidiness.BUNDLED else LONG_S
+        device.apply(Fault(kind, value))
+        await asyncio.sleep(LATER_S)
+        device.clear(kind)
+        await asyncio.sleep(BUNDLE_S)
+        assert run.states == [State.CONNECTING, State.STREAMING]
+        assert not run.error
+    assert_true(device, run, begin_s, BUNDLE_S)
+
+
+@every(Untidiness.NAMELESS)
+async def test_a_device_without_a_name_is_found_by_its_address(
+    device: VirtualDevice, kind: Untidiness
+) -> None:
+    device.apply(Fault(kind, LONG_S))
+    (seen,) = await ble_scanner.scan(1.0)
+    assert not seen.name
+    async with streaming(device, device=seen.address) as run:
+        await until(run.sink.has(COUNT, *measured(device)[:1]))
+        begin_s = run.sink.clock() + SETTLED_S
+        await asyncio.sleep(2 * SETTLED_S)
+    assert_true(device, run, begin_s)
+
+
+@every(FaultKind.LOW_BATTERY)
+async def test_a_full_battery_is_full(device: VirtualDevice, kind: FaultKind) -> None:
+    data_name, column = role_of(device, ChannelRole.STATE_OF_CHARGE)
+    device.apply(Fault(kind, 100.0))
+    async with streaming(device) as run:
+        await until(lambda: run.sink.rows[data_name])
+        assert 99.0 <= run.sink.rows[data_name][-1][column] <= 100.0
+
+
+@every(Untidiness.STRAY)
+async def test_messages_that_mean_nothing_cost_no_sample(
+    device: VirtualDevice, kind: Untidiness
+) -> None:
+    async with streaming(device) as run:
+        await until(run.sink.has(COUNT, *measured(device)[:1]))
+        await asyncio.sleep(SETTLED_S)
+        begin_s = run.sink.clock()
+        device.apply(Fault(kind, 3.0))
+        await asyncio.sleep(LATER_S)
+        assert run.states == [State.CONNECTING, State.STREAMING]
+    assert_true(device, run, begin_s)
+
+
+@every(Untidiness.RATE)
+async def test_a_rate_that_is_not_declared_is_said_with_both_rates(
+    device: VirtualDevice, kind: Untidiness
+) -> None:
+    async with streaming(device) as run:
+        await until(run.sink.has(COUNT, *measured(device)[:1]))
+        device.apply(Fault(kind, 100.0))
+        await until(lambda: "100 times a second" in run.error)
+        assert "set `" in run.error
+
+
+def test_there_is_a_device_for_each_untidiness() -> None:
+    kinds = {kind for name in NAMES for kind in class_of(name).effects}
+    assert kinds >= set(Untidiness)
