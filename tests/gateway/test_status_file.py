@@ -17,6 +17,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import UNWRITTEN_REPORTS, StatusWriter, snapshot
 from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
@@ -52,6 +53,19 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     status_file.write_status(folder, written)
     assert status_file.read_status(folder) == written
     assert [path.name for path in folder.iterdir()] == [status_file.STATUS_FILE]
+
+
+@pytest.mark.parametrize("age_s", [None, 3600.0])
+def test_an_agent_that_can_write_no_status_still_runs(tmp_path: Path, age_s: float | None) -> None:
+    """Its disk is full: since its start, or since then."""
+    if age_s is not None:
+        status_file.write_status(tmp_path, status(age_s))
+    with single_instance(tmp_path):
+        error = refusal(tmp_path)
+    assert error.reason is ConfigReason.UNREADABLE
+    assert "an agent runs" in str(error)
+    assert "disk" in str(error)
+    assert refusal(tmp_path).reason is ConfigReason.NOT_FOUND
 
 
 def test_no_file_means_no_agent(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def read_status(folder: Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        ``NOT_FOUND`` if no agent runs, ``UNREADABLE`` if its file is damaged.
+        ``NOT_FOUND`` if no agent runs, ``UNREADABLE`` if its file is damaged or it writes none.
     """
     path = folder / STATUS_FILE
     try:
@@ -44,15 +44,28 @@ def read_status(folder: Path) -> dict[str, Any]:
         age = time.time() - float(status["written"])
         status["devices"] = list(status["devices"])
     except FileNotFoundError as error:
+        if _is_held(folder):
+            raise _unwritten(folder, "has written no status yet") from error
         message = "no agent is running; start one with: biosensor-gateway run"
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         message = f"{path}: the status file cannot be read ({error}); restart the agent"
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     if age > STALE_AFTER_S:
+        if _is_held(folder):
+            raise _unwritten(folder, f"has written no status for {age:.0f} s")
         message = f"the agent last reported {age:.0f} s ago; start it with: biosensor-gateway run"
         raise ConfigError(ConfigReason.NOT_FOUND, message)
     return status
+
+
+def _unwritten(folder: Path, what: str) -> ConfigError:
+    """Return what to say of an agent that runs: the lock tells, which needs no room on a disk."""
+    message = (
+        f"an agent runs, and {what} into {folder}: it is starting or stuck, or the disk is full; "
+        "make room on it and look again"
+    )
+    return ConfigError(ConfigReason.UNREADABLE, message)
 
 
 def running_status(folder: Path) -> dict[str, Any]:
