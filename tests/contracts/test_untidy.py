@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 
 import numpy as np
+import pytest
 
 from biosensor_common.quantities import ChannelRole
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.transports import ble_scanner
+from biosensor_gateway.transports import ble_choice, ble_scanner
 from tests.contracts.conftest import NAMES, class_of, every
 from tests.contracts.test_any_driver import COUNT, LONG_S, measured, places, role_of
 from tests.rigs.driver_run import Run, streaming
@@ -26,7 +27,14 @@ clock: it is said, and stamps are late by the shortest wait."""
 HARMLESS = (Untidiness.APART, Untidiness.OVERTAKEN, Untidiness.GLUED, Untidiness.BUNDLED)
 
 
-def assert_true(device: VirtualDevice, run: Run, since_s: float, waits_s: float = 0.0) -> None:
+def assert_true(
+    device: VirtualDevice,
+    run: Run,
+    since_s: float,
+    waits_s: float = 0.0,
+    *,
+    has_gaps: bool = False,
+) -> None:
     """Assert that what came is what was measured, each once, whole, and stamped with its time.
 
     Parameters
@@ -35,6 +43,8 @@ def assert_true(device: VirtualDevice, run: Run, since_s: float, waits_s: float 
         From this stamp on.
     waits_s
         So long may what the device does not stamp have waited.
+    has_gaps
+        Whether the link was broken.
     """
     first, *_ = measured(device)
     is_said = run.sink.clock_state.reanchors > 0
@@ -44,8 +54,9 @@ def assert_true(device: VirtualDevice, run: Run, since_s: float, waits_s: float 
         truth = device.truth.samples(name)
         has_value = ~np.isnan(truth.values).all(axis=1)
         index = np.array(places(device, run, name), np.int64)
-        assert np.all(np.diff(index) == 1), f"{name}: samples are missing"
-        assert run.sink.lost_count(name) == 0, name
+        if not has_gaps:
+            assert np.all(np.diff(index) == 1), f"{name}: samples are missing"
+            assert run.sink.lost_count(name) == 0, name
         came = ~np.isnan(run.sink.array(name)).all(axis=1)
         stamps = np.array(run.sink.times[name])[came]
         errors_s = (stamps - truth.times[has_value][index])[stamps >= since_s]
@@ -89,6 +100,27 @@ async def test_a_device_without_a_name_is_found_by_its_address(
         begin_s = run.sink.clock() + SETTLED_S
         await asyncio.sleep(2 * SETTLED_S)
     assert_true(device, run, begin_s)
+
+
+@every(Untidiness.READDRESSED)
+async def test_a_device_under_another_address_is_nobody_until_the_settings_say_so(
+    device: VirtualDevice, kind: Untidiness, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ble_choice, "SCAN_S", 1.0)
+    name = measured(device)[0]
+    async with streaming(device) as run:
+        await until(run.sink.has(COUNT, name))
+        device.apply(Fault(kind, LONG_S))
+        await until(lambda: "another" in run.error)
+        assert "5E:" in run.error
+        assert "set `device` to" in run.error
+        assert run.supervisor.connections == 1
+        device.clear(kind)
+        await until(lambda: run.supervisor.connections == 2)
+        begin_s = run.sink.clock() + SETTLED_S
+        await asyncio.sleep(2 * SETTLED_S)
+    assert min(abs(t - begin_s) for t in run.sink.times[name]) < COUNT
+    assert_true(device, run, begin_s, has_gaps=True)
 
 
 @every(FaultKind.LOW_BATTERY)

@@ -73,6 +73,8 @@ class Untidiness(Enum):
     """So many messages that are like its own, and mean nothing."""
     NAMELESS = "nameless"
     """It advertises no name [s]."""
+    READDRESSED = "readdressed"
+    """The link breaks, and it has another address [s]; then again, back to its own."""
 
 
 @unique

@@ -15,6 +15,7 @@ from bumble.gatt import (
 )
 from bumble.gatt import Characteristic, ClientCharacteristicConfigurationBits, Service
 from bumble.gatt_server import Server
+from bumble.hci import Address
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
@@ -82,7 +83,7 @@ class Peripheral:
     radio
         The air.
     address
-        Bluetooth address, six pairs of hexadecimal digits with colons.
+        Its own Bluetooth address, six pairs of hexadecimal digits with colons.
     name
         The complete local name.
     service_uuids
@@ -135,6 +136,7 @@ class Peripheral:
         self._dropped = False
         self._breaking = False
         self._stalled = False
+        self._address_on_air = address
         self._scan_response = pack_name(name)
         self.bundles = Bundles(lambda: self._connection)
         self._indications = Indications(self._can_indicate)
@@ -189,7 +191,9 @@ class Peripheral:
         transceiver.stalled = self._stalled
         self._transceiver = transceiver
         self._update_audible()
-        device = await self._radio.power_on(transceiver, self.name, self.address, self._bonds)
+        device = await self._radio.power_on(
+            transceiver, self.name, self._address_on_air, self._bonds
+        )
         self._device = device
         device.gatt_server.max_mtu = self._max_mtu
         device.add_services(services)
@@ -263,6 +267,15 @@ class Peripheral:
             self._device.scan_response_data = self._scan_response
             self._transceiver.le_legacy_advertiser.scan_response_data = self._scan_response
 
+    def set_address(self, address: str) -> None:
+        """Be on the air under this address from now on; a connection to another one is lost."""
+        self._address_on_air = address
+        if self._connection:
+            self.drop()
+            self._dropped = False
+        else:
+            self._take_address()
+
     def set_advertising(self, on: bool) -> None:
         """Advertise, when not connected, or do not."""
         self._advertising = on
@@ -296,6 +309,13 @@ class Peripheral:
     def restore(self) -> None:
         """Be on the air again."""
         self._dropped = False
+        self._update_audible()
+
+    def _take_address(self) -> None:
+        if self._device and self._transceiver:
+            self._device.random_address = self._transceiver.random_address = Address(
+                self._address_on_air
+            )
         self._update_audible()
 
     def _break_when_sent(self) -> None:
@@ -337,6 +357,7 @@ class Peripheral:
             return
         self._connection = None
         self._breaking = False
+        self._take_address()
         self._indications.give_up()
         for callback in list(self.on_disconnected):
             callback()

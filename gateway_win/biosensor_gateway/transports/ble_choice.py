@@ -63,8 +63,10 @@ class Choice:
         self._is_generic = is_generic
         self._may_hold, self._gave_up = True, False
         self._kept = ""
+        self._kept_seen = Advertisement("")
         self._found = ""
         self._passed_over: dict[str, Advertisement] = {}
+        self._alike: dict[str, Advertisement] = {}
         self._warned_of: set[str] = set()
 
     @property
@@ -86,7 +88,7 @@ class Choice:
                 "table, so that no other one can be taken in its place at the next start"
             )
         self._device = self._device or self._identify(seen) or seen.address
-        self._kept = seen.address
+        self._kept, self._kept_seen = seen.address, seen
 
     def claims(self, seen: Advertisement, *, from_generic: bool) -> bool:
         """Whether a device is this choice's, and not that of one that tells it less exactly.
@@ -114,6 +116,7 @@ class Choice:
         """
         self._found = self._kept
         self._passed_over.clear()
+        self._alike.clear()
         _of_this_loop().add(self)
         await self._let_go()
         async with sightings() as heard:
@@ -177,6 +180,8 @@ class Choice:
         if self._is_certain(seen):
             return True
         if not self._answers(seen):
+            if self._kept and self._is_alike(seen) and not self._is_of_another(seen):
+                self._alike[seen.address] = seen
             return False
         if self._kept:
             self._warn_of(seen)
@@ -204,6 +209,14 @@ class Choice:
         if not wanted:
             return False
         return wanted == _bare(seen.address) or (identity is not None and wanted == _bare(identity))
+
+    def _is_alike(self, seen: Advertisement) -> bool:
+        """Whether it may be the one that was connected, under another address."""
+        before = self._kept_seen
+        if seen.name and before.name:
+            return seen.name == before.name
+        # A name comes later than the rest.
+        return bool(seen.service_uuids & before.service_uuids)
 
     def _is_of_another(self, seen: Advertisement) -> bool:
         others = [each for each in _of_this_loop() if each is not self]
@@ -246,6 +259,12 @@ class Choice:
             message = (
                 f"{self.what} ({self._kept}) is not in range, only another that answers to it "
                 f"({_addresses(heard)}); {self._advice}, or set `device` to the address of yours"
+            )
+        elif self._alike:
+            names = ", ".join(sorted(map(_shown, self._alike.values())))
+            message = (
+                f"{self.what} is not in range, only another like it ({names}); {self._advice}, or, "
+                "if that is yours and its address has changed, set `device` to the new one"
             )
         elif heard:
             names = ", ".join(sorted(map(_shown, heard)))
