@@ -15,7 +15,14 @@ from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary
+from biosensor_gateway.devices.zephyr.driver.frames import HXM
+from biosensor_gateway.devices.zephyr.driver.messages import (
+    Message,
+    Reply,
+    RrIntervals,
+    Summary,
+    Unknown,
+)
 from biosensor_gateway.devices.zephyr.driver.protocol import (
     LIFESIGN,
     Request,
@@ -90,7 +97,7 @@ class ZephyrDriver:
         self._protocol = ZephyrProtocol()
         self._dialogue = Dialogue(self._receive, self._link.write)
         self._enabled: list[Request] = []
-        self._has_heard = False
+        self._has_heard = self._is_hxm = False
         self._summary_seen = False
         self._arrival_s = 0.0
 
@@ -150,6 +157,12 @@ class ZephyrDriver:
                 if not reply.accepted:
                     self._enabled.remove(packet)
                 return reply.accepted
+        if self._is_hxm:
+            message = (
+                f"{self._port}: what answers is a Zephyr HxM, which is not read; choose the port "
+                "of a BioHarness 3 in the settings"
+            )
+            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         if self._protocol.dropped_bytes and not self._has_heard:
             message = (
                 f"{self._port}: what answers is no BioHarness; choose its port in the settings"
@@ -169,6 +182,7 @@ class ZephyrDriver:
             messages = self._protocol.give_up()
         self._sink.dropped_bytes += self._protocol.dropped_bytes - before
         self._has_heard = self._has_heard or bool(messages)
+        self._is_hxm = self._is_hxm or any(each == Unknown(HXM) for each in messages)
         return [Heard(message, self._arrival_s) for message in messages]
 
     def _take(self, found: Sequence[Heard]) -> None:

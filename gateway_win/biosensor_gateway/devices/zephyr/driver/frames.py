@@ -43,6 +43,9 @@ class MessageId(IntEnum):
     EVENT = 0x2C
 
 
+HXM = 0x26
+"""What a Zephyr HxM sends once a second: a strap that knows no request."""
+
 PAYLOAD_SIZES: dict[int, range] = {
     MessageId.GENERAL: range(53, 54),
     MessageId.BREATHING: range(32, 33),

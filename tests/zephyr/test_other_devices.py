@@ -1,0 +1,71 @@
+"""Other devices at the port: they are said to be what they are."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.zephyr.driver import driver as module
+from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings
+from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
+from tests.rigs.driver_run import NotedSink
+
+HXM = (Path(__file__).parent / "vectors" / "zephyr_hxm_10_frames.dat").read_bytes()
+FRAME_BYTES = 60
+
+
+class Deaf:
+    """A link to what sends a frame once a second and heeds nothing."""
+
+    def __init__(self, frames: Callable[[int], bytes]) -> None:
+        self._frames = frames
+        self._sent = 0
+
+    async def open(self) -> None: ...
+
+    def write(self, data: bytes) -> None: ...
+
+    async def read(self) -> tuple[bytes, float]:
+        await asyncio.sleep(1.0)
+        self._sent += 1
+        return self._frames(self._sent - 1), asyncio.get_running_loop().time()
+
+    async def close(self) -> None: ...
+
+
+def hxm(number: int) -> bytes:
+    begin = number % 10 * FRAME_BYTES
+    return HXM[begin : begin + FRAME_BYTES]
+
+
+@pytest.mark.parametrize(
+    ("frames", "reason", "what"),
+    [
+        (hxm, ProtocolReason.UNSUPPORTED, "a Zephyr HxM, which is not read"),
+        (lambda _: b"$GPGGA,12*7", ProtocolReason.GARBAGE, "no BioHarness"),
+        (lambda _: b"", ProtocolReason.NO_REPLY, "does not answer"),
+    ],
+)
+async def test_it_is_said_what_answers(
+    monkeypatch: pytest.MonkeyPatch,
+    frames: Callable[[int], bytes],
+    reason: ProtocolReason,
+    what: str,
+) -> None:
+    monkeypatch.setattr(module, "byte_link", lambda _port: Deaf(frames))
+    settings = ZephyrSettings.model_validate({"sensor": "zephyr", "unit": "1", "port": "COM7"})
+    made = DRIVER.make(settings, NotedSink("zephyr"))()
+    with pytest.raises(ProtocolError, match=what) as caught:
+        await made.connect()
+    assert caught.value.reason is reason
+    await made.close()
+
+
+def test_real_frames_of_it_are_whole() -> None:
+    protocol = ZephyrProtocol()
+    assert len(protocol.feed(HXM)) == 10
+    assert protocol.dropped_bytes == 0
