@@ -15,6 +15,7 @@ from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.outputs import READ_TYPES, Feature, features_of
 from biosensor_gateway.features.runs import Array, Event
+from biosensor_gateway.features.steady import Steady
 from biosensor_gateway.features.witnesses import Beside, Motion, Warmth, Witness, Witnesses
 
 _SCALES: dict[str, dict[str, float]] = {
@@ -102,12 +103,21 @@ class Computer:
         self._beside = Beside(witnesses, *source.key)
         self._wanted = {each.name for each in source.features}
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
+        self._channels = source.columns.stop - source.columns.start
+        self._steady = Steady(header.rate) if header.foreign and header.rate > 0 else None
 
     def take(self, stamps: Array, values: object) -> list[Event]:
         """Take samples in, of shapes (n,) and (n, n_channels), in the source's unit."""
         if not len(stamps):
             return []  # nothing is dropped: there is nothing
         scaled = self._source.scaled(values)
+        if self._steady is not None:
+            stamps, scaled = self._steady.take(stamps, scaled)
+        return self._computed(stamps, scaled)
+
+    def _computed(self, stamps: Array, scaled: Array) -> list[Event]:
+        if not len(stamps):
+            return []  # nothing is dropped: they wait for even stamps
         if self._witness is not None:
             self._witness.take(stamps, scaled)
         events = self._runs.take(stamps, scaled)
@@ -115,8 +125,9 @@ class Computer:
         return [each for each in told if each.feature in self._wanted]
 
     def finish(self) -> list[Event]:
-        """Return what would have waited for other streams."""
-        return [each for each in self._beside.finish() if each.feature in self._wanted]
+        """Return what would have waited for more samples, or for other streams."""
+        found = self._computed(*self._steady.finish(self._channels)) if self._steady else []
+        return [*found, *(each for each in self._beside.finish() if each.feature in self._wanted)]
 
     @property
     def left_out(self) -> int:
@@ -131,6 +142,9 @@ class Computer:
     def remark(self) -> str:
         """Say what was wrong with the stamps so far; empty if nothing was."""
         parts: list[str] = []
+        if self._steady is not None and self._steady.pace is not None:
+            rate_hz = 1 / self._steady.pace.period_s
+            parts.append(f"stamped when it came, so it got even stamps, at {rate_hz:.4g} Hz")
         if count := self._runs.steps_back:
             parts.append(f"its stamps stepped back {_times(count)}, where everything began again")
         if count := self._runs.left_out:
