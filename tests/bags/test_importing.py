@@ -420,10 +420,19 @@ def test_a_stream_is_known_by_the_list_also_where_its_raw_topic_has_another_type
 ) -> None:
     topic = "/biosensors/polar_h10/hr"
     values = {
-        "lsl_name": "polar_h10-U1-hr", "lsl_type": "HR", "source_id": "polar_h10-U1-hr",
-        "host": "lab-pc", "rate": "0", "format": "float32", "foreign": "false",
-        "labels": labels, "units": labels, "participant": "", "label": "",
-        f"topic {topic}": raw_type, f"topic {topic}_stamped": "biosensor_msgs/msg/Samples",
+        "lsl_name": "polar_h10-U1-hr",
+        "lsl_type": "HR",
+        "source_id": "polar_h10-U1-hr",
+        "host": "lab-pc",
+        "rate": "0",
+        "format": "float32",
+        "foreign": "false",
+        "labels": labels,
+        "units": labels,
+        "participant": "",
+        "label": "",
+        f"topic {topic}": raw_type,
+        f"topic {topic}_stamped": "biosensor_msgs/msg/Samples",
     }
     pairs = [SimpleNamespace(key=key, value=value) for key, value in values.items()]
     entry = SimpleNamespace(name=topic, hardware_id="U1", values=pairs)

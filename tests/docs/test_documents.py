@@ -84,7 +84,7 @@ def _makefile() -> str:
 
 def _cli_fault(arguments: list[str]) -> str:
     command: Any = app()
-    while arguments and isinstance(command, TyperGroup):
+    while arguments and isinstance(command, TyperGroup) and not arguments[0].startswith("-"):
         name, *arguments = arguments
         found = command.commands.get(name)
         if found is None:

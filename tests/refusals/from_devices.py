@@ -193,12 +193,12 @@ def no_features(patch: pytest.MonkeyPatch) -> Shown:
 
 @provokes(Refusal.STAMPS_LEFT_OUT)
 def stamps_left_out(patch: pytest.MonkeyPatch) -> Shown:
-    return features(patch, "microvolts", [NOW_S, NOW_S - 0.5, NOW_S + 0.1], 1.0)
+    return features(patch, "microvolts", [NOW_S, NOW_S - 5.0, NOW_S + 0.1, NOW_S + 0.2], 1.0)
 
 
 @provokes(Refusal.NO_FINITE_VALUE)
 def no_finite_value(patch: pytest.MonkeyPatch) -> Shown:
-    return features(patch, "microvolts", [NOW_S, NOW_S + 0.01], math.inf)
+    return features(patch, "microvolts", [NOW_S, NOW_S + 0.01, NOW_S + 0.02], math.inf)
 
 
 def problems(listing: Listing) -> Shown:

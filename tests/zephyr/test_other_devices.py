@@ -42,12 +42,20 @@ def hxm(number: int) -> bytes:
     return HXM[begin : begin + FRAME_BYTES]
 
 
+def gps(_number: int) -> bytes:
+    return b"$GPGGA,12*7"
+
+
+def silence(_number: int) -> bytes:
+    return b""
+
+
 @pytest.mark.parametrize(
     ("frames", "reason", "what"),
     [
         (hxm, ProtocolReason.UNSUPPORTED, "a Zephyr HxM, which is not read"),
-        (lambda _: b"$GPGGA,12*7", ProtocolReason.GARBAGE, "no BioHarness"),
-        (lambda _: b"", ProtocolReason.NO_REPLY, "does not answer"),
+        (gps, ProtocolReason.GARBAGE, "no BioHarness"),
+        (silence, ProtocolReason.NO_REPLY, "does not answer"),
     ],
 )
 async def test_it_is_said_what_answers(
@@ -56,7 +64,10 @@ async def test_it_is_said_what_answers(
     reason: ProtocolReason,
     what: str,
 ) -> None:
-    monkeypatch.setattr(module, "byte_link", lambda _port: Deaf(frames))
+    def answering(_port: object) -> Deaf:
+        return Deaf(frames)
+
+    monkeypatch.setattr(module, "byte_link", answering)
     settings = ZephyrSettings.model_validate({"sensor": "zephyr", "unit": "1", "port": "COM7"})
     made = DRIVER.make(settings, NotedSink("zephyr"))()
     with pytest.raises(ProtocolError, match=what) as caught:

@@ -2,7 +2,7 @@
 
 A beat that is found in 73 samples with one stamp has no time. So of such a stream the line through
 its earliest stamps (`recording.xdf.pace`) is followed, sample by sample. Neat streams pass as they
-are, and wait once only: until that is known of them.
+are and wait for nothing: the first stamp that is not later than the one before tells.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.xdf.pace import Pace, find_pace
+from biosensor_gateway.recording.xdf.pace import STEP_BACK_S, Pace, find_pace
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ SECTION_S, FEWEST = 3.0, 64
 """So much is looked at at once. Of a stream that is not neat it waits for as much that follows."""
 SECTIONS = 20
 """As many are remembered, for the line."""
+_AT_ONCE = 0.1
+"""Part of a period within which two stamps are as good as one."""
 _MOST_SLEW = 0.005
 """The line is corrected by this part of the time at most, so that intervals stay right."""
 
@@ -43,7 +45,9 @@ class Steady:
         self._rate = rate
         self._section = max(FEWEST, math.ceil(SECTION_S * rate))
         self.pace: Pace | None = None
-        self._is_held = True
+        self._is_held = False
+        self._last = -math.inf
+        self._passed = 0
         self._history = np.empty(0)
         self._new: list[tuple[Array, Array]] = []
         self._count = 0
@@ -61,33 +65,53 @@ class Steady:
             self._count += len(part[0])
             self._new.append(part)
             if not self._is_held:
-                ready.append(part)
+                ready.append(self._pass())
             if self._count == self._section:
                 ready += self._look()
         return _joined(ready, values)
 
+    def _pass(self) -> tuple[Array, Array]:
+        """Return the samples before the first that tells of bursts or overlaps, but the last one.
+
+        That waits for the next, for it may be the first of many with one stamp.
+        """
+        stamps, values = _joined(self._new, self._new[0][1][:0])
+        steps = np.diff(stamps, prepend=self._last)
+        # A step further back is of another clock, and the next runs see to it.
+        is_odd = (steps <= _AT_ONCE / self._rate) & (steps >= -STEP_BACK_S)
+        self._is_held = bool(is_odd.any())
+        end = int(np.argmax(is_odd)) if self._is_held else len(stamps)
+        begin, self._passed = self._passed, max(self._passed, end - 1)
+        return stamps[begin : self._passed], values[begin : self._passed]
+
     def finish(self, channels: int) -> tuple[Array, Array]:
         """Return what still waits for its stamps."""
-        ready = self._look(is_last=True) if self._is_held and (self._new or self._waiting) else []
+        ready = self._look(is_last=True) if self._new or self._waiting else []
         return _joined(ready, np.empty((0, channels)))
 
     def _look(self, *, is_last: bool = False) -> list[tuple[Array, Array]]:
         empty = (self._new or self._waiting)[0][1][:0]
         new = _joined(self._new, empty)
-        self._new, self._count = [], 0
+        rest = new[0][self._passed :], new[1][self._passed :]
+        self._new, self._count, self._passed = [], 0, 0
         history = np.concatenate([self._history, new[0]])
         self.pace = self._pace_of(history)
         ready: list[tuple[Array, Array]] = []
-        if self._is_held:
-            waits = [*self._waiting, new]
+        if not self._is_held:
+            ready = [rest]
+        else:
+            waits = [*self._waiting, rest]
             self._waiting = [] if is_last or self.pace is None else [waits.pop()]
             stamps, values = _joined(waits, empty)
             if len(stamps):
                 begin = len(history) - len(stamps) - sum(len(each) for each, _ in self._waiting)
                 ready = [(self._even(history, begin, stamps), values)]
-        self._is_held = self.pace is not None
+        # Of what was passed nothing tells of bursts, though the history may.
+        self._is_held = self._is_held and self.pace is not None
         if not self._is_held:
             self._next = None
+        if len(new[0]):
+            self._last = float(new[0][-1])
         self._history = history[-(SECTIONS - 1) * self._section :]
         return ready
 
