@@ -57,14 +57,18 @@ def ecg_of(beats: Array, rate: float, seconds: float, seed: int = 1) -> Array:
 def pulse_of(
     beats: Array, rate: float, seconds: float, second: float = 0.35, seed: int = 1
 ) -> Array:
-    """Return pulses of height 1 with tops at these times; the second wave is this high."""
+    """Return pulses of height 1 with tops at these times; the second wave is this high.
+
+    Breathing moves their height and the level by a tenth, so that none is just like another.
+    """
     t = np.arange(round(seconds * rate)) / rate
+    breath = 0.1 * np.sin(2 * np.pi * 0.21 * t)
     signal = 0.005 * np.random.default_rng(seed).standard_normal(len(t))
     lengths = np.append(np.diff(beats), 0.8)
     for beat, length_s in zip(beats, lengths, strict=True):
         wide = np.sqrt(length_s / 0.8)
         _add(signal, t, beat, ((0, 0.09 * wide, 1.0), (0.28 * wide, 0.11 * wide, second)))
-    return signal
+    return signal * (1 + breath) + breath
 
 
 _Wave = tuple[float, float, float]
@@ -78,11 +82,18 @@ def _add(signal: Array, t: Array, beat: float, waves: tuple[_Wave, ...]) -> None
         signal[near] += height * np.exp(-0.5 * ((t[near] - middle) / width) ** 2)
 
 
-def swing_of(seconds: float, rate: float, hertz: float, height: float) -> Array:
-    """Return what an arm that swings adds to a pulse."""
+def swing_of(
+    seconds: float, rate: float, hertz: float, height: float, uneven: float = 0.0
+) -> Array:
+    """Return what an arm that swings adds to a pulse; steps differ by `uneven`, heights by more."""
+    draw = np.random.default_rng(9)
+    steps = np.arange(round(2 * seconds * hertz) + 2)
+    lengths_s = (1 + uneven * draw.standard_normal(len(steps) - 1)) / hertz
     t = np.arange(round(seconds * rate)) / rate
-    first, second = np.sin(2 * np.pi * hertz * t), np.sin(4 * np.pi * hertz * t + 1)
-    return height * (first + 0.3 * second)
+    phase = np.interp(t, np.append(0.0, np.cumsum(lengths_s)), steps)
+    heights = np.interp(phase, steps, 1 + 5 * uneven * draw.standard_normal(len(steps)))
+    first, second = np.sin(2 * np.pi * phase), np.sin(4 * np.pi * phase + 1)
+    return height * heights * (first + 0.3 * second)
 
 
 def artefact(seconds: float, rate: float, moment: float, width_s: float) -> Array:

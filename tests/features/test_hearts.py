@@ -59,7 +59,7 @@ def told_of(events: list[Event], beats: Array) -> Told:
 RHYTHMS: dict[str, tuple[Array, float]] = {
     **{f"sinus at {bpm}": (hearts.regular(bpm, SECONDS), 0.0) for bpm in (45, 70, 120, 180, 205)},
     **{
-        f"fibrillation by {spread} at {bpm}": (hearts.fibrillation(bpm, SECONDS, spread), 0.04)
+        f"fibrillation by {spread} at {bpm}": (hearts.fibrillation(bpm, SECONDS, spread), 0.15)
         for spread in (0.18, 0.28)
         for bpm in (70, 100)
     },
@@ -78,8 +78,23 @@ def test_a_rate_that_is_called_good_is_right_in_any_rhythm(make: Make, rhythm: s
     beats, most = RHYTHMS[rhythm]
     told = told_of(signals.events_of(*make(beats)), beats)
     assert told.wrong <= most
+    # No rhythm is called bad for what it is.
+    assert np.mean(told.is_good) > 0.8
     # Nobody is silent: there is a value for nearly every beat.
     assert len(told.off_bpm) > 0.75 * np.sum(beats > LEARNT_S)
+
+
+@pytest.mark.parametrize("make", [_ecg, _pulse], ids=["ECG", "PPG"])
+def test_of_many_hearts_that_fibrillate_at_most_a_twenty_fifth_of_good_rates_is_wrong(
+    make: Make,
+) -> None:
+    # A pulse that comes 0.3 s after another may be missed, which spoils the values of 10 s.
+    off: list[Array] = []
+    for bpm, spread, seed in ((70, 0.18, 3), (70, 0.28, 3), (100, 0.22, 4), (110, 0.28, 5)):
+        beats = hearts.fibrillation(bpm, SECONDS, spread, seed)
+        told = told_of(signals.events_of(*make(beats)), beats)
+        off.append(told.off_bpm[told.is_good])
+    assert np.mean(np.abs(np.concatenate(off)) > 5) <= 0.04
 
 
 @pytest.mark.parametrize("bpm", [30, 34, 38])
@@ -138,11 +153,45 @@ def test_the_light_of_a_lamp_with_overtones_is_no_good_pulse(phase: float, overt
         assert signals.values_of(rectified, "sqi")[:, 0].max() < 0.5
 
 
-@pytest.mark.parametrize(("bpm", "hertz"), [(70, 1.0), (90, 1.7), (70, 1.9)])
-def test_an_arm_that_swings_by_twice_the_pulse_is_no_good_one(bpm: float, hertz: float) -> None:
-    # Without an accelerometer, by the shape alone. Other cadences and smaller ones still pass.
+def _saw(phase: Array) -> Array:
+    return 1 - phase % 1
+
+
+def _switched(phase: Array) -> Array:
+    return (phase % 1 < 0.3).astype(np.float64)
+
+
+def _glowing(phase: Array) -> Array:
+    return np.exp(-3 * (phase % 1))
+
+
+def _twice(phase: Array) -> Array:
+    return np.sin(2 * np.pi * phase) + 1.3 * np.sin(4 * np.pi * phase + 1)
+
+
+@pytest.mark.parametrize("rate", [25.0, 64.0, 130.0])
+@pytest.mark.parametrize("light", [_saw, _switched, _glowing, _twice])
+def test_light_of_any_shape_that_repeats_like_a_clock_is_no_good_pulse(
+    light: Callable[[Array], Array], rate: float
+) -> None:
+    t = np.arange(30 * rate) / rate
+    noise = 0.02 * np.random.default_rng(2).standard_normal(len(t))
+    for hertz in (0.62, 0.8, 1.1, 1.37, 2.0):
+        events = signals.events_of("PPG", light(hertz * t) + noise, rate)
+        assert signals.values_of(events, "sqi")[:, 0].max() < 0.5, hertz
+
+
+SWINGS = [(70, 1.0, 2.0), (90, 1.7, 2.0), (70, 1.9, 2.0), (70, 1.9, 1.0), (70, 2.6, 2.0)]
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.01], ids=["even", "uneven"])
+@pytest.mark.parametrize(("bpm", "hertz", "height"), [*SWINGS, (95, 2.6, 1.0), (120, 2.6, 1.0)])
+def test_an_arm_that_swings_is_no_good_pulse_even_without_an_accelerometer(
+    bpm: float, hertz: float, height: float, uneven: float
+) -> None:
+    # By the shape alone, or by the pulse below. One that is a multiple of it still passes.
     beats = hearts.regular(bpm, 40)
-    swing = hearts.swing_of(40, PULSE_HZ, hertz, height=2.0)
+    swing = hearts.swing_of(40, PULSE_HZ, hertz, height, uneven)
     events = signals.events_of("PPG", hearts.pulse_of(beats, PULSE_HZ, 40) + swing, PULSE_HZ)
     assert told_of(events, beats).wrong == 0
     assert signals.values_of(events, "sqi")[:, 0].max() < 0.5
@@ -159,6 +208,8 @@ def test_of_a_slow_ecg_nothing_but_its_beats_is_told_from_the_first_on(
     found = signals.stamps_of(events, "beats")
     assert max(np.abs(beats - each).min() for each in found) < 0.02
     assert len(found) == pytest.approx(np.sum(beats < 39), abs=1)
+    # A second without a beat is no reason to call it bad.
+    assert np.median(signals.values_of(events, "sqi")[:, 0]) >= 0.5
 
 
 def _rmssd_ms(intervals_s: Array) -> float:

@@ -129,6 +129,16 @@ def test_the_header_tells_origin_algorithm_version_window_and_delay() -> None:
     assert read_header(xml).derived == Derived("ECG Amp 1-id", 5.3)
 
 
+@pytest.mark.parametrize(("rate", "delay_s"), [(4, 0.38), (8, 0.44), (15.625, 0.48), (125, 0.48)])
+def test_the_header_of_responses_tells_the_delay_that_was_measured_at_its_rate(
+    rate: float, delay_s: float
+) -> None:
+    # Medians of 222 responses of a real recording, told sample by sample.
+    source = _judged(_header("GSR", "uS", rate))
+    (responses,) = (each for each in source.features if each.name == "scr")
+    assert responses.delay_s == pytest.approx(delay_s, abs=0.06)
+
+
 @pytest.mark.parametrize("holds", ["", "soon", "nan", "inf", "-1", "0"])
 def test_a_feature_that_says_badly_how_long_it_holds_is_shown_as_any_stream(holds: str) -> None:
     source = _judged(_header("ECG"))

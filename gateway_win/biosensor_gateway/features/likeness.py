@@ -1,4 +1,4 @@
-"""Tells how much the beats in a window are like each other: Orphanidou 2015.
+"""Tells how much the beats in a window are like each other: Orphanidou 2015; or too much.
 
 References are in :mod:`.thresholds`. A window has one length, so results are the same to the last
 bit however a stream was cut.
@@ -32,6 +32,39 @@ def ppg_likeness(values: Array, rate: float) -> float:
     slow, rate = averaged(values, rate, at.TEMPLATE_RATE_HZ)
     tops = _tops(_band(slow, rate, pulses.BAND_HZ), rate)
     return _likeness(slow, tops, rate, at.PPG_TEMPLATE_S)
+
+
+def apart(values: Array, rate: float, hertz: float) -> float:
+    """Return how far waves differ that are laid over each other; 1 where they are unlike.
+
+    Samples are put in the order of their phase, and neighbours compared, as Lafler and Kinman did
+    with stars. No heart beats as evenly as a clock, nor as high each time; the light of a lamp that
+    is sampled too slowly does, whatever its shape.
+
+    Parameters
+    ----------
+    hertz
+        The strongest frequency, nearly.
+    """
+    slow, rate = averaged(values, rate, at.PPG_APART_RATE_HZ)
+    times = np.arange(len(slow)) / rate
+    whole = 2 * float(slow.var())
+    if not whole > 0:
+        return 1.0
+    kept = round((1 - at.PPG_APART_TRIMMED) * len(slow))
+
+    def at_hertz(tried: float) -> float:
+        order = np.argsort(times * tried % 1, kind="stable")
+        steps = np.square(np.diff(slow[order], append=slow[order[0]]))
+        return float(np.sort(steps)[:kept].sum()) / len(slow) / whole
+
+    found: list[float] = []
+    # The strongest may be the first overtone.
+    for begin in (hertz, hertz / 2):
+        found.append(at_hertz(begin))
+        if found[-1] < at.PPG_APART_NEAR:
+            found += [at_hertz(begin + place * at.PPG_APART_STEP_HZ) for place in range(-4, 5)]
+    return min(found)
 
 
 def averaged(values: Array, rate: float, wanted_hz: float) -> tuple[Array, float]:

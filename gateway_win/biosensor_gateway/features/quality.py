@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.likeness import (
+    apart,
     averaged,
     ecg_likeness,
     ppg_likeness,
@@ -22,6 +23,7 @@ from biosensor_gateway.features.likeness import (
 from biosensor_gateway.features.runs import Array, Event, Hops
 from biosensor_gateway.features.skin import least_response
 from biosensor_gateway.pulses import thresholds as pulses
+from biosensor_gateway.pulses.filters import between_samples
 from biosensor_gateway.pulses.moments import moment
 
 REASONS = ("flat", "clipped", "noisy", "baseline", "out_of_range")
@@ -38,7 +40,7 @@ def _scaled(value: float, limits: tuple[float, float]) -> float:
     return min(1.0, max(0.0, (value - low) / (high - low)))
 
 
-def _even(values: Array, rate: float, limits: tuple[float, float], block_s: float = 1) -> float:
+def _even(values: Array, rate: float, limits: tuple[float, float], block_s: float) -> float:
     return 1 - _scaled(unevenness(values, rate, block_s), limits)
 
 
@@ -102,7 +104,7 @@ def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
 def ecg(values: Array, rate: float) -> Judged:
     """Judge an ECG by how like its beats are, Orphanidou 2015, by kurtosis and power, Li 2008.
 
-    One second that is much wilder than the others, as of an electrode pop, is noise, too.
+    A part that is much wilder than the others, as of an electrode pop, is noise, too.
     """
     power = _power(values, rate)
     usual = power(1, 40)
@@ -111,7 +113,7 @@ def ecg(values: Array, rate: float) -> Judged:
         _scaled(_share(power(5, 15), power(5, 40)), at.ECG_QRS_SHARE),
         _scaled(_share(usual, power(1, rate)), at.ECG_HUM_SHARE),
         _scaled(ecg_likeness(values, rate), at.ECG_LIKENESS),
-        _even(values, rate, at.ECG_UNEVENNESS),
+        _even(values, rate, at.ECG_UNEVENNESS, at.ECG_BLOCK_S),
     )
     baseline = _scaled(_share(usual, power(0, 40)), at.ECG_BASELINE_SHARE)
     return _judged({"noisy": noisy, "baseline": baseline}, _held(values, rate))
@@ -127,21 +129,56 @@ def _upright(values: Array, rate: float) -> Array:
 
 
 def _waves(values: Array, rate: float) -> float:
-    """Return how sure it is that these are no plain waves, as of a lamp or of an arm that swings.
+    """Return how sure it is that these are waves of a heart, not of a lamp or an arm that swings.
 
     A pulse has much of its power in overtones; the light of a lamp that is sampled too slowly has
-    little, and a limb that swings not much more. The faster a pulse, the rounder it is.
+    little, and a limb that swings not much more. The faster a pulse, the rounder it is. A lamp that
+    is switched has overtones, but its waves are all the same.
     """
     low, high = pulses.BAND_HZ
     spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))))
-    frequencies = np.fft.rfftfreq(len(values), 1 / rate)
+    frequencies = np.fft.rfftfreq(len(values), 1 / rate).astype(np.float64)
     inside = (frequencies >= low) & (frequencies < high)
     spectrum, frequencies = spectrum[inside], frequencies[inside]
-    strongest = float(frequencies[spectrum.argmax()])
+    strongest = _top_hz(spectrum, frequencies)
     others = np.abs(frequencies - strongest) > at.PPG_LINE_HZ
     share = _share(float(spectrum[others].sum()), float(spectrum.sum()))
     rounder = min(1.0, at.PPG_ROUND_HZ / strongest) ** 3
-    return _scaled(share / rounder, at.PPG_OTHER_WAVES)
+    waves = min(_scaled(share / rounder, at.PPG_OTHER_WAVES), _alone(spectrum, frequencies))
+    return min(waves, _scaled(apart(values, rate, strongest), at.PPG_APART)) if waves > 0 else 0.0
+
+
+def _alone(spectrum: Array, frequencies: Array) -> float:
+    """Return how sure it is that there are no waves of a second source, as of a pulse below steps.
+
+    What is left without the strongest waves and their overtones is then of one frequency and its
+    overtones, too. An irregular rhythm leaves much, but not at one frequency.
+    """
+    strongest = _top_hz(spectrum, frequencies)
+    overtones = np.maximum(1, np.round(frequencies / strongest)) * strongest
+    low, high = at.PPG_SECOND_HZ
+    is_left = (np.abs(frequencies - overtones) >= at.PPG_LINE_HZ) & (frequencies >= low)
+    left: Array = np.where(is_left, spectrum, 0.0)
+    second = _top_hz(np.where(frequencies < high, left, 0.0), frequencies)
+    is_part = any(
+        abs(parts * second - strongest) < at.PPG_SECOND_FRACTION_HZ
+        for parts in at.PPG_SECOND_FRACTIONS
+    )
+    near = np.abs(frequencies - second) < at.PPG_SECOND_NEAR_HZ
+    if is_part or left[near].sum() <= at.PPG_SECOND_SHARE * spectrum.sum():
+        return 1.0
+    for parts in at.PPG_SECOND_FRACTIONS:
+        near |= np.abs(frequencies - parts * second) < at.PPG_SECOND_NEAR_HZ
+    return 1 - _scaled(float(left[near].sum() / left.sum()), at.PPG_SECOND_ALONE)
+
+
+def _top_hz(spectrum: Array, frequencies: Array) -> float:
+    """Return the strongest frequency, between those of a spectrum."""
+    place = int(spectrum.argmax())
+    if not 0 < place < len(spectrum) - 1 or not spectrum[place - 1 : place + 2].min() > 0:
+        return float(frequencies[place])
+    late = between_samples(*np.log(spectrum[place - 1 : place + 2]).tolist())
+    return float(frequencies[place] + late * (frequencies[1] - frequencies[0]))
 
 
 def ppg(values: Array, rate: float) -> Judged:
@@ -155,7 +192,7 @@ def ppg(values: Array, rate: float) -> Judged:
     noisy = _scaled(_share(inside, power(pulses.BAND_HZ[0], rate)), at.PPG_BAND_SHARE)
     shape = _scaled(moment(values, 3), at.PPG_SKEWNESS)
     like = _scaled(ppg_likeness(values, rate), at.PPG_LIKENESS)
-    even = _even(values, rate, at.PPG_UNEVENNESS)
+    even = _even(values, rate, at.PPG_UNEVENNESS, at.PPG_BLOCK_S)
     waves = _waves(values, rate)
     return _judged({"noisy": min(noisy, shape, like, even, waves)}, _held(values, rate))
 

@@ -33,6 +33,9 @@ References
 .. [13] C. Orphanidou et al., "Signal-quality indices for the electrocardiogram and
    photoplethysmogram: derivation and applications to wireless monitoring", IEEE Journal of
    Biomedical and Health Informatics 19 (2015) 832-838.
+.. [14] J. Lafler, T. D. Kinman, "An RR Lyrae star survey with the Lick 20-inch astrograph. II. The
+   calculation of RR Lyrae periods by electronic computer", Astrophysical Journal Supplement 11
+   (1965) 216-222.
 """
 
 HOP_S = 0.1
@@ -163,6 +166,24 @@ PPG_OTHER_WAVES, PPG_LINE_HZ = (0.06, 0.2), 0.35
 fifth have 0.04, those of arms that swing 0.08 to 0.12, and real pulses 0.2 and more."""
 PPG_ROUND_HZ = 2.0
 """From this rate on, a pulse has the less of it the faster it is, by the third power."""
+PPG_APART = (0.004, 0.012)
+"""[14]_, of waves laid over each other; 1 where they have nothing to do with each other. Those of
+a lamp have up to 0.006 with noise of a fiftieth; of 349 windows of real pulses none is below
+0.013."""
+PPG_APART_STEP_HZ, PPG_APART_NEAR = 0.0005, 0.1
+"""How finely the period is looked for, where it is near: waves at both ends of a window are then
+apart by less than a hundredth of one. From this on it is not near."""
+PPG_APART_RATE_HZ, PPG_APART_TRIMMED = 50.0, 0.02
+"""This share of the largest differences is left out, for edges are steep."""
+PPG_SECOND_HZ, PPG_SECOND_NEAR_HZ = (0.7, 3.5), 0.25
+"""Where the rates of hearts and of steps are, and how wide a line is in a window of 10 s."""
+PPG_SECOND_SHARE, PPG_SECOND_ALONE = 0.01, (0.85, 0.95)
+"""Of the power of all, and of what does not belong to the strongest waves: of irregular rhythms,
+whose lines are broad, up to 0.86 is near any one frequency, and of a pulse below steps 0.9 and
+more."""
+PPG_SECOND_FRACTION_HZ, PPG_SECOND_FRACTIONS = 0.2, (2, 3, 4)
+"""What is so near to such a part of the strongest frequency is the rate of which that is an
+overtone."""
 PPG_SKEWNESS = (-1.0, 0.0)
 """[9]_: a good pulse is skewed to the right."""
 ECG_LIKENESS, PPG_LIKENESS = (0.5, 0.82), (0.76, 0.96)
@@ -174,7 +195,9 @@ TEMPLATE_RATE_HZ = 125.0
 TEMPLATE_APART_S, TEMPLATE_SHARE, TEMPLATE_LEAST = 0.25, 0.25, 3
 """How far tops are apart, of which share of the usual height they are, how many there must be."""
 ECG_UNEVENNESS, PPG_UNEVENNESS = (1.2, 1.6), (2.0, 4.0)
-"""What the wildest second of a window spans, of what the usual one does: electrode pops."""
+"""What the wildest block of a window spans, of what the usual one does: electrode pops."""
+ECG_BLOCK_S, PPG_BLOCK_S = 2.0, 1.0
+"""The longest interval is as long: a block without a QRS complex spans too little."""
 BREATH_UNEVENNESS = (3.0, 6.0)
 """The same of `BREATH_BLOCK_S`; a sigh is three times as deep as a breath."""
 EDA_RANGE_MICROSIEMENS = (0.05, 60.0)
