@@ -18,10 +18,13 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import ContentType, Unit
-from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec, StreamSpec
 from biosensor_common.table import channels, raw
 from biosensor_gateway.cli.features import features
 from biosensor_gateway.cli.featuring import compute_recording
+from biosensor_gateway.devices.emotibit.declaration import SPEC as EMOTIBIT
+from biosensor_gateway.devices.empatica_e4.declaration import SPEC as EMPATICA_E4
+from biosensor_gateway.features.outputs import features_of
 from tests.features import signals
 from tests.xdf import xdf_file as made
 
@@ -74,6 +77,44 @@ def test_motion_of_a_recording_is_that_of_its_accelerometer(tmp_path: Path) -> N
     after = (stamps > 24) & (stamps < 39)
     assert set(values[after, 6]) == {1.0}
     assert values[after, 0].max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("sensor", "rate", "celsius_hz"),
+    [(EMPATICA_E4, 4.0, 4.0), (EMOTIBIT, 15.0, 7.5)],
+    ids=["E4", "EmotiBit"],
+)
+def test_skin_of_a_recording_is_that_of_somebody_who_wears_the_sensor(
+    tmp_path: Path, sensor: SensorSpec, rate: float, celsius_hz: float
+) -> None:
+    path, target = tmp_path / "table.xdf", tmp_path / "features.xdf"
+    by_kind = {each.content_type: each for each in sensor.streams}
+    gsr, warmth = by_kind[ContentType.GSR], by_kind[ContentType.TEMPERATURE]
+    assert (gsr.rate, warmth.rate) == (rate, celsius_hz)
+    celsius = np.full(round(60 * celsius_hz), 33.0)
+    celsius[round(30 * celsius_hz) :] = 24.0
+    skin = _own(1, gsr, signals.skin(rate, 60)[0], rate)
+    path.write_bytes(made.xdf(skin) + _own(2, warmth, celsius, celsius_hz))
+    compute_recording(path, target, print_json=False)
+    streams = _loaded(str(target))
+    (quality,) = [e for e in streams if e["info"]["name"][0].endswith("_sqi")]
+    stamps, values = quality["time_stamps"] - BEGIN_S, quality["time_series"]
+    assert values[stamps < 29, 0].min() == 1
+    after = (stamps > 33) & (stamps < 59.5)
+    assert after.any()
+    assert values[after, 0].max() == 0
+    assert values[after, 5].min() == 1
+    # Of temperature itself nothing is computed.
+    assert len(streams) == len(features_of(ContentType.GSR, "gsr", "microsiemens", rate))
+
+
+def test_temperature_alone_is_nothing_to_compute_of(tmp_path: Path) -> None:
+    path = tmp_path / "table.xdf"
+    (warmth,) = (e for e in EMPATICA_E4.streams if e.content_type == ContentType.TEMPERATURE)
+    path.write_bytes(made.xdf(_own(1, warmth, np.full(240, 33.0), 4)))
+    with pytest.raises(ConfigError) as caught:
+        compute_recording(path, tmp_path / "features.xdf", print_json=False)
+    assert caught.value.reason is ConfigReason.WRONG_VALUE
 
 
 def _loaded(path: str) -> list[Any]:
