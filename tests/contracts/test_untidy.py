@@ -49,7 +49,7 @@ def assert_true(
     first, *_ = measured(device)
     is_said = run.sink.clock_state.reanchors > 0
     limit_s = SAID_LIMIT_S if is_said and waits_s else STAMP_LIMIT_S
-    assert max(run.sink.times[first]) > since_s + COUNT
+    assert has_gaps or max(run.sink.times[first]) > since_s + COUNT
     for name in measured(device):
         truth = device.truth.samples(name)
         has_value = ~np.isnan(truth.values).all(axis=1)
@@ -120,6 +120,25 @@ async def test_a_device_under_another_address_is_nobody_until_the_settings_say_s
         begin_s = run.sink.clock() + SETTLED_S
         await asyncio.sleep(2 * SETTLED_S)
     assert min(abs(t - begin_s) for t in run.sink.times[name]) < COUNT
+    assert_true(device, run, begin_s, has_gaps=True)
+
+
+@every(FaultKind.DENY)
+async def test_signals_that_are_not_refused_keep_their_times(
+    device: VirtualDevice, kind: FaultKind
+) -> None:
+    async with streaming(device) as run:
+        await until(run.sink.has(COUNT, *measured(device)[:1]))
+        device.apply(Fault(kind, LONG_S))
+        await until(lambda: run.supervisor.connections == 2)
+        denied = set(run.sink.watch.denied)
+        assert denied
+        assert all(each in run.error for each in denied)
+        begin_s = run.sink.clock() + SETTLED_S
+        await asyncio.sleep(2 * SETTLED_S)
+        came = {name for name, times in run.sink.times.items() if times and times[-1] > begin_s}
+        assert came >= set(measured(device)[:2]) - denied
+        assert not came & denied
     assert_true(device, run, begin_s, has_gaps=True)
 
 

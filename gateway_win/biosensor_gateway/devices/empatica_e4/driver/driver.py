@@ -191,8 +191,8 @@ class E4Driver:
             self._talk.tell("pause", "OFF")
         self._emitter.new_epoch()
         info = DeviceInfo(serial_number=self._device.upper())
-        names = frozenset(DATA_NAMES[each] for each in refused if each in DATA_NAMES)
-        return Connected(info, refused=names, patience_s=PATIENCE_S)
+        denied = {DATA_NAMES[each]: why for each, why in refused.items() if each in DATA_NAMES}
+        return Connected(info, denied=denied, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
@@ -271,27 +271,24 @@ class E4Driver:
             return False
         return True
 
-    async def _subscribe(self, streams: Collection[Stream]) -> list[Stream]:
-        """Subscribe to streams one by one; return those that are refused.
+    async def _subscribe(self, streams: Collection[Stream]) -> dict[Stream, str]:
+        """Subscribe to streams one by one; return why some are refused.
 
         Raises
         ------
         ProtocolError
             ``REFUSED`` if all are; ``NO_REPLY``.
         """
-        refused: list[Stream] = []
+        refused: dict[Stream, str] = {}
         for stream in streams:
             reply = await self._talk.ask(
                 "device_subscribe", stream.value, "ON", timeout_s=LIST_TIMEOUT_S
             )
             if not reply.accepted:
-                refused.append(stream)
+                refused[stream] = f"the server says: {reply.reason or 'no'}; restart the server"
         if len(refused) == len(streams):
             message = f"{self._where}: every stream of {self._device} is refused; restart it"
             raise ProtocolError(ProtocolReason.REFUSED, message)
-        if refused:
-            names = [stream.value for stream in refused]
-            _log.warning("the server refuses streams", where=self._where, streams=names)
         return refused
 
     def _take(self, found: Sequence[Heard]) -> None:

@@ -66,6 +66,10 @@ def _let_bind(server: Server) -> None:
     server.manners.refuses_binding = False
 
 
+def _give(server: Server) -> None:
+    server.manners.refused_streams.clear()
+
+
 def _answer_in_time(server: Server) -> None:
     server.manners.late_s = 0.0
 
@@ -96,6 +100,7 @@ EFFECTS: Effects[Server] = MappingProxyType(
         FaultKind.STALL: lasting(_stall, _resume),
         FaultKind.GARBAGE: Effect(_babble),
         FaultKind.REFUSE: lasting(Server.refuse, _let_bind),
+        FaultKind.DENY: lasting(Server.deny, _give),
         FaultKind.LATE: Effect(Server.answer_late, _answer_in_time),
         FaultKind.FORGET: Effect(_forget),
         FaultKind.UNREADABLE: lasting(_write_foreign, _write_usual),

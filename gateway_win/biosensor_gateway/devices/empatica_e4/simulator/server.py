@@ -6,6 +6,7 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 
 import numpy as np
 
@@ -145,6 +146,9 @@ class _Listener:
         task.add_done_callback(self._connecting.discard)
 
 
+_DENIABLE = ("bvp", "acc", "gsr", "tmp")
+
+
 class Server:
     """One server with its wristbands; everything runs in the world's loop.
 
@@ -176,6 +180,7 @@ class Server:
         self._lsl = clock
         self.wristbands: dict[str, Wristband] = {}
         self.manners = Manners()
+        self._to_deny = cycle(_DENIABLE)
         self.commands = Commands(self.wristbands, self.manners, self._connect)
         self.listener = _Listener(self.commands.hear)
         self.delivery = Delivery(lambda: self.listener.clients, style)
@@ -254,6 +259,11 @@ class Server:
     def refuse(self) -> None:
         """Break the connections off and let nobody bind."""
         self.manners.refuses_binding = True
+        self.listener.reset_all()
+
+    def deny(self) -> None:
+        """Break the connections off and send one of the signals to nobody, another each time."""
+        self.manners.refused_streams.add(next(self._to_deny))
         self.listener.reset_all()
 
     def answer_late(self, seconds: float) -> None:

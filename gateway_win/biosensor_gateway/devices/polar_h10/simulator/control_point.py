@@ -61,6 +61,8 @@ class ControlPoint:
         Measurements that are on, with their settings.
     refuses
         Every command fails with INVALID_STATE.
+    denied
+        Measurements of which every start fails so.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class ControlPoint:
     ) -> None:
         self.running = {measurement: _first_choice(product, measurement) for measurement in running}
         self.refuses = False
+        self.denied: frozenset[Measurement] = frozenset()
         self._product = product
         self._minimum_mtu = max(minimum_mtu, product.minimum_mtu)
         self._short_errors = short_errors
@@ -139,6 +142,8 @@ class ControlPoint:
         measurement = self._measurement(body)
         if measurement in self.running:
             raise _Refusal(Status.ALREADY_IN_STATE)
+        if measurement in self.denied:
+            raise _Refusal(Status.INVALID_STATE)
         if measurement is Measurement.SDK_MODE and self.running:
             raise _Refusal(Status.INVALID_STATE)
         offered = self._product.offered(sdk_mode=self.in_sdk_mode).get(measurement)

@@ -167,6 +167,15 @@ class SimulatedPolarH10(StrapDevice):
         if self._pmd is not None:
             self._pmd.refuses = refuses
 
+    def _deny(self) -> None:
+        self._strap.break_link()
+        if self._pmd is not None:
+            self._pmd.deny()
+
+    def _give(self) -> None:
+        if self._pmd is not None:
+            self._pmd.give()
+
     def _answer_late(self, seconds: float) -> None:
         self._strap.break_link()
         self._set_delay(seconds)
@@ -199,6 +208,7 @@ class SimulatedPolarH10(StrapDevice):
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.FORGET: Effect(_forget),
             FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.DENY: lasting(_deny, _give),
             FaultKind.LATE: Effect(_answer_late, _answer_in_time),
         }
     )

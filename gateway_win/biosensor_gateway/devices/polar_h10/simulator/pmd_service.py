@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from itertools import cycle
 from typing import Protocol
 
 import numpy as np
@@ -195,6 +196,7 @@ class PmdService:
     """
 
     def __init__(self, strap: Strap, product: Product, quirks: Quirks) -> None:
+        self._to_deny = cycle(product.settings)
         self._control = ControlPoint(
             product,
             running=quirks.left_streaming,
@@ -223,6 +225,14 @@ class PmdService:
         packet = self._control.stop(measurements)
         self._end_streams()
         await self._strap.peripheral.notify(self._control_point, packet)
+
+    def deny(self) -> None:
+        """Start one of its measurements no more, another one at each time."""
+        self._control.denied = frozenset({next(self._to_deny)})
+
+    def give(self) -> None:
+        """Start each again."""
+        self._control.denied = frozenset()
 
     @property
     def refuses(self) -> bool:

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import structlog
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
@@ -47,7 +46,7 @@ STREAMS = {
     Request.BREATHING: ("breathing",),
     Request.RR: ("ibi",),
     Request.ACCELERATION: ("acc",),
-    Request.SUMMARY: ("quality",),
+    Request.SUMMARY: ("quality", "hr", "br", "posture", "activity"),
     Request.GENERAL: ("quality",),
 }
 """By which streams one knows that a packet comes; it may hold others, too."""
@@ -61,7 +60,7 @@ TORN_FRAME_S = 1.0
 """Longest gap within a frame; recorded Bluetooth reads come up to 0.51 s apart."""
 SUMMARY_PATIENCE_S = 5.0
 
-_log = structlog.get_logger("biosensor_gateway.zephyr")
+_DENIED = "it answers no when asked for their packets; update its firmware"
 _PORT_NAME = re.compile(r"BH ?([A-Z]{3}[0-9]{6})")
 
 
@@ -112,10 +111,9 @@ class ZephyrDriver:
         if not self._enabled:
             message = f"{self._port}: the device refuses every packet; is it a BioHarness 3?"
             raise ProtocolError(ProtocolReason.REFUSED, message)
-        if refused:
-            _log.warning("the device refuses packets", port=self._port, packets=_names(refused))
-        streams = {name for packet in refused for name in STREAMS[packet]}
-        return Connected(refused=frozenset(streams), due=DUE)
+        denied = {name: _DENIED for packet in refused for name in STREAMS[packet]}
+        due = {name: limit_s for name, limit_s in DUE.items() if name not in denied}
+        return Connected(denied=denied, due=due)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Enable the packets of streams that are silent; their replies pass by."""
@@ -202,10 +200,6 @@ class ZephyrDriver:
         if not self._summary_seen and Request.GENERAL not in self._enabled:
             self._link.write(enable(Request.GENERAL, on=True))
             self._enabled.append(Request.GENERAL)
-
-
-def _names(packets: list[Request]) -> list[str]:
-    return [packet.name.lower() for packet in packets]
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:

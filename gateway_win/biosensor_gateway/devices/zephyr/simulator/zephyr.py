@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from math import nan
 from types import MappingProxyType
 from typing import Unpack
@@ -148,6 +149,10 @@ def _number(value: float | None) -> float:
     return nan if value is None else float(value)
 
 
+_DENIABLE = (0x16, 0x1E, 0x19, 0x15)
+"""Requests for ECG, acceleration, intervals and breathing; one is denied at each time."""
+
+
 class SimulatedZephyr(BioHarness):
     """A BioHarness 3 that somebody wears.
 
@@ -167,6 +172,7 @@ class SimulatedZephyr(BioHarness):
         self._body = SyntheticSource(**specimen)
         super().__init__(world, self._body, **specimen)
         self._notes = _Notes(self.truth)
+        self._to_deny, self._denied = cycle(_DENIABLE), 0
 
     def _note(self, frame: Outgoing, *, sent: bool) -> None:
         self._notes.note(frame, sent=sent)
@@ -191,6 +197,14 @@ class SimulatedZephyr(BioHarness):
 
     def _allow(self) -> None:
         self.session.refused.difference_update(REQUESTS)
+
+    def _deny(self) -> None:
+        self._denied = next(self._to_deny)
+        self.session.refused.add(self._denied)
+        self._break_link()
+
+    def _give(self) -> None:
+        self.session.refused.discard(self._denied)
 
     def _answer_late(self, seconds: float) -> None:
         self.session.answer_delay_s = seconds
@@ -217,6 +231,7 @@ class SimulatedZephyr(BioHarness):
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.FORGET: Effect(_forget),
             FaultKind.REFUSE: lasting(_refuse, _allow),
+            FaultKind.DENY: lasting(_deny, _give),
             FaultKind.LATE: Effect(_answer_late, _answer_in_time),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.LOW_BATTERY: Effect(_discharge),
