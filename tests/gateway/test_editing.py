@@ -9,7 +9,13 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.settings.editing import change_device, remove_device, set_participant
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.editing import (
+    change_device,
+    remove_device,
+    set_marker_buttons,
+    set_participant,
+)
 
 FILE = """\
 # Our lab.
@@ -114,4 +120,40 @@ def test_a_folder_that_cannot_be_written_is_said(path: Path) -> None:
     blocked.mkdir()
     with pytest.raises(ConfigError, match="cannot write"):
         remove_device(path, MODELS, "zephyr", "B2")
+    assert path.read_text() == FILE
+
+
+BUTTONS = ("baseline", "task", "rest, eyes closed")
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        FILE,
+        "",
+        '[markers]\nbuttons = ["old"] # as on the sheet\n\n[markers.web]\nport = 17871\n\n' + FILE,
+        "[markers.web]\nport = 17871\n\n" + FILE,
+    ],
+)
+def test_buttons_of_markers_are_named_and_all_else_stays(path: Path, before: str) -> None:
+    path.write_text(before)
+    set_marker_buttons(path, MODELS, BUTTONS)
+    loaded = settings_file.load_settings(path, MODELS)
+    assert loaded.markers.buttons == BUTTONS
+    assert loaded.markers.web.port == 17871
+    assert len(loaded.devices) == before.count("[[device]]")
+    for line in before.splitlines():
+        assert line.partition('["old"]')[0] in path.read_text()
+
+
+def test_the_first_buttons_make_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    set_marker_buttons(path, MODELS, BUTTONS)
+    assert settings_file.load_settings(path, MODELS).markers.buttons == BUTTONS
+
+
+@pytest.mark.parametrize("wrong", [["a", "a"], [""], ["x" * 300], [f"b{n}" for n in range(100)]])
+def test_buttons_that_cannot_be_are_refused(path: Path, wrong: list[str]) -> None:
+    with pytest.raises(ConfigError):
+        set_marker_buttons(path, MODELS, wrong)
     assert path.read_text() == FILE

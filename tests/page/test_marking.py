@@ -10,10 +10,12 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent import control
-from biosensor_gateway.page.marker_models import NewMarker
+from biosensor_gateway.agent.status import AgentStatus
+from biosensor_gateway.page.marker_models import MarkerButtons, NewMarker
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.models import RecordingView
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.settings.file import load_settings
 
 
 @pytest.fixture
@@ -51,3 +53,66 @@ def test_what_becomes_of_it_is_said(
     (shown,) = session.markers.markers
     assert shown.time == pytest.approx(time.time() - 60.0, abs=30.0)
     assert shown.received is answer.get("received", True)
+
+
+class Agent:
+    """Keeps markers as an agent does, and forgets them when it is started again."""
+
+    def __init__(self, session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._session = session
+        self.asked: list[str] = []
+        monkeypatch.setattr(control, "ask", self._ask)
+        self.start()
+
+    def start(self) -> None:
+        self._session.take_status(None)
+        self._markers: list[dict[str, Any]] = []
+        self._session.take_status(AgentStatus())
+
+    def _ask(self, _folder: Path, command: str, arguments: Any) -> dict[str, Any]:
+        self.asked.append(command)
+        if command == "mark":
+            self._markers.append({**arguments, "id": len(self._markers) + 1, "undone": False,
+                                  "lsl_time": arguments["at"]})  # fmt: skip
+        return {"markers": self._markers, "buttons": []} if command == "markers" else {}
+
+
+def shown(session: Session) -> list[tuple[str, bool, bool]]:
+    return [(each.marker, each.earlier, each.can_be_undone) for each in session.markers.markers]
+
+
+def test_those_of_the_participant_before_stand_apart_and_none_is_forgotten(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, marking = Agent(session, monkeypatch), Marking(session)
+
+    def mark(name: str) -> None:
+        asyncio.run(marking.mark(NewMarker(marker=name)))
+
+    mark("of P01")
+    session.recording = RecordingView(is_running=True, started=time.time())
+    mark("of P02")
+    assert shown(session) == [("of P01", True, False), ("of P02", False, True)]
+    # The recording is over: until the next one its markers are the newest ones.
+    session.recording = RecordingView()
+    mark("behind it")
+    assert shown(session)[1:] == [("of P02", False, True), ("behind it", False, True)]
+
+    # Another agent counts anew, and can undo none of them.
+    agent.start()
+    mark("of another")
+    names = ["of P01", "of P02", "behind it", "of another"]
+    assert [each.marker for each in session.markers.markers] == names
+    assert [each.can_be_undone for each in session.markers.markers] == [False] * 3 + [True]
+    mark("one more")
+    assert [each.marker for each in session.markers.markers] == [*names, "one more"]
+
+
+def test_buttons_are_named_in_the_settings_and_hold_at_once(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent = Agent(session, monkeypatch)
+    wanted = MarkerButtons(buttons=["rest", "task"])
+    asyncio.run(Marking(session).name_buttons(wanted))
+    assert load_settings(session.settings, {}).markers.buttons == ("rest", "task")
+    assert "reload" in agent.asked

@@ -28,7 +28,7 @@ MAX_AGE_S, MAX_LEAD_S = 60.0, 0.1
 """How far a sender's time may be from now; the lead is for what it knows less exactly."""
 MAX_WEB_AGE_S = 3600.0
 """The same for web experiments, which keep their markers while they cannot send them."""
-LISTED = 10
+LISTED = 50
 MARKERS = "markers"
 """The command that changes nothing."""
 

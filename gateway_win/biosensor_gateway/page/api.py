@@ -11,7 +11,7 @@ from biosensor_gateway.page.device_test import DeviceTester, add_device_test
 from biosensor_gateway.page.devices import add_devices, asked, started
 from biosensor_gateway.page.doctor import Doctor, add_doctor
 from biosensor_gateway.page.front import PREFIX
-from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
+from biosensor_gateway.page.marker_models import MarkerButtons, MarkerNumber, NewMarker
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.models import (
     DeviceName,
@@ -133,6 +133,11 @@ def _add_markers(router: APIRouter, marking: Marking) -> None:
     async def mark(marker: NewMarker) -> Outcome:
         """Send a marker, stamped with now."""
         return Outcome(sentence=await marking.mark(marker))
+
+    @router.put("/markers/buttons")
+    async def name_buttons(wanted: MarkerButtons) -> Outcome:
+        """Name the buttons of markers in the settings."""
+        return Outcome(sentence=await marking.name_buttons(wanted))
 
     @router.post("/markers/undo")
     async def undo(which: MarkerNumber) -> Outcome:

@@ -20,6 +20,10 @@ class MarkerView(BaseModel):
         Whether any program received it.
     time
         Its Unix time in s, for people.
+    earlier
+        Whether it was before the recording that goes on, or that was the last here.
+    can_be_undone
+        Whether the agent that has sent it still runs, and it is of that recording.
     """
 
     id: int
@@ -32,6 +36,8 @@ class MarkerView(BaseModel):
     uncertainty_s: float | None = None
     received: bool = True
     time: float | None = None
+    earlier: bool = False
+    can_be_undone: bool = True
 
 
 class MarkersView(BaseModel):
@@ -49,6 +55,14 @@ class NewMarker(BaseModel):
     marker: str
     note: str = ""
     kind: Literal["button", "note"] = "button"
+
+
+class MarkerButtons(BaseModel):
+    """The names of the buttons, in their order."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    buttons: list[str]
 
 
 class MarkerNumber(BaseModel):

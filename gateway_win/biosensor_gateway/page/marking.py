@@ -10,8 +10,16 @@ from typing import Any
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
-from biosensor_gateway.page.marker_models import MarkersView, NewMarker
+from biosensor_gateway.agent.marking import LISTED
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.page.marker_models import (
+    MarkerButtons,
+    MarkersView,
+    MarkerView,
+    NewMarker,
+)
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.settings import editing
 
 LOOK_S = 1.0
 
@@ -27,6 +35,9 @@ class Marking:
 
     def __init__(self, session: Session) -> None:
         self._session = session
+        self._turns = session.turns
+        self._begun = 0.0
+        self._of_before: list[MarkerView] = []
 
     async def run(self) -> None:
         """Ask the agent for its markers every second, until cancelled."""
@@ -64,11 +75,37 @@ class Marking:
         await self._ask("undo-marker", {} if number is None else {"id": number})
         await self._look()
 
+    async def name_buttons(self, wanted: MarkerButtons) -> str:
+        """Write the names of the buttons into the settings, and have the agent take them over.
+
+        Raises
+        ------
+        GatewayError
+            The settings or the agent refuse them.
+        """
+        editing.set_marker_buttons(self._session.settings, settings_models(), wanted.buttons)
+        if self._session.has_agent:
+            await self._ask("reload", {})
+            await self._look()
+        return "The buttons have these names now."
+
     async def _look(self) -> None:
         view = MarkersView.model_validate(await self._ask("markers", {}))
         to_unix_s = time.time() - self._session.now()
         for each in view.markers:
             each.time = each.lsl_time + to_unix_s
+        if self._turns != self._session.turns:
+            # Another agent knows nothing of them, and counts anew.
+            self._turns = self._session.turns
+            known = {(each.id, each.lsl_time) for each in view.markers}
+            before = self._session.markers.markers
+            self._of_before = [e for e in before if (e.id, e.lsl_time) not in known][-LISTED:]
+        self._begun = max(self._begun, self._session.recording.started)
+        gone = len(self._of_before)
+        view.markers = [*self._of_before, *view.markers]
+        for number, each in enumerate(view.markers):
+            each.earlier = (each.time or 0.0) < self._begun
+            each.can_be_undone = number >= gone and not each.earlier
         self._session.markers = view
 
     async def _ask(self, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:

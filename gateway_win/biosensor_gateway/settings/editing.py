@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,7 +25,7 @@ Models = Mapping[str, type[DeviceSettings]]
 """Settings model of each known sensor, by sensor name."""
 Value = str | int | float | bool
 
-_DEVICE = "device"
+_DEVICE, _MARKERS = "device", "markers"
 
 
 def table_lines(sensor: str, fields: Mapping[str, Any]) -> str:
@@ -85,6 +85,24 @@ def set_participant(path: Path, models: Models, participant: str) -> None:
     for table in cast("list[dict[str, object]]", tables):
         if table.get("enabled", True):
             table["participant"] = participant
+    _write(path, models, tomlkit.dumps(document))
+
+
+def set_marker_buttons(path: Path, models: Models, names: Sequence[str]) -> None:
+    """Name the buttons of markers; the file is written first if there is none.
+
+    Raises
+    ------
+    ConfigError
+        As `add_device`.
+    """
+    if not path.exists():
+        template.write_template(path, models)
+    document, _ = _parsed(path)
+    if _MARKERS not in document:
+        document[_MARKERS] = tomlkit.table()
+    table: Any = document[_MARKERS]
+    table["buttons"] = [*names]
     _write(path, models, tomlkit.dumps(document))
 
 

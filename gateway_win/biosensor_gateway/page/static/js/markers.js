@@ -46,16 +46,43 @@ export function MarkerButtons({ names, act }) {
     </div>`;
 }
 
-export function MarkerList({ markers, undo }) {
-  const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
-  if (!shown.length) return null;
+function Entries({ entries, undo }) {
   return html`
     <ol class="marks small" reversed>
-      ${shown.map((each) => html`
-        <li key=${each.id} class=${each.undone ? "undone" : ""}>
-          ${when(each)} ${said(each)}${each.kind === "web" && html`<span class="soft"> from ${each.source}${within(each.uncertainty_s)}</span>`}${!each.received && html` <span class="warned">received by nobody</span>`}${each.undone ? " (marked as a mistake)" : undo && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${said(each)}</span></button>`}
+      ${entries.map((each) => html`
+        <li key=${`${each.id} ${each.lsl_time}`} class=${each.undone ? "undone" : ""}>
+          ${when(each)} ${said(each)}${each.kind === "web" && html`<span class="soft"> from ${each.source}${within(each.uncertainty_s)}</span>`}${!each.received && html` <span class="warned">received by nobody</span>`}${each.undone ? " (marked as a mistake)" : undo && each.can_be_undone && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${said(each)}</span></button>`}
         </li>`)}
     </ol>`;
+}
+
+// Those of the recording that goes on, or that was the last; what was before is of somebody else.
+export function MarkerList({ markers, undo }) {
+  const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
+  const earlier = shown.filter((each) => each.earlier);
+  const own = shown.filter((each) => !each.earlier);
+  return html`
+    ${own.length > 0 && html`<${Entries} entries=${own} undo=${undo} />`}
+    ${earlier.length > 0 && html`<details class="small"><summary>Before this recording (${earlier.length})</summary><${Entries} entries=${earlier} /></details>`}`;
+}
+
+function NameButtons({ names, act }) {
+  // While the agent is away, there is no panel, and what was typed must not be lost by that.
+  const [{ text }, keep] = useKept("buttons", { text: null });
+  const setText = (typed) => keep({ text: typed });
+  if (text === null) return html`<button class="plain small" onClick=${() => setText(names.join("\n"))}>Name the buttons …</button>`;
+  const save = async (event) => {
+    event.preventDefault();
+    const buttons = text.split("\n").map((each) => each.trim()).filter(Boolean);
+    if (await act("PUT", "/markers/buttons", { buttons })) setText(null);
+  };
+  return html`
+    <form onSubmit=${save}>
+      <label>Names of the buttons, one in each line; the first nine have the keys 1 to 9
+        <textarea rows="5" cols="30" value=${text} onInput=${(event) => setText(event.target.value)}></textarea>
+      </label>
+      <div class="buttons"><button>Save</button><button type="button" onClick=${() => setText(null)}>Go back</button></div>
+    </form>`;
 }
 
 function Experiments({ experiments }) {
@@ -71,7 +98,7 @@ function Experiments({ experiments }) {
       </ul>`}`;
 }
 
-export function Markers({ markers, experiments, isRecorded, act }) {
+export function Markers({ markers, experiments, isRecorded, isVirtual, act }) {
   const [{ note }, setNote] = useKept("note", { note: "" });
   const send = (event) => {
     event.preventDefault();
@@ -83,7 +110,7 @@ export function Markers({ markers, experiments, isRecorded, act }) {
       <h2 id="markers">Markers</h2>
       ${!isRecorded && html`<p class="small notes">This page records nothing now: a marker is in a file only if another program records it.</p>`}
       <${MarkerButtons} names=${markers.buttons} act=${act} />
-      ${!markers.buttons.length && html`<p class="small soft">Name buttons in the settings file: <code>[markers]</code>, then <code>buttons = ["baseline", "task"]</code>.</p>`}
+      ${!isVirtual && html`<${NameButtons} names=${markers.buttons} act=${act} />`}
       <form onSubmit=${send}>
         <label>Note, stamped when it is sent
           <input type="text" maxlength="200" size="40" required value=${note} onInput=${(event) => setNote({ note: event.target.value })} />
