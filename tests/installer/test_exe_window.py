@@ -98,7 +98,7 @@ def test_from_the_start_menu_to_traces_and_to_the_end(
             entry = page.locator(".found li", has_text=UNIT)
             entry.get_by_label("Participant").fill("p01")
             entry.get_by_role("button", name="Add").click()
-            expect(entry.get_by_text("in the settings already")).to_be_visible()
+            expect(entry.get_by_text("one of your sensors")).to_be_visible()
             page.get_by_role("button", name="Close").click()
             card = page.locator(f'[data-device="empatica_e4/{UNIT.upper()}"]')
             expect(card.get_by_text("streaming")).to_be_visible()

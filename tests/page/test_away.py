@@ -10,8 +10,9 @@ import pytest
 
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.page.recorder import Story
-from biosensor_gateway.recording.here.results import StandingHere
+from biosensor_gateway.recording.here.results import StandingHere, StartedHere
 from biosensor_gateway.recording.labrecorder.results import By
+from biosensor_gateway.recording.labrecorder.streams import VisibleStream
 from tests.page.test_whose import BELT, Page
 
 STARTED = 1000.0
@@ -84,3 +85,24 @@ def test_another_recording_has_a_story_of_its_own() -> None:
     told(story, belt())
     standing = StandingHere(by=By.GATEWAY, recording=True, file=Path("/b.xdf"), started=STARTED)
     assert not story.is_of(standing)
+
+
+def begun(*foreign: VisibleStream) -> StartedHere:
+    own = VisibleStream("P01-polar_h10-A1-ecg", "P01@polar_h10-ecg", "lab-pc")
+    return StartedHere(
+        by=By.GATEWAY, verified=True, file=Path("/data/a.xdf"), bytes=1, took_s=1.0,
+        streams=(own, *foreign), foreign=foreign, warnings=(), left_out=(),
+    )  # fmt: skip
+
+
+def test_streams_of_others_are_named_and_live_features_counted() -> None:
+    assert Story(begun()).remarks == []
+    rate = VisibleStream("P01-polar_h10-A1-hr_live", "P01@polar_h10-hr_live", "lab-pc")
+    assert Story(begun(rate)).remarks == ["1 stream of live features is recorded, too"]
+    of_other = VisibleStream("P02-polar_h10-B2-hr_live", "P02@polar_h10-hr_live", "lab-pc")
+    eeg = VisibleStream("amplifier", "", "eeg-pc")
+    counted, named = Story(begun(rate, rate, of_other, eeg)).remarks
+    assert counted == "2 streams of live features are recorded, too"
+    assert named.startswith("streams of other programs are recorded, too: ")
+    assert "P02-polar_h10-B2-hr_live" in named
+    assert "amplifier" in named

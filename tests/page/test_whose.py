@@ -209,3 +209,11 @@ def test_what_can_be_no_path_is_said(
     code, answer = paused.ask("POST", method, {**more, path: wrong})
     assert code == 422
     assert "nothing on this computer can be called so" in answer["problem"]
+
+
+def test_what_is_added_is_said_by_its_name(paused: Page) -> None:
+    settings = {"unit": "Z", "enabled": False}
+    wanted = {"sensor": "polar_h10", "settings": settings, "participant": "P07"}
+    code, answer = paused.ask("POST", "devices", wanted)
+    assert code == 200
+    assert answer["sentence"] == "P07's Polar H10 is added: its card shows when it streams."

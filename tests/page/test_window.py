@@ -47,6 +47,8 @@ def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenW
     page = window()
     page.goto(server.address)
     expect(page.get_by_role("heading", name="No sensor is set up yet")).to_be_visible()
+    # Nothing is wrong with that.
+    expect(page.locator("header .state")).to_have_class(re.compile("soft"))
     assert page.url == f"{server.origin}/"
     page.get_by_role("button", name="Try it with virtual sensors").click()
     expect(page.get_by_text("These are virtual sensors")).to_be_visible()
@@ -77,7 +79,7 @@ def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
         entry = page.locator(".found li", has_text=unit)
         entry.get_by_label("Participant").fill(participant)
         entry.get_by_role("button", name="Add").click()
-        expect(entry.get_by_text("in the settings already")).to_be_visible()
+        expect(entry.get_by_text("one of your sensors")).to_be_visible()
     assert page.evaluate("window.progressSeen")
     page.get_by_role("button", name="Close").click()
     assert "# Where the server" in server.programs.settings.read_text()

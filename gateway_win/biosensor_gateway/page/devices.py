@@ -13,7 +13,7 @@ from fastapi import APIRouter
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.page.models import (
     Choice,
     DeviceChange,
@@ -50,7 +50,9 @@ def add_devices(router: APIRouter, session: Session) -> None:
         fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
         models = settings_models()
         editing.add_device(session.settings, models, device.sensor, fields)
-        return await _applied(session, "is in the settings now")
+        whose = f"{device.participant}'s " if device.participant else "The "
+        name = f"{whose}{sensor_title(device.sensor)}"
+        return await _applied(session, f"{name} is added: its card shows when it streams")
 
     @router.patch("/devices")
     async def change(device: DeviceChange) -> Outcome:
@@ -65,7 +67,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
         wanted = {key: None if value == "" else value for key, value in fields.items()}
         models = settings_models()
         editing.change_device(session.settings, models, device.sensor, device.unit, wanted)
-        return await _applied(session, "is changed in the settings")
+        return await _applied(session, "The device is changed in the settings")
 
     @router.delete("/devices")
     async def remove(device: DeviceRemoval) -> Outcome:
@@ -73,7 +75,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
         _ask_while_recording(session, device, "From then on nothing of the sensor is in the file.")
         models = settings_models()
         editing.remove_device(session.settings, models, device.sensor, device.unit)
-        return await _applied(session, "is no longer in the settings")
+        return await _applied(session, "The device is no longer in the settings")
 
     _add_participant(router, session)
 
@@ -165,7 +167,7 @@ async def _applied(session: Session, what: str) -> Outcome:
         await asked(session, "reload", {})
     elif any(each.enabled for each in session.configured()):
         started(session, virtual=False)
-    return Outcome(sentence=f"The device {what}.")
+    return Outcome(sentence=f"{what}.")
 
 
 async def asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -237,6 +237,8 @@ class NewRecording(BaseModel):
     ----------
     folder
         Empty for the usual one.
+    only_ours
+        Leave out streams of other programs, live features included.
     allow_missing
         Record although streams of the agent's devices are not there.
     set_sensors
@@ -253,6 +255,7 @@ class NewRecording(BaseModel):
     session: str = "S001"
     task: str = "Default"
     folder: PathText = ""
+    only_ours: bool = False
     allow_missing: bool = False
     set_sensors: bool = False
     other_participants: bool = False

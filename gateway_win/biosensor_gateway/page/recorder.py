@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import Awaitable, Callable, Generator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,13 @@ from biosensor_gateway.recording.here.results import StandingHere, StartedHere, 
 from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look, titles
+from biosensor_gateway.recording.labrecorder.streams import (
+    Presence,
+    VisibleStream,
+    expected_devices,
+    look,
+    titles,
+)
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
@@ -188,7 +194,8 @@ class Recorder:
         order = Order(
             Place(folder, labels=labels),
             # Those of others are named as long as it goes on.
-            all_streams=True,
+            all_streams=not wanted.only_ours,
+            only_ours=wanted.only_ours,
             allow_missing=wanted.allow_missing,
             other_participants=wanted.other_participants,
             without_away=wanted.without_away,
@@ -312,10 +319,8 @@ class Story:
         self._away: dict[str, Absence] = {}
         self._over: list[str] = []
         self.remarks: list[str] = []
-        if begun and begun.foreign:
-            self.remarks = [f"streams of other programs are recorded, too: {titles(begun.foreign)}"]
         if begun:
-            self.remarks += warnings_of(begun.file.parent)
+            self.remarks = [*_others_streams(begun), *warnings_of(begun.file.parent)]
 
     @property
     def notes(self) -> list[str]:
@@ -339,6 +344,27 @@ class Story:
         # While the agent is away, nobody knows of its sensors.
         kept = {device: each for device, each in self._away.items() if device not in here}
         self._away = kept | now
+
+
+def _others_streams(begun: StartedHere) -> Iterator[str]:
+    """Name what is recorded besides the agent's streams; of live features only how many."""
+    own = {_sender(each) for each in begun.streams if each not in begun.foreign}
+    features = [each for each in begun.foreign if _sender(each) in own]
+    if features:
+        are = (
+            "1 stream of live features is"
+            if len(features) == 1
+            else (f"{len(features)} streams of live features are")
+        )
+        yield f"{are} recorded, too"
+    others = [each for each in begun.foreign if each not in features]
+    if others:
+        yield f"streams of other programs are recorded, too: {titles(others)}"
+
+
+def _sender(stream: VisibleStream) -> str:
+    """Return what a device's streams and their features have in common; no other has this sign."""
+    return stream.source_id.rpartition("-")[0] or stream.source_id
 
 
 def _was_away(absence: Absence, until: float) -> str:

@@ -31,7 +31,7 @@ function Card({ live, device, onOpen }) {
       </div>
       <div class="sparks">
         ${mainStreams(device).map((stream) => html`
-          <span class="small">${stream.data_name}</span>
+          <span class="small">${stream.data_name}${stream.channels.length > 1 && html` <span class="soft">${stream.channels[0]}</span>`}</span>
           <${Spark} live=${live} stream=${stream} marks=${marksOf(device, stream)} />
           <span class="value small" title=${rateOf(stream)}>${valueOf(stream)}</span>`)}
       </div>
@@ -56,13 +56,17 @@ function headingOf(device) {
 export function Cards({ live, devices, onOpen }) {
   // In the order of the settings: sorted by name, a card would go elsewhere when its wearer is renamed.
   const headings = [...new Set(devices.map(headingOf))];
-  return headings.map((heading) => html`
-    <section key=${heading}>
-      <h2>${heading}</h2>
-      <ul class="cards">
-        ${devices.filter((each) => headingOf(each) === heading).map((device) => html`
-          <${Card} key=${device.name} live=${live} device=${device} onOpen=${onOpen} />`)}
-      </ul>
-    </section>`);
+  const of = (heading) => devices.filter((each) => headingOf(each) === heading);
+  return html`
+    <div class="people">
+      ${headings.map((heading) => html`
+        <section key=${heading} style=${`--cards: ${of(heading).length}`}>
+          <h2>${heading}</h2>
+          <ul class="cards">
+            ${of(heading).map((device) => html`
+              <${Card} key=${device.name} live=${live} device=${device} onOpen=${onOpen} />`)}
+          </ul>
+        </section>`)}
+    </div>`;
 }
 

@@ -127,7 +127,9 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       act("DELETE", "/devices", which).then((isDone) => isDone && onClose());
     }
   };
-  const plotted = streamsOf(device).filter((each) => each.channels.length && each.content_type !== "Markers" && !each.silent && !each.is_empty);
+  // What tells of the device itself, such as its battery, changes too rarely for ten seconds.
+  const isSlow = (each) => !each.is_signal && !each.nominal_hz;
+  const plotted = streamsOf(device).filter((each) => each.channels.length && each.content_type !== "Markers" && !each.silent && !each.is_empty && !isSlow(each));
   return html`
     <section class="panel" aria-labelledby="detail">
       <div class="card-head">

@@ -14,6 +14,11 @@ const NUMBERS = new Map([
   ["activity_live", "activity"],
 ]);
 
+// Those of which a stream beside them says each second what the newest is, how old, and how good;
+// and from which age in s on that is said. One beat or breath later is not old.
+const STATES = new Map([["hr_live", { name: "hr_state", old_s: 3 }], ["br_live", { name: "br_state", old_s: 8 }]]);
+const IS_STATE = new Set([...STATES.values()].map((each) => each.name));
+
 const artefacts = (rows) => !(rows[1] > 0.5);
 // Which of their samples have a filled sign, and what the signs mean.
 const MARKS = new Map([
@@ -41,7 +46,7 @@ export function featuresOf(device) {
 
 // What a card needs of them.
 export function shownFeatures(device) {
-  return featuresOf(device).filter((each) => NUMBERS.has(each.data_name) || MARKS.has(each.data_name) || isQuality(each));
+  return featuresOf(device).filter((each) => NUMBERS.has(each.data_name) || MARKS.has(each.data_name) || IS_STATE.has(each.data_name) || isQuality(each));
 }
 
 // What is marked in the trace of a stream.
@@ -49,6 +54,15 @@ export function marksOf(device, stream) {
   return featuresOf(device)
     .filter((each) => MARKS.has(each.data_name) && each.derived_from === stream.source_id)
     .map((each) => ({ source_id: each.source_id, ...MARKS.get(each.data_name) }));
+}
+
+// What the stream beside a rate says now; null where there is none, or it says nothing any more.
+function stateOf(device, feature) {
+  const beside = STATES.get(feature.data_name);
+  const state = featuresOf(device).find((each) => each.data_name === beside?.name && each.derived_from === feature.derived_from);
+  if (!state?.is_fresh || !state.values.length) return null;
+  const of = (label) => state.values[state.channels.indexOf(label)] ?? null;
+  return { value: state.values[0], unit: state.units[0], age_s: of("age"), old_s: beside.old_s, intervals: of("intervals") };
 }
 
 function qualityOf(device, feature) {
@@ -63,7 +77,12 @@ function qualityOf(device, feature) {
 }
 
 // What holds is of now; of what has happened, it stands when.
-function shownValue(feature) {
+function shownValue(feature, state) {
+  if (state) {
+    if (state.value === null) return "–";
+    const old = state.age_s >= state.old_s ? `, ${state.age_s.toFixed(0)} s ago` : "";
+    return `${figure(state.value, state.unit)}${old}`;
+  }
   if (!feature.is_fresh || !feature.values.length || feature.values[0] === null) return "–";
   const value = figure(feature.values[0], feature.units[0]);
   return feature.data_name === "scr" ? `${value}, ${feature.age_s.toFixed(0)} s ago` : value;
@@ -71,10 +90,12 @@ function shownValue(feature) {
 
 function Row({ live, device, feature }) {
   const quality = qualityOf(device, feature);
+  const state = stateOf(device, feature);
+  const what = state?.value == null ? feature.channels[0] : `${feature.channels[0]}, mean of ${state.intervals} intervals`;
   return html`
     <span class="small" title=${feature.data_name}>${NUMBERS.get(feature.data_name)}</span>
     <${Spark} live=${live} stream=${feature} />
-    <span class="value small" title=${feature.channels[0]} data-feature=${feature.data_name}>${shownValue(feature)}</span>
+    <span class=${`value small ${quality?.tone === "bad" ? "doubtful" : ""}`} title=${what} data-feature=${feature.data_name}>${shownValue(feature, state)}</span>
     <span class="state small ${quality?.tone ?? ""}" title=${quality ? `quality of ${quality.signal}: ${quality.word}` : ""}>
       <span aria-hidden="true">${quality?.sign}</span>${quality && html`<span class="hidden">quality ${quality.word}</span>`}
     </span>`;

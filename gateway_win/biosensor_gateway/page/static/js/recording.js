@@ -3,6 +3,7 @@
 import { html, useEffect } from "../vendor/preact-htm.js";
 import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
+import { Alarm } from "./title.js";
 import { clock, listed } from "./words.js";
 
 // A sign, a tone, a sentence, and the same for a narrow place.
@@ -91,7 +92,7 @@ function Wearers({ status, people, participant, act }) {
 
 function Begin({ status, act }) {
   const { recording } = status;
-  const [fields, setFields] = useKept("recording", { participant: null, session: "S001", task: "Default", folder: "" });
+  const [fields, setFields] = useKept("recording", { participant: null, session: "S001", task: "Default", folder: "", only_ours: false });
   const [{ isLax }, setLax] = useKept("recording-lax", { isLax: false });
   const [isUnderWay, once] = useOneAtATime(act);
   const people = [...new Set(status.devices.map((each) => each.participant).filter(Boolean))];
@@ -116,6 +117,7 @@ function Begin({ status, act }) {
       ${box("task", "Task", fields.task, NAME)}
       ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, size: 34 })}
       <button class="main" data-clear disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
+      <label class="check"><input type="checkbox" checked=${fields.only_ours} onChange=${(event) => setFields({ only_ours: event.target.checked })} /> only these sensors, no other program's streams</label>
       <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax({ isLax: event.target.checked })} /> also without streams that are missing</label>
     </form>`;
 }
@@ -124,7 +126,7 @@ export function Session({ status, act }) {
   const { recording } = status;
   return html`
     <section class="panel" aria-labelledby="session">
-      <h2 id="session">Recording</h2>
+      <div class="card-head"><h2 id="session">Recording</h2><${Alarm} /></div>
       ${recording.is_running ? html`<${Running} recording=${recording} act=${act} />` : html`
         ${recording.file && !recording.verdict && html`
           <ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>

@@ -21,7 +21,7 @@ function Found({ device, act }) {
         ${device.rssi_dbm !== null && html`<span class="soft small">signal ${device.rssi_dbm} dBm</span>`}
       </div>
       ${device.is_known
-        ? html`<p class="small soft">It is in the settings already.</p>`
+        ? html`<p class="small soft">It is one of your sensors: its card is below.</p>`
         : html`
           <form onSubmit=${add}>
             <label>Participant (a pseudonym)

@@ -19,8 +19,12 @@ const AGENT = {
   absent: ["■", "bad", "agent does not run"],
 };
 
+// Before the first sensor is set up, nothing is wrong with that.
+const NOT_YET = ["○", "soft", AGENT.absent[2]];
+
 export function Agent({ status }) {
-  const [sign, tone, word] = status ? AGENT[status.agent] : ["■", "bad", "the page's program does not answer"];
+  const isNew = status?.agent === "absent" && !status.configured;
+  const [sign, tone, word] = isNew ? NOT_YET : status ? AGENT[status.agent] : ["■", "bad", "the page's program does not answer"];
   return html`<span class="state ${tone}" role="status"><span aria-hidden="true">${sign}</span> ${word}</span>`;
 }
 
