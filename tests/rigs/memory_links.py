@@ -21,7 +21,6 @@ import pytest
 import serial
 
 from biosensor_gateway.devices.emotibit.driver import link as emotibit_link
-from biosensor_gateway.devices.empatica_e4.driver import driver as e4_driver
 from biosensor_gateway.devices.line_sensor.driver import driver as line_driver
 from biosensor_gateway.simulation import async_serial
 from biosensor_gateway.simulation.async_serial import TcpSerialPort
@@ -267,8 +266,7 @@ def links_in_memory() -> Generator[None]:
         patch.setattr(byte_links, "SerialLink", MemorySerialLink)
         for opened in ("Serial", "serial_for_url"):
             patch.setattr(serial, opened, MemorySerial)
-        for user in (byte_links, e4_driver):
-            patch.setattr(user, "TcpLink", MemoryTcpLink)
+        patch.setattr(byte_links, "TcpLink", MemoryTcpLink)
         for user in (line_driver, emotibit_link):
             patch.setattr(user, "UdpPort", MemoryUdpPort)
         patch.setattr(MemoryPort, "tcp_ports", {})

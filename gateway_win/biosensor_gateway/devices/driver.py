@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -136,6 +137,9 @@ class DriverEntry(NamedTuple):
     declare
         Says what one device emits where that is for its settings to say; the declaration's name
         is the settings' `sensor_name`. None where the sensor's declaration holds for every device.
+    identifiers
+        Where payloads say whose device it is, besides its address, its name and the serial number
+        of `Connected`: the first group of each is replaced in what is given away.
     """
 
     settings: type[DeviceSettings]
@@ -145,6 +149,7 @@ class DriverEntry(NamedTuple):
     secrets: tuple[SecretName, ...] = ()
     unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None
     declare: Callable[[DeviceSettings], SensorSpec] | None = None
+    identifiers: tuple[re.Pattern[bytes], ...] = ()
 
 
 def own_settings(model: type[_Settings], settings: DeviceSettings) -> _Settings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -127,10 +127,17 @@ class _TestSink(DeviceSink):
         """Pass over: a test is too short to judge losses."""
 
 
-async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTest:
+async def run_device_test(
+    settings: DeviceSettings, seconds: float, ending: Callable[[], object] = lambda: None
+) -> DeviceTest:
     """Connect to a device, listen for so long, and judge what came.
 
     The device is given `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
+
+    Parameters
+    ----------
+    ending
+        Called before the driver takes its leave.
     """
     sink = _TestSink(settings)
     supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)
@@ -144,6 +151,7 @@ async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTes
             *_judgement(sink.outcome, sink.spec, sink.silent),
         ]
     finally:
+        ending()
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
     return sink.outcome

@@ -20,8 +20,13 @@ class DeviceOutlets:
     """
 
     def __init__(
-        self, identity: DeviceIdentity, spec: SensorSpec, clock: Clock = LSL_CLOCK
+        self,
+        identity: DeviceIdentity,
+        spec: SensorSpec,
+        clock: Clock = LSL_CLOCK,
+        kind: type[Outlet] = Outlet,
     ) -> None:
+        self._kind = kind
         self.identity = identity
         self._clock = clock
         self._sensor = spec
@@ -79,7 +84,8 @@ class DeviceOutlets:
                 # The old outlet must be gone before one of the same source_id appears.
                 self._outlets.pop(stream.data_name, None)
                 del present
-                self._outlets[stream.data_name] = Outlet(stream, self.identity, info, self._clock)
+                made = self._kind(stream, self.identity, info, self._clock)
+                self._outlets[stream.data_name] = made
         return changed
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pylsl
@@ -70,6 +70,22 @@ def _fault(what: Refusal, **facts: object) -> _Fault:
     return _Fault(what, facts)
 
 
+class Sending(Protocol):
+    """What an outlet needs of LSL's; see pylsl."""
+
+    def push_sample(self, x: Sequence[str], timestamp: float = 0.0) -> None:
+        """Send a text."""
+        ...
+
+    def push_chunk(self, x: NDArray[Any], timestamp: list[float]) -> None:
+        """Send samples, each with its stamp."""
+        ...
+
+    def have_consumers(self) -> bool:
+        """Whether anybody receives them."""
+        ...
+
+
 class Outlet:
     """One LSL outlet of a declared stream.
 
@@ -113,7 +129,7 @@ class Outlet:
             self.source_id,
         )
         append_children(lsl_info.desc(), describe(stream, identity, info))
-        self._outlet = LslOutlet(lsl_info)
+        self._outlet = self._made(lsl_info)
         # What a device says once or rarely, and what holds until it says otherwise.
         self._waits = waits_for_receivers(
             stream.content_type, is_regular=stream.is_regular, is_state=stream.is_state
@@ -121,6 +137,10 @@ class Outlet:
         self._ready_s, self._latest_s = self._clock() + ATTACH_TIME_S, math.inf
         # nothing is dropped: `_wait` reports what is given up
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
+
+    def _made(self, info: pylsl.StreamInfo) -> Sending:
+        """Make what sends: LSL's own outlet."""
+        return LslOutlet(info)
 
     def await_return(self) -> None:
         """Let the next samples wait until those are back who received the stream before a kill."""

@@ -8,7 +8,7 @@ may not end a pending request. Every call ends within a known time.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 from weakref import WeakKeyDictionary
@@ -20,7 +20,13 @@ from bleak.backends.service import BleakGATTServiceCollection
 from bleak.exc import BleakError
 from bleak.uuids import normalize_uuid_str
 
-from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
+from biosensor_common.errors import (
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import connect_error, is_forgotten, request_error
@@ -28,6 +34,7 @@ from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, outlasting, within
 from biosensor_gateway.transports.nearby import Advertisement
+from biosensor_gateway.transports.tap import Characteristic, LinkTap, What
 
 CONNECT_LIMIT_S = 20.0
 REQUEST_LIMIT_S = 5.0
@@ -85,6 +92,11 @@ class _Characteristics:
             for each in service.characteristics:
                 self._by_uuid.setdefault(each.uuid.lower(), each)
 
+    @property
+    def table(self) -> Sequence[Characteristic]:
+        """All of them, as the device lists them."""
+        return list(self._by_uuid.values())
+
     def find(self, uuid: str) -> BleakGATTCharacteristic | None:
         """Return a characteristic; None if the device has none such."""
         return self._by_uuid.get(normalize_uuid_str(uuid))
@@ -135,6 +147,7 @@ class BleLink:
         self._lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._attempt: asyncio.Task[None] | None = None
         self._requesting = asyncio.Lock()
+        self._tap = LinkTap(clock)
 
     @property
     def what(self) -> str:
@@ -151,18 +164,14 @@ class BleLink:
         ProtocolError
             ``REFUSED``: several are in range and none is chosen.
         """
-        sighting = await self._choice.find()
         try:
-            await self._connect(sighting)
-        except BleakError:
-            # The system forgot it between scan and connection.
-            sighting = await self._choice.find()
-            try:
-                await self._connect(sighting)
-            except BleakError as error:
-                raise connect_error(self.what, error) from error
-        self._choice.keep(sighting.advertisement)
-        return sighting.advertisement
+            seen = await self._find_and_connect()
+        except GatewayError as error:
+            self._tap.failed(error)
+            raise
+        self._choice.keep(seen)
+        self._tap.opened(seen, self._characteristics.table)
+        return seen
 
     def has(self, uuid: str) -> bool:
         """Whether the device has this characteristic; also after the link is gone."""
@@ -186,28 +195,34 @@ class BleLink:
             ``UNSUPPORTED``: there is no such characteristic.
         """
         found = self._characteristic(uuid)
-        return bytes(
-            await self._request(lambda client: client.read_gatt_char(found), REQUEST_LIMIT_S)
-        )
+        with self._tap.asking(What.READ, found.uuid) as passed:
+            passed.data = bytes(
+                await self._request(lambda client: client.read_gatt_char(found), REQUEST_LIMIT_S)
+            )
+        return passed.data
 
     async def write(self, uuid: str, data: bytes, *, response: bool = True) -> None:
         """Write a characteristic; raises as :meth:`read` does."""
         found = self._characteristic(uuid)
-        await self._request(
-            lambda client: client.write_gatt_char(found, data, response=response), REQUEST_LIMIT_S
-        )
+        with self._tap.asking(What.WRITTEN, found.uuid, data):
+            await self._request(
+                lambda client: client.write_gatt_char(found, data, response=response),
+                REQUEST_LIMIT_S,
+            )
 
     async def subscribe(self, uuid: str) -> None:
         """Pass notifications or indications on to :meth:`next`; raises as :meth:`read` does."""
         found = self._characteristic(uuid)
-        await self._request(
-            lambda client: client.start_notify(found, self._arrived), REQUEST_LIMIT_S
-        )
+        with self._tap.asking(What.SUBSCRIBED, found.uuid):
+            await self._request(
+                lambda client: client.start_notify(found, self._arrived), REQUEST_LIMIT_S
+            )
 
     async def unsubscribe(self, uuid: str) -> None:
         """End it; raises as :meth:`read` does."""
         found = self._characteristic(uuid)
-        await self._request(lambda client: client.stop_notify(found), REQUEST_LIMIT_S)
+        with self._tap.asking(What.UNSUBSCRIBED, found.uuid):
+            await self._request(lambda client: client.stop_notify(found), REQUEST_LIMIT_S)
 
     async def pair(self) -> None:
         """Pair without a PIN; nothing to do on macOS, which pairs when it must.
@@ -219,7 +234,8 @@ class BleLink:
         AttError
             The device refuses.
         """
-        await self._request(self._pair, PAIR_LIMIT_S, TransportReason.DENIED)
+        with self._tap.asking(What.PAIRED):
+            await self._request(self._pair, PAIR_LIMIT_S, TransportReason.DENIED)
 
     async def next(self) -> Notification:
         """Wait for the next notification.
@@ -238,9 +254,23 @@ class BleLink:
     async def close(self) -> None:
         """Disconnect; never raises, and takes 1.5 s at most."""
         client, self._client = self._client, None
+        self._tap.ended(What.CLOSED)
         self._end()
         if client is not None:
             await _hang_up(client, self._attempt, self._pairing)
+
+    async def _find_and_connect(self) -> Advertisement:
+        sighting = await self._choice.find()
+        try:
+            await self._connect(sighting)
+        except BleakError:
+            # The system forgot it between scan and connection.
+            sighting = await self._choice.find()
+            try:
+                await self._connect(sighting)
+            except BleakError as error:
+                raise connect_error(self.what, error) from error
+        return sighting.advertisement
 
     async def _connect(self, sighting: Sighting) -> None:
         """Raise as :meth:`open` does, or a BleakError if the system forgot the device."""
@@ -328,12 +358,14 @@ class BleLink:
     def _arrived(self, characteristic: BleakGATTCharacteristic, data: bytearray) -> None:
         arrival = self.clock()
         notification = Notification(characteristic.uuid.lower(), bytes(data), arrival)
+        self._tap.came(What.CAME, *notification)
         self._incoming.put_nowait(notification)
 
     def _disconnected(self, client: BleakClient) -> None:
         # Also called for attempts that fail, which bleak may repeat by itself.
         if self._connected and client is self._client:
             self._pairing.note_drop(self.clock() - self._connected_s)
+            self._tap.ended(What.LOST)
             self._end()
 
     def _end(self) -> None:

@@ -12,6 +12,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, TransportError, T
 from biosensor_gateway.transports.link import ByteLink
 from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink
 from biosensor_gateway.transports.socket_link import SocketLink
+from biosensor_gateway.transports.tap import byte_link_of
 from biosensor_gateway.transports.tcp_link import TcpLink
 
 _MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
@@ -106,11 +107,16 @@ def byte_link(port: str, baud_rate: int = USUAL_BAUD_RATE) -> ByteLink:
     if port.startswith(_SOCKET):
         return _tcp_link(port)
     if _MAC.fullmatch(port):
-        return RfcommLink(port.upper())
-    return SerialLink(port, baud_rate)
+        return byte_link_of(RfcommLink(port.upper()))
+    return byte_link_of(SerialLink(port, baud_rate))
 
 
-def _tcp_link(port: str) -> TcpLink:
+def tcp_link(host: str, port: int) -> ByteLink:
+    """Return the closed link to a TCP port, 1 to 65535, of a host: its name, IPv4 or IPv6."""
+    return byte_link_of(TcpLink(host, port))
+
+
+def _tcp_link(port: str) -> ByteLink:
     try:
         parts = urlsplit(port)
         host, number = parts.hostname, parts.port
@@ -119,4 +125,4 @@ def _tcp_link(port: str) -> TcpLink:
     if not host or not number:
         message = f"port {port!r} is no address; write socket://HOST:NUMBER"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    return TcpLink(host, number)
+    return tcp_link(host, number)

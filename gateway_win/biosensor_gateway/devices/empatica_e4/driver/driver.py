@@ -34,8 +34,8 @@ from biosensor_gateway.devices.empatica_e4.driver.protocol import (
 )
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.byte_links import tcp_link
 from biosensor_gateway.transports.dialogue import Dialogue
-from biosensor_gateway.transports.tcp_link import TcpLink
 
 PATIENCE_S = 5.0
 SHOWN = 60
@@ -65,13 +65,13 @@ class _Conversation:
 
     def __init__(self, host: str, port: int) -> None:
         self._where = f"E4 server {host}:{port}"
-        self._link = TcpLink(host, port)
+        self._link = tcp_link(host, port)
         self._protocol = E4Protocol()
         self._dialogue = Dialogue(self._receive, self._link.write)
         self._reported_bytes = 0
 
     async def open(self) -> None:
-        """Connect; see :meth:`TcpLink.open` for what it raises."""
+        """Connect; see :meth:`ByteLink.open` for what it raises."""
         try:
             await self._link.open()
         except TransportError as error:

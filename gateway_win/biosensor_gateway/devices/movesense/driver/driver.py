@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -160,4 +161,6 @@ def recognise(seen: Advertisement | SerialPort) -> Found | None:
     return Found("movesense", seen.name, settings, seen.rssi_dbm)
 
 
-DRIVER = DriverEntry(MovesenseSettings, _make, recognise=recognise)
+# The third text of the greeting.
+IDENTIFIERS = (re.compile(rb"\0([0-9A-Fa-f:-]{12,17})\0"),)
+DRIVER = DriverEntry(MovesenseSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)

@@ -87,4 +87,6 @@ def recognise(seen: Advertisement | SerialPort) -> Found | None:
     return Found("muse", seen.name or f"{KIND} without a name", settings, seen.rssi_dbm)
 
 
-DRIVER = DriverEntry(MuseSettings, _make, recognise=recognise)
+# Of the headband's status: number of its chip, serial number, address, name.
+IDENTIFIERS = (re.compile(rb'"(?:id|sn|ma|hn)"\s*:\s*"([^"]{4,64})"'),)
+DRIVER = DriverEntry(MuseSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
@@ -218,4 +219,7 @@ def recognise(seen: Advertisement | SerialPort) -> Found | None:
     return Found("vernier_respiration_belt", seen.name, settings, seen.rssi_dbm)
 
 
-DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise)
+# Behind order code, serial number and name, and what was made and when, in the answer that says
+# what the belt is: its address.
+IDENTIFIERS = (re.compile(rb"GDX-RB\0{10}.{16}.{32}.{14}(.{6})", re.DOTALL),)
+DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)
