@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.docs import catalogue, fault_picture, sender_table, sensor_table
+from tests.docs import catalogue, fault_picture, sender_table, sensor_table, worked_with
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = ROOT / "docs" / "decisions"
@@ -59,6 +59,7 @@ PARTS = (
     Part("docs/sensors/README.md", "pages", catalogue.pages),
     Part("docs/sensors/README.md", "verified", catalogue.verified),
     Part("docs/sensors/catalogue.md", "catalogue", catalogue.catalogue),
+    Part("docs/sensors/worked-with.md", "worked-with", worked_with.worked_with),
     Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
     Part("docs/pictures/faults.svg", "", fault_picture.picture),

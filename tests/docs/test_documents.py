@@ -86,7 +86,9 @@ def _cli_fault(arguments: list[str]) -> str:
     command: Any = app()
     while arguments and isinstance(command, TyperGroup) and not arguments[0].startswith("-"):
         name, *arguments = arguments
-        found = command.commands.get(name)
+        # In a group with a default, what is no command is an argument of that one.
+        default: str = getattr(command, "default", "")
+        found = command.commands.get(name) or command.commands.get(default)
         if found is None:
             return f"no such command: {name}"
         command = found.load() if isinstance(found, Deferred) else found

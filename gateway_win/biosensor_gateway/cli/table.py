@@ -134,6 +134,11 @@ COMMANDS = (
         "Connect to one device, show what it sends and what is wrong; nothing is streamed.",
     ),
     _command(
+        "capture",
+        "capture:app",
+        "Capture what a device sends, to help its driver: capture SENSOR. Or replay a capture.",
+    ),
+    _command(
         "doctor",
         "doctor:doctor",
         "Say what is wrong on this computer and how to mend it; exit code 1 if there are errors.",

@@ -1,0 +1,1 @@
+"""Captures: what passed between a driver and a real device, to be sent in and replayed."""

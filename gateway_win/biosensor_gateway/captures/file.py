@@ -1,0 +1,201 @@
+"""The file of a capture: compressed lines of JSON, a header and then what passed.
+
+Captures come from strangers. A file is read whole, up to `MAX_BYTES`, and each line is checked.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.transports.tap import CANCELLED, What
+
+ENDING = ".capture.gz"
+LICENCE = "CC0-1.0"
+MAX_BYTES = 256 * 2**20
+"""Unpacked: several hours of the busiest sensor."""
+
+Text = Annotated[str, StringConstraints(max_length=500)]
+Hex = Annotated[str, StringConstraints(pattern=r"^(?:[0-9a-f]{2})*$", max_length=2 * 65536)]
+Uuid = Annotated[str, StringConstraints(pattern=r"^[0-9a-f-]{0,36}$")]
+_STRICT = ConfigDict(extra="forbid", frozen=True)
+
+
+class Advertised(BaseModel):
+    """What a Bluetooth LE device said of itself before it was connected."""
+
+    model_config = _STRICT
+
+    address: Text
+    name: Text = ""
+    rssi_dbm: int | None = None
+    services: tuple[Uuid, ...] = ()
+    manufacturer: Mapping[int, Hex] = Field(default_factory=dict[int, Hex])
+
+
+class Row(BaseModel):
+    """One characteristic of its GATT table."""
+
+    model_config = _STRICT
+
+    uuid: Uuid
+    service: Uuid
+    properties: tuple[Text, ...]
+
+
+class Event(BaseModel):
+    """Something that passed.
+
+    Attributes
+    ----------
+    t
+        Seconds since the first link was opened.
+    link
+        Which connection, counted from 0.
+    took
+        How long an answer took [s].
+    """
+
+    model_config = _STRICT
+
+    t: float
+    link: int = Field(ge=0)
+    what: What
+    at: Uuid = ""
+    data: Hex = ""
+    took: float = Field(default=0.0, ge=0)
+    error: Text = ""
+    seen: Advertised | None = None
+    table: tuple[Row, ...] = ()
+
+    @property
+    def bytes(self) -> bytes:
+        """Its data."""
+        return bytes.fromhex(self.data)
+
+    @property
+    def is_cancelled(self) -> bool:
+        """Whether the driver did not wait for the answer."""
+        return self.error == CANCELLED
+
+
+class Header(BaseModel):
+    """What a capture is of.
+
+    Attributes
+    ----------
+    settings
+        Of the device, where they are not the usual ones.
+    left_out
+        Names of settings that are free texts: they may tell whose the device is, or where.
+    system, radio
+        Of the computer that recorded it.
+    recorded
+        Year and month.
+    seconds
+        From first to last.
+    failed
+        How often a link could not be opened, by reason.
+    source
+        Where bytes come from that another program recorded; empty for this one.
+    note
+        What whoever recorded it adds.
+    """
+
+    model_config = _STRICT
+
+    biosensor_capture: Literal[1] = 1
+    sensor: Text
+    manufacturer: Text = ""
+    model: Text = ""
+    firmware: Text = ""
+    settings: Mapping[str, Any] = Field(default_factory=dict[str, Any])
+    left_out: tuple[Text, ...] = ()
+    system: Text = ""
+    radio: Text = ""
+    gateway: Text = ""
+    recorded: Text = ""
+    seconds: float = 0.0
+    failed: Mapping[str, int] = Field(default_factory=dict[str, int])
+    licence: Text = LICENCE
+    consent: Text = ""
+    source: Text = ""
+    note: Text = ""
+
+
+class Capture(BaseModel):
+    """A header, and what passed in the order of its times."""
+
+    model_config = _STRICT
+
+    header: Header
+    events: tuple[Event, ...]
+
+    def of_links(self) -> list[list[Event]]:
+        """Return the events of each connection."""
+        links: dict[int, list[Event]] = {}
+        for event in self.events:
+            links.setdefault(event.link, []).append(event)
+        return list(links.values())
+
+
+def packed(capture: Capture) -> bytes:
+    """Return the content of a file; the same capture gives the same bytes."""
+    lines = [_line(capture.header), *map(_line, capture.events)]
+    return gzip.compress(("\n".join(lines) + "\n").encode(), mtime=0)
+
+
+def _line(model: BaseModel) -> str:
+    return json.dumps(model.model_dump(mode="json", exclude_defaults=True) | _marker(model))
+
+
+def _marker(model: BaseModel) -> dict[str, int]:
+    return {"biosensor_capture": 1} if isinstance(model, Header) else {}
+
+
+def read(path: Path) -> Capture:
+    """Read a file.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND``; ``UNREADABLE``, if it is no capture or damaged.
+    """
+    try:
+        with gzip.open(path) as packed_file:
+            content = packed_file.read(MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise ConfigError(ConfigReason.NOT_FOUND, f"there is no file {path}") from error
+    except (OSError, EOFError, zlib.error) as error:
+        raise _unreadable(path, "it is not compressed by gzip, or cut short") from error
+    if len(content) > MAX_BYTES:
+        raise _unreadable(path, f"it is larger than {MAX_BYTES >> 20} MB")
+    return _parsed(path, content.splitlines())
+
+
+def _parsed(path: Path, lines: Sequence[bytes]) -> Capture:
+    events: list[Event] = []
+    try:
+        header = Header.model_validate_json(lines[0] if lines else b"")
+        for line in lines[1:]:
+            events.append(Event.model_validate_json(line))  # noqa: PERF401 - counted if one fails
+    except ValidationError as error:
+        what = f"line {len(events) + 1}, or the one behind it: {error.errors()[0]['msg']}"
+        raise _unreadable(path, what) from error
+    for before, after in pairwise(events):
+        if after.t < before.t:
+            raise _unreadable(path, "its times step back")
+    return Capture(header=header, events=tuple(events))
+
+
+def _unreadable(path: Path, why: str) -> ConfigError:
+    message = f"{path} is no capture that can be read: {why}; have it sent again"
+    return ConfigError(ConfigReason.UNREADABLE, message)

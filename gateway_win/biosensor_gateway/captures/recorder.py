@@ -1,0 +1,220 @@
+"""Captures a device: runs its driver for a while, and keeps what passes over its links."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.captures.file import Advertised, Capture, Event, Header, Row
+from biosensor_gateway.captures.redaction import Redaction, Replaced, is_address
+from biosensor_gateway.devices.registry import driver
+from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.transports.nearby import Advertisement
+from biosensor_gateway.transports.tap import Characteristic, Passed, What, tapped
+
+_OF_THE_LAB = frozenset(DeviceSettings.model_fields)
+
+
+class Recorder:
+    """A :class:`~biosensor_gateway.transports.tap.Tap` that keeps all it is told."""
+
+    def __init__(self, clock: Clock = LSL_CLOCK) -> None:
+        self._clock = clock
+        self._opened: list[tuple[float, Advertisement | None, Sequence[Characteristic]]] = []
+        self._passed: list[tuple[int, Passed]] = []
+        self.failed: Counter[str] = Counter()
+        self._has_ended = False
+
+    def end(self) -> None:
+        """Take nothing more: how the driver takes its leave is not what the device sends."""
+        self._has_ended = True
+
+    def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> int:
+        """Take a new link; return its number."""
+        self._opened.append((self._clock(), seen, table))
+        return len(self._opened) - 1
+
+    def failed_to_open(self, reason: str) -> None:
+        """Take an attempt that did not succeed."""
+        self.failed[reason] += 1
+
+    def passed(self, link: int, what: Passed) -> None:
+        """Take what passes over a link; an answer is filled in when it has come."""
+        if not self._has_ended:
+            self._passed.append((link, what))
+
+    def events(self) -> list[Event]:
+        """Return all of it, in the order of its times."""
+        if not self._opened:
+            return []
+        times = [*(each[0] for each in self._opened), *(each.begun_s for _, each in self._passed)]
+        begin_s = min(times)
+        events: list[Event] = []
+        for number, (opened_s, seen, table) in enumerate(self._opened):
+            own = [each for link, each in self._passed if link == number]
+            # What is read by a thread may be there before the event loop knows of the link.
+            first_s = min([opened_s, *(each.begun_s for each in own)])
+            events.append(_opening(number, first_s - begin_s, seen, table))
+            events += [_event(number, each, begin_s) for each in own]
+        return sorted(events, key=lambda each: each.t)
+
+
+def _opening(
+    link: int, t: float, seen: Advertisement | None, table: Sequence[Characteristic]
+) -> Event:
+    advertised = None
+    if seen is not None:
+        data = {company: each.hex() for company, each in seen.manufacturer_data.items()}
+        advertised = Advertised(
+            address=seen.address,
+            name=seen.name,
+            rssi_dbm=seen.rssi_dbm,
+            services=tuple(sorted(seen.service_uuids)),
+            manufacturer=data,
+        )
+    rows = tuple(
+        Row(
+            uuid=row.uuid.lower(),
+            service=row.service_uuid.lower(),
+            properties=tuple(row.properties),
+        )
+        for row in table
+    )
+    return Event(t=round(t, 6), link=link, what=What.OPENED, seen=advertised, table=rows)
+
+
+def _event(link: int, passed: Passed, begin_s: float) -> Event:
+    return Event(
+        t=round(passed.begun_s - begin_s, 6),
+        link=link,
+        what=passed.what,
+        at=passed.at.lower(),
+        data=passed.data.hex(),
+        took=round(max(0.0, passed.ended_s - passed.begun_s), 6),
+        error=passed.error,
+    )
+
+
+class Taken(NamedTuple):
+    """A capture that nobody has agreed to yet.
+
+    Attributes
+    ----------
+    capture
+        What would leave this computer.
+    replaced
+        What was replaced in it.
+    test
+        What the driver made of the device.
+    """
+
+    capture: Capture
+    replaced: list[Replaced]
+    test: DeviceTest
+
+
+async def take(settings: DeviceSettings, seconds: float) -> Taken:
+    """Connect to a device and capture what passes for so long.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``: the device is not reached over a link that can be captured.
+    TransportError, ProtocolError
+        As for :func:`~biosensor_gateway.doctor.device_test.run_device_test`.
+    """
+    recorder = Recorder()
+    with tapped(recorder):
+        test = await run_device_test(settings, seconds, recorder.end)
+    return taken(recorder, settings, test)
+
+
+def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Taken:
+    """Join what was captured, without what tells whose device it is.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``: nothing passed over any link.
+    """
+    events = recorder.events()
+    if not events:
+        raise ConfigError(ConfigReason.WRONG_VALUE, _nothing(recorder, settings, test))
+    entry, info = driver(settings.sensor), test.info or DeviceInfo()
+    recognise = entry.recognise
+    redaction = Redaction(
+        (lambda seen: recognise(seen) is not None) if recognise is not None else lambda _: False,
+        entry.identifiers,
+    )
+    told = redaction.of(events, [info.serial_number, *_addresses(settings)])
+    kept, left_out = _own_settings(settings)
+    header = Header(
+        sensor=settings.sensor,
+        manufacturer=redaction.text(info.manufacturer),
+        model=redaction.text(info.model),
+        firmware=redaction.text(info.firmware_version),
+        settings=kept,
+        left_out=left_out,
+        system=_system(),
+        radio=_radio(),
+        gateway=version("biosensor-gateway"),
+        recorded=time.strftime("%Y-%m"),
+        seconds=round(max(each.t + each.took for each in told), 1),
+        failed=dict(recorder.failed),
+    )
+    return Taken(Capture(header=header, events=tuple(told)), redaction.replaced, test)
+
+
+def _nothing(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> str:
+    if recorder.failed or test.info is None:
+        why = "; ".join(test.problems) or "the device did not connect"
+        return f"nothing could be captured: {why}"
+    return (
+        f"{settings.sensor} is not reached over Bluetooth LE, a serial port or TCP by this program "
+        "itself, and other ways cannot be captured yet"
+    )
+
+
+def _addresses(settings: DeviceSettings) -> list[str]:
+    """Return the settings that are addresses; Bluetooth Classic has them as ports."""
+    texts = [each for each in dict(settings).values() if isinstance(each, str)]
+    return [each for each in texts if is_address(each)]
+
+
+def _own_settings(settings: DeviceSettings) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return numbers, lists and choices, and the names of all else that was set.
+
+    Free texts may say whose the device is, or where.
+    """
+    kept: dict[str, Any] = {}
+    left_out: list[str] = []
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        if name in _OF_THE_LAB or value == field.default:
+            continue
+        is_choice = get_origin(field.annotation) is Literal and value in get_args(field.annotation)
+        if is_choice or (isinstance(value, bool | int | float | tuple) and name != "port"):
+            kept[name] = value
+        else:
+            left_out.append(name)
+    return kept, tuple(left_out)
+
+
+def _system() -> str:
+    """Return system, version and processor; not the name of the computer."""
+    return f"{platform.system()} {platform.release()} ({platform.version()}), {platform.machine()}"
+
+
+def _radio() -> str:
+    """Return by what Bluetooth is spoken, as far as that can be told without rights."""
+    stacks = {"win32": "WinRT", "darwin": "CoreBluetooth", "linux": "BlueZ"}
+    return f"{stacks.get(sys.platform, sys.platform)}, bleak {version('bleak')}"

@@ -1,0 +1,295 @@
+"""Replaces, in what passed, all that tells whose device it is: addresses, serial numbers, names.
+
+A pseudonym has the shape of what it replaces, so that drivers read it alike, and its bytes have
+the same sum: checksums that add bytes hold on, and tell no more than before. The same secret has
+the same pseudonym in all of a capture, and another one in the next.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import string
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+from bleak.uuids import normalize_uuid_16
+
+from biosensor_gateway.captures.file import Advertised, Event
+from biosensor_gateway.transports.nearby import Advertisement
+from biosensor_gateway.transports.tap import What
+
+LEAST_SEARCHED = 4
+"""Shorter ones would be found where they are not: in samples."""
+_HEADERS = 4
+"""A text that goes on in the next packet stands behind at most so many bytes less one there."""
+_TRIES = 20_000
+_LEAST_SUMMED = 6
+_ADDRESS_TEXT = re.compile(rb"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
+_ADDRESS = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]?){5}[0-9A-Fa-f]{2}")
+_WORD = re.compile(r"[^\W_]+")
+_HEX = frozenset(string.hexdigits)
+_NAME, _SYSTEM_ID, _SERIAL = map(normalize_uuid_16, (0x2A00, 0x2A23, 0x2A25))
+_LETTERS = (string.digits, string.ascii_uppercase, string.ascii_lowercase)
+_HEX_LETTERS = (string.digits, "ABCDEF", "abcdef")
+
+
+class Replaced(NamedTuple):
+    """Something that was replaced.
+
+    Attributes
+    ----------
+    kind
+        ``address``, ``serial number``, ``name``, ``identifier``.
+    secret, pseudonym
+        Before and after.
+    times
+        How often it was found in payloads.
+    """
+
+    kind: str
+    secret: str
+    pseudonym: str
+    times: int
+
+
+class Redaction:
+    """All that is replaced in one capture.
+
+    Parameters
+    ----------
+    recognises
+        Tells whether an advertisement would still be taken for such a device: what it needs for
+        that stays as it is.
+    patterns
+        Where payloads of this sensor have identifiers: the first group of each.
+    """
+
+    def __init__(
+        self, recognises: Callable[[Advertisement], bool], patterns: Sequence[re.Pattern[bytes]]
+    ) -> None:
+        self._recognises = recognises
+        self._patterns = (*patterns, _ADDRESS_TEXT)
+        self._pseudonyms: dict[str, tuple[str, str]] = {}
+        self._counts: dict[str, int] = {}
+
+    @property
+    def replaced(self) -> list[Replaced]:
+        """What was replaced so far."""
+        return [
+            Replaced(kind, secret, pseudonym, self._counts.get(secret, 0))
+            for secret, (kind, pseudonym) in self._pseudonyms.items()
+        ]
+
+    def of(self, events: Sequence[Event], known: Iterable[str]) -> list[Event]:
+        """Return the events of a capture without what tells whose device it is.
+
+        Parameters
+        ----------
+        known
+            Serial numbers and addresses that the driver was told or has learnt.
+        """
+        for secret in filter(None, known):
+            self._pseudonym("address" if is_address(secret) else "serial number", secret)
+        told = [self._told(event) for event in events]
+        by_stream: dict[tuple[int, str, What], list[int]] = {}
+        for index, event in enumerate(told):
+            by_stream.setdefault((event.link, event.at, event.what), []).append(index)
+        payloads = {
+            key: [bytearray(told[index].bytes) for index in indices]
+            for key, indices in by_stream.items()
+        }
+        for each in payloads.values():
+            self._learn(each)
+        for each in payloads.values():
+            self._replace(each)
+        for key, indices in by_stream.items():
+            for index, payload in zip(indices, payloads[key], strict=True):
+                told[index] = told[index].model_copy(update={"data": payload.hex()})
+        return told
+
+    def text(self, text: str) -> str:
+        """Return a text with the pseudonyms of all that is known by now."""
+        for secret in sorted(self._pseudonyms, key=len, reverse=True):
+            if len(secret) >= LEAST_SEARCHED:
+                text = text.replace(secret, self._pseudonyms[secret][1])
+        return text
+
+    def _told(self, event: Event) -> Event:
+        """Replace what a link said of itself, and learn from what has a standard place."""
+        if event.seen is not None:
+            return event.model_copy(update={"seen": self._advertised(event.seen)})
+        if event.what is not What.READ or event.at not in (_NAME, _SYSTEM_ID, _SERIAL):
+            return event
+        content = event.bytes
+        if event.at == _SYSTEM_ID:
+            return event.model_copy(update={"data": secrets.token_hex(len(content))})
+        text = content.decode("utf-8", "replace").strip("\0 ")
+        if text and event.at == _SERIAL:
+            self._pseudonym("serial number", text)
+        elif text:
+            replaced = self._name(text, Advertisement("")).encode()
+            data = replaced if len(replaced) == len(content) else content
+            return event.model_copy(update={"data": data.hex()})
+        return event
+
+    def _advertised(self, seen: Advertised) -> Advertised:
+        original = _advertisement(seen)
+        is_known = self._recognises(original)
+        manufacturer = dict(seen.manufacturer)
+        for company in seen.manufacturer:
+            rest = {each: data for each, data in manufacturer.items() if each != company}
+            trial = seen.model_copy(update={"manufacturer": rest})
+            if not is_known or self._recognises(_advertisement(trial)):
+                manufacturer = rest
+        address = self._pseudonym("address", seen.address)
+        name = self._name(seen.name, original)
+        update = {"address": address, "name": name, "manufacturer": manufacturer}
+        return seen.model_copy(update=update)
+
+    def _name(self, name: str, seen: Advertisement) -> str:
+        """Replace each word of a name without which the device is still recognised."""
+        is_known = self._recognises(seen)
+        kept = set(_WORD.findall(seen.name if is_known else ""))
+        for word in sorted(set(_WORD.findall(name)), key=len, reverse=True):
+            pseudonym = self._pseudonyms.get(word, ("", _like(word)))[1]
+            trial = _with_word(name, word, pseudonym)
+            fits = self._recognises(
+                Advertisement(seen.address, trial, None, seen.service_uuids, seen.manufacturer_data)
+            )
+            if not is_known or fits:
+                name = trial
+                self._pseudonyms.setdefault(word, ("name", pseudonym))
+                kept.discard(word)
+        return name
+
+    def _pseudonym(self, kind: str, secret: str) -> str:
+        known = self._pseudonyms.get(secret)
+        if known is None:
+            # The first character of a serial number often tells the model, and drivers ask it.
+            kept = "" if kind in ("address", "name") else secret[:1]
+            known = self._pseudonyms[secret] = kind, _like(secret, kept)
+        return known[1]
+
+    def _learn(self, payloads: Sequence[bytearray]) -> None:
+        """Find what the patterns say, also where it goes on in the next packet."""
+        for header in range(_HEADERS):
+            text = b"".join(payload[header:] for payload in payloads)
+            for pattern in self._patterns:
+                for found in pattern.finditer(text):
+                    secret = _spelt(found[found.re.groups and 1])
+                    # One that is nothing but zeros tells nothing.
+                    is_told = len(set(_bare(secret))) > 1
+                    if is_told and _bare(secret) not in map(_bare, self._pseudonyms):
+                        self._pseudonym("identifier", secret)
+
+    def _replace(self, payloads: Sequence[bytearray]) -> None:
+        for header in range(_HEADERS):
+            pieces = [bytes(payload[header:]) for payload in payloads]
+            ends = list(accumulate(map(len, pieces)))
+            text = b"".join(pieces)
+            for secret in sorted(self._pseudonyms, key=len, reverse=True):
+                for before, after in _forms(secret, self._pseudonyms[secret][1]):
+                    for position in _positions(text, before):
+                        self._counts[secret] = self._counts.get(secret, 0) + 1
+                        for offset, byte in enumerate(after, position):
+                            piece = bisect_right(ends, offset)
+                            begin = ends[piece] - len(pieces[piece])
+                            payloads[piece][header + offset - begin] = byte
+
+
+def is_address(text: str) -> bool:
+    """Whether a text is a MAC address."""
+    return _ADDRESS.fullmatch(text) is not None
+
+
+def _advertisement(seen: Advertised) -> Advertisement:
+    manufacturer = {each: bytes.fromhex(data) for each, data in seen.manufacturer.items()}
+    return Advertisement(
+        seen.address, seen.name, seen.rssi_dbm, frozenset(seen.services), manufacturer
+    )
+
+
+def _spelt(found: bytes) -> str:
+    """Return an identifier as text; what is not printable is an address in six bytes."""
+    text = found.decode("ascii", "replace")
+    return text if text.isprintable() and "\ufffd" not in text else found.hex(":")
+
+
+def _with_word(name: str, word: str, other: str) -> str:
+    return _WORD.sub(lambda found: other if found[0] == word else found[0], name)
+
+
+def _forms(secret: str, pseudonym: str) -> Iterator[tuple[bytes, bytes]]:
+    """Yield how a secret may stand in payloads, each with what stands for it."""
+    if len(secret) < LEAST_SEARCHED:
+        return
+    bare = [_bare(each) for each in (secret, pseudonym)]
+    spelt = [(secret, pseudonym)]
+    if is_address(secret):
+        spelt += [_joined(bare, mark) for mark in ("", ":", "-")]
+    forms = {
+        change(before).encode(): change(after).encode()
+        for before, after in spelt
+        for change in (str, str.upper, str.lower)
+    }
+    if is_address(secret):
+        before, after = (bytes.fromhex(each) for each in bare)
+        forms |= {before: after, before[::-1]: after[::-1]}
+    yield from forms.items()
+
+
+def _bare(address: str) -> str:
+    return re.sub("[:-]", "", address).upper()
+
+
+def _joined(texts: Sequence[str], mark: str) -> tuple[str, str]:
+    first, second = (mark.join(re.findall("..", each)) for each in texts)
+    return first, second
+
+
+def _positions(text: bytes, wanted: bytes) -> Iterator[int]:
+    position = text.find(wanted)
+    while position >= 0:
+        yield position
+        position = text.find(wanted, position + len(wanted))
+
+
+def _like(secret: str, kept: str = "") -> str:
+    """Make up a text of the same shape, whose bytes have the same sum if that can be.
+
+    Parameters
+    ----------
+    kept
+        How it begins, too.
+    """
+    words = "".join(_WORD.findall(secret))
+    is_hex = set(words) <= _HEX and any(map(str.isdigit, words))
+    classes = _HEX_LETTERS if is_hex else _LETTERS
+    rest = secret[len(kept) :]
+    candidate = secret
+    for _ in range(_TRIES):
+        candidate = kept + "".join(_drawn(each, classes) for each in rest)
+        # Of a short one the sum tells too much.
+        is_alike = len(secret) < _LEAST_SUMMED or _sums(candidate) == _sums(secret)
+        if candidate != secret and is_alike:
+            return candidate
+    return candidate
+
+
+def _drawn(letter: str, classes: Sequence[str]) -> str:
+    letters = next((each for each in classes if letter in each), "")
+    if not letters and letter.isalpha():
+        # Of another script: what is short in bytes must stay so long.
+        return letter if len(letter.encode()) == 1 else chr(ord(letter) ^ 1)
+    return secrets.choice(letters) if letters else letter
+
+
+def _sums(text: str) -> tuple[int, ...]:
+    """Sum the bytes of a text and, of an address, of what it means, by 256."""
+    sums = [sum(text.encode()) % 256]
+    if is_address(text):
+        sums.append(sum(bytes.fromhex(_bare(text))) % 256)
+    return tuple(sums)

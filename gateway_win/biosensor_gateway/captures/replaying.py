@@ -1,0 +1,314 @@
+"""Runs a capture through the driver of its sensor, and reports what became of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from statistics import median
+from typing import Any, get_args
+
+import pylsl
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.naming import source_id
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
+from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.captures.bluetooth import backends
+from biosensor_gateway.captures.deck import Player, ReplayedLink
+from biosensor_gateway.captures.file import Capture
+from biosensor_gateway.devices.registry import declared, driver
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.simulation.bleak_pickers import standing_in
+from biosensor_gateway.streaming.device_outlets import DeviceOutlets
+from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock, LeapingClock
+from biosensor_gateway.transports.tap import What, replaced
+
+SETTLING_S = 0.5
+"""After the last byte: what is still in work is emitted."""
+BEGIN_S = 1000.0
+"""Of the clock that leaps; device times map to stamps before it, and none may be negative."""
+GIVE_UP_S = 60.0
+"""A driver that does not open the next connection within this time has given up."""
+UNIT = "replayed"
+_PLACES = frozenset({"device", "port", "host"})
+"""Settings that lead to a device; here it is that of the capture."""
+
+
+@dataclass(slots=True)
+class StreamReport:
+    """What became of one stream.
+
+    Attributes
+    ----------
+    lost, refused
+        Counted as lost by the device's numbers; kept back, and why.
+    ages_s
+        From the stamp of the last sample of each packet to its arrival [s].
+    """
+
+    samples: int = 0
+    lost: int = 0
+    refused: int = 0
+    ages_s: list[float] = field(default_factory=list[float])
+
+    @property
+    def least_s(self) -> float | None:
+        """Smallest age; negative where a stamp is later than the arrival."""
+        return min(self.ages_s, default=None)
+
+    @property
+    def median_s(self) -> float | None:
+        """Age in the middle."""
+        return median(self.ages_s) if self.ages_s else None
+
+    @property
+    def most_s(self) -> float | None:
+        """Largest age."""
+        return max(self.ages_s, default=None)
+
+
+@dataclass(slots=True)
+class Report:
+    """What became of a capture.
+
+    Attributes
+    ----------
+    streams
+        By data name, those with samples or losses.
+    dropped_bytes
+        That made no valid message.
+    sentences
+        What was not passed on as it came, in the words of the agent.
+    problems
+        What keeps the replay from being like the recording; empty if all is well.
+    notes
+        What is worth knowing and is no problem.
+    """
+
+    info: DeviceInfo | None = None
+    connections: int = 0
+    seconds: float = 0.0
+    streams: dict[str, StreamReport] = field(default_factory=dict[str, StreamReport])
+    dropped_bytes: int = 0
+    reanchors: int = 0
+    sentences: list[str] = field(default_factory=list[str])
+    problems: list[str] = field(default_factory=list[str])
+    notes: list[str] = field(default_factory=list[str])
+
+
+class _Nowhere:
+    """Takes what LSL's outlet takes, and sends it nowhere."""
+
+    def push_sample(self, x: Sequence[str], timestamp: float = 0.0) -> None:
+        """Take a text."""
+
+    def push_chunk(self, x: NDArray[Any], timestamp: list[float]) -> None:
+        """Take samples."""
+
+    def have_consumers(self) -> bool:
+        """Let nothing wait for a receiver."""
+        return True
+
+
+class UnsentOutlet(Outlet):
+    """Checks and counts as an outlet does, and sends nothing."""
+
+    def _made(self, info: pylsl.StreamInfo) -> _Nowhere:
+        del info
+        return _Nowhere()
+
+
+class ReplaySink(DeviceSink):
+    """Takes what a driver emits, and compares stamps with arrivals.
+
+    Parameters
+    ----------
+    kind
+        Of the outlets; those of LSL are for a live replay.
+    """
+
+    def __init__(
+        self,
+        identity: DeviceIdentity,
+        spec: SensorSpec,
+        clock: Clock,
+        kind: type[Outlet] = UnsentOutlet,
+    ) -> None:
+        super().__init__(identity, spec, clock)
+        self._outlets = DeviceOutlets(identity, spec, clock, kind)
+        self.tap = self._note
+        self.noted: dict[str, StreamReport] = {}
+
+    def _note(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        del samples
+        noted = self.noted.setdefault(data_name, StreamReport())
+        noted.samples += len(stamps)
+        noted.ages_s.append(self.clock() - stamps[-1])
+
+
+MakeSink = Callable[[DeviceIdentity, SensorSpec, Clock], ReplaySink]
+
+
+def replay(
+    capture: Capture,
+    *,
+    live: bool = False,
+    make_sink: MakeSink | None = None,
+) -> Report:
+    """Run a capture through the driver of its sensor, on links that play it.
+
+    Parameters
+    ----------
+    live
+        As long as it took, as streams of LSL; else at once, and nothing is streamed.
+    make_sink
+        Makes what takes the samples; usually they are checked and counted.
+
+    Raises
+    ------
+    ConfigError
+        ``MALFORMED``: nothing passed over any link; ``WRONG_VALUE``: its settings do not hold.
+    SpecError
+        Its sensor is not known.
+    """
+    kind = Outlet if live else UnsentOutlet
+    if not capture.events or any(link[0].what is not What.OPENED for link in capture.of_links()):
+        message = "the capture has a connection without a beginning; have it recorded anew"
+        raise ConfigError(ConfigReason.MALFORMED, message)
+    clock = LSL_CLOCK if live else LeapingClock(BEGIN_S)
+    make = make_sink or partial(ReplaySink, kind=kind)
+    with asyncio.Runner(loop_factory=clock.new_event_loop) as runner:
+        return runner.run(_replayed(capture, clock, make))
+
+
+def live_outlets() -> None:
+    """Prepare LSL for live replays; before anything else asks it."""
+    configure_lsl(LslOverrides())
+
+
+def replay_settings(capture: Capture) -> DeviceSettings:
+    """Return settings that lead a driver to a capture's device.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``: they do not hold, or it lacks some that its sensor needs.
+    """
+    header, seen = capture.header, capture.events[0].seen
+    model = driver(header.sensor).settings
+    fields: dict[str, Any] = {"sensor": header.sensor, "unit": UNIT, **header.settings}
+    for name, field_info in model.model_fields.items():
+        # Where the device is; here it is nowhere.
+        is_place = field_info.is_required() or (name in header.left_out and name in _PLACES)
+        kinds = (field_info.annotation, *get_args(field_info.annotation))
+        if name not in fields and is_place and str in kinds:
+            fields[name] = UNIT
+    if "device" in model.model_fields:
+        fields["device"] = "" if seen is None else seen.address
+    try:
+        return model.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        message = f"the settings of the capture do not hold for {header.sensor} ({what})"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message) from error
+
+
+async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Report:
+    settings = replay_settings(capture)
+    player = Player(capture, clock)
+    sink = make_sink(settings.identity, declared(settings), clock)
+    with _links(capture, player, clock):
+        supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)
+        running = asyncio.create_task(supervisor.run())
+        begun_s = clock()
+        is_played = await _play(player, clock)
+        report = _report(sink, player, supervisor, capture.header.left_out)
+        report.seconds = clock() - begun_s
+        if not is_played:
+            report.problems.append(
+                f"the driver made {len(player.decks)} connections of "
+                f"{len(capture.of_links())}: {supervisor.last_error or 'it says no reason'}"
+            )
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        sink.close()
+    return report
+
+
+@contextmanager
+def _links(capture: Capture, player: Player, clock: Clock) -> Generator[None]:
+    seen = capture.events[0].seen
+    with replaced(lambda: ReplayedLink(player, clock)):
+        if seen is None:
+            yield
+        else:
+            with standing_in(backends(player, seen)):
+                yield
+
+
+async def _play(player: Player, clock: Clock) -> bool:
+    """Wait until all was played; return False if the driver has given up before."""
+    playing = asyncio.create_task(player.played())
+    known, since_s = -1, clock()
+    while not playing.done():
+        await asyncio.wait({playing}, timeout=1.0)
+        is_waiting = not player.decks or player.decks[-1].is_over.is_set()
+        if len(player.decks) != known or not is_waiting or player.rest_s:
+            known, since_s = len(player.decks), clock()
+        elif clock() - since_s > GIVE_UP_S:
+            playing.cancel()
+            return False
+    await asyncio.sleep(SETTLING_S)
+    return True
+
+
+def _report(
+    sink: ReplaySink, player: Player, supervisor: Supervisor, left_out: Sequence[str]
+) -> Report:
+    sink.release()
+    report = Report(
+        info=sink.info if sink.is_open else None,
+        connections=supervisor.connections,
+        dropped_bytes=sink.dropped_bytes,
+        reanchors=sink.clock_state.reanchors,
+    )
+    for name in [each.data_name for each in sink.spec.streams if sink.is_open]:
+        source = source_id(sink.identity, name)
+        counters, stream = sink.counters[source], sink.noted.get(name, StreamReport())
+        stream.lost, stream.refused = counters.lost, counters.refused
+        if stream.samples or stream.lost or stream.refused:
+            report.streams[name] = stream
+        report.sentences += [f"{name}: {each.sentence}" for each in sink.refused[source].all]
+    report.sentences += [each.sentence for each in sink.refusals.all]
+    if supervisor.last_error is not None:
+        report.problems.append(supervisor.last_error)
+    if not report.streams:
+        report.problems.append("no sample was decoded")
+    unknown, unasked = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
+    for deck in player.decks:
+        unknown += deck.unknown
+        unasked += deck.unasked
+    report.notes += [
+        f"the driver asked {count} times what the capture has no answer to: {what} {at}".rstrip()
+        for (what, at), count in unknown.items()
+    ]
+    report.notes += [
+        f"the driver did not ask {count} times what the device was asked then: {what} {at}".rstrip()
+        for (what, at), count in unasked.items()
+    ]
+    if set(left_out) - _PLACES:
+        names = ", ".join(sorted(set(left_out) - _PLACES))
+        report.notes.append(f"it was captured with other settings, which are not in it: {names}")
+    if player.unheard:
+        report.notes.append(f"{player.unheard} packets came that the driver did not listen to")
+    return report

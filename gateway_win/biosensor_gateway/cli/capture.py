@@ -1,0 +1,258 @@
+"""``biosensor-gateway capture``: what a real device sends, to help its driver; and its replay."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from secrets import token_hex
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.cli.chosen_devices import chosen_devices
+from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.cli.questions import ask, can_ask
+from biosensor_gateway.cli.quick_help import QuickGroup
+from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.system.logs import configure_logs
+
+if TYPE_CHECKING:
+    from typer._click import Command, Context
+
+    from biosensor_gateway.captures.file import Capture
+    from biosensor_gateway.captures.recorder import Taken
+    from biosensor_gateway.captures.replaying import Report
+
+SECONDS = 60.0
+CONSENT = (
+    "An electrocardiogram, a pulse wave, an EEG and the way a person moves can identify this "
+    "person, as a fingerprint can, without any name. The file will be public, for anybody and for "
+    "good: under the licence CC0-1.0, which gives up all rights, nobody can take it back. So send "
+    "it only if you wore the device, or if whoever wore it knows all this and agrees; for a child, "
+    "the parents."
+)
+AGREED = "Whoever wore the device has agreed that it is public under CC0-1.0."
+_SHOWN_BYTES = 24
+_MAX_NOTE = 300
+_UNFIT = re.compile(r"[^A-Za-z0-9.]+")
+
+
+class _Captures(QuickGroup):
+    """A group in which what is no command is a sensor to capture."""
+
+    default = "of"
+
+    def resolve_command(
+        self, ctx: Context, args: list[str]
+    ) -> tuple[str | None, Command | None, list[str]]:
+        if args and args[0] not in self.commands and not args[0].startswith("-"):
+            args = [self.default, *args]
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(
+    cls=_Captures,
+    help="Capture what a device sends, to help its driver: capture SENSOR. Or replay a capture.",
+    no_args_is_help=True,
+)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command(_Captures.default)
+def capture_of(
+    sensor: Annotated[str, typer.Argument(help="Which sensor, by its name in the settings.")],
+    unit: Annotated[str, typer.Option(help="Which one, if several are configured.")] = "",
+    settings: SettingsOption = None,
+    seconds: Annotated[float, typer.Option(min=5, max=3600, help="How long.")] = SECONDS,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default=False)
+    ] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Try its virtual device.")] = False,
+) -> None:
+    """Capture a device: `capture SENSOR` does the same. Nothing is sent.
+
+    What passes between its driver and the device is kept with the times of
+    arrival. Addresses, serial numbers and names are replaced. You see what the
+    file holds, and it is saved only if you agree.
+    """
+    if not can_ask():
+        message = "a capture needs somebody's consent: run it in a terminal"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    from biosensor_gateway.captures.file import packed  # takes a second, and needs liblsl
+    from biosensor_gateway.captures.recorder import take
+    from biosensor_gateway.doctor.device_test import chosen_device
+
+    configure_logs(LogSettings(level="error"), None)
+    with chosen_devices(settings, sensor if simulate else "") as configured:
+        device = chosen_device(sensor, unit, configured)
+        say(f"Connecting, then {seconds:g} s are captured. The device should be worn.")
+        taken = asyncio.run(take(device, seconds))
+    for line in summary(taken):
+        say(line, hang=4)
+    for problem in taken.test.problems:
+        say(f"! {problem}")
+    if not _is_agreed(taken):
+        say("Nothing was saved.")
+        raise typer.Exit(1)
+    capture = _with_note(taken.capture, "a virtual device" if simulate else "")
+    path = output or Path(file_name(capture))
+    with path.open("xb") as file:
+        file.write(packed(capture))
+    say(f"Saved: {path.resolve()} ({path.stat().st_size / 1024:.0f} KB). Nothing was sent.")
+    say('To send it, open an issue of the kind "A capture of a device" and attach the file.')
+
+
+@app.command()
+def replay(
+    files: Annotated[
+        list[Path], typer.Argument(help="Captures, or folders of them.", show_default=False)
+    ],
+    live: Annotated[
+        bool, typer.Option("--live", help="As long as it took, as streams of LSL.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run captures through their drivers, at once or live; exit code 1 if one has a problem.
+
+    The report says what was decoded, dropped and refused, and by how much the
+    stamps are before the arrivals.
+    """
+    from biosensor_gateway.captures.file import read  # only then, as above
+    from biosensor_gateway.captures.replaying import replay as replayed
+
+    configure_logs(LogSettings(level="error"), None)
+    if live:
+        from biosensor_gateway.captures.replaying import live_outlets
+
+        live_outlets()
+    reports: dict[str, Report] = {}
+    for path in _each(files):
+        capture = read(path)
+        report = reports[str(path)] = replayed(capture, live=live)
+        if not as_json:
+            _print(path, capture, report)
+    if as_json:
+        typer.echo(json.dumps({path: _plain(each) for path, each in reports.items()}, indent=2))
+    if any(each.problems for each in reports.values()):
+        raise typer.Exit(1)
+
+
+def summary(taken: Taken) -> Iterator[str]:
+    """Say what would leave this computer, and what does not."""
+    capture = taken.capture
+    header = capture.header
+    yield ""
+    yield "This is what the file holds:"
+    known = (header.manufacturer, header.model, header.firmware)
+    yield f"  device: {header.sensor}, {', '.join(filter(None, known)) or 'nothing known of it'}"
+    yield f"  computer: {header.system}; {header.radio}; biosensor-gateway {header.gateway}"
+    yield f"  month: {header.recorded}; length: {header.seconds:g} s"
+    if header.settings:
+        yield f"  settings: {json.dumps(header.settings)}"
+    if header.left_out:
+        yield f"  left out of the settings: {', '.join(header.left_out)}"
+    seen = capture.events[0].seen
+    if seen is not None:
+        yield f"  advertised: {seen.name or 'no name'}, {seen.address}"
+    yield "  what passed, with the time of each, and the first of it:"
+    groups: dict[tuple[str, str], list[bytes]] = {}
+    for event in capture.events:
+        groups.setdefault((event.what.value, event.at), []).append(event.bytes)
+    for (what, at), packets in groups.items():
+        size = sum(map(len, packets))
+        first = next(filter(None, packets), b"")[:_SHOWN_BYTES].hex(" ")
+        yield f"    {what} {at}".rstrip() + f": {len(packets)} times, {size} bytes; {first}"
+    yield "The device's own clock is in it as it is, which may tell date and time."
+    yield "Replaced:" if taken.replaced else "There was nothing to replace."
+    for each in taken.replaced:
+        found = f", {each.times} times in what passed" if each.times else ""
+        yield f"    {each.kind}: {each.secret} became {each.pseudonym}{found}"
+
+
+def file_name(capture: Capture) -> str:
+    """Return a name for the file that tells what it is of, and not whose."""
+    from biosensor_gateway.captures.file import ENDING  # only then
+
+    header = capture.header
+    parts = (header.sensor, header.model, header.firmware, token_hex(2))
+    return "-".join(_UNFIT.sub("_", each) for each in parts if each) + ENDING
+
+
+def _is_agreed(taken: Taken) -> bool:
+    typer.echo()
+    say(CONSENT)
+    typer.echo()
+    while True:
+        answer = ask("Type yes to save it, show to see all of it, no to throw it away:", str)
+        if answer.casefold() != "show":
+            return answer.casefold() == "yes"
+        typer.echo(taken.capture.header.model_dump_json())
+        for event in taken.capture.events:
+            typer.echo(event.model_dump_json(exclude_defaults=True))
+
+
+def _with_note(capture: Capture, source: str) -> Capture:
+    note = ask("What did you see? One line without names, or Enter:", str)[:_MAX_NOTE]
+    update = {"consent": AGREED, "note": note, "source": source}
+    header = capture.header.model_copy(update=update)
+    return capture.model_copy(update={"header": header})
+
+
+def _each(files: Sequence[Path]) -> Iterator[Path]:
+    from biosensor_gateway.captures.file import ENDING  # only then
+
+    for path in files:
+        if path.is_dir():
+            yield from sorted(path.rglob(f"*{ENDING}"))
+        else:
+            yield path
+
+
+def _print(path: Path, capture: Capture, report: Report) -> None:
+    header = capture.header
+    known = " ".join(filter(None, (header.sensor, header.model, header.firmware)))
+    say(f"{path}: {known}; {report.connections} connections in {report.seconds:.1f} s")
+    rows = [
+        (
+            name,
+            str(each.samples),
+            str(each.lost),
+            str(each.refused),
+            *map(_milliseconds, (each.least_s, each.median_s, each.most_s)),
+        )
+        for name, each in report.streams.items()
+    ]
+    if rows:
+        headings = ("stream", "samples", "lost", "refused", "least ms", "median ms", "most ms")
+        terminal = console()
+        terminal.print(table_of_names(headings, rows, terminal.width))
+        say("ms: from the stamp of a packet's last sample to its arrival.")
+    if report.reanchors:
+        say(f"! the device's clock jumped {report.reanchors} times; its stamps are re-anchored")
+    for sentence in (*report.sentences, *report.problems, *report.notes):
+        say(f"! {sentence}")
+    if not (report.sentences or report.problems or report.notes or report.reanchors):
+        say("no problem found")
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return "" if seconds is None else f"{1000 * seconds:.1f}"
+
+
+def _plain(report: Report) -> dict[str, object]:
+    plain = asdict(report)
+    for name, each in report.streams.items():
+        ages = {"least_s": each.least_s, "median_s": each.median_s, "most_s": each.most_s}
+        counts = {"samples": each.samples, "lost": each.lost, "refused": each.refused}
+        plain["streams"][name] = counts | ages
+    return plain

@@ -1,0 +1,129 @@
+"""``biosensor-gateway capture``: nothing is saved of which nobody has seen what it holds."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.errors import ConfigError
+from biosensor_gateway.captures import recorder
+from biosensor_gateway.captures.file import ENDING, Capture, packed, read
+from biosensor_gateway.captures.recorder import Taken
+from biosensor_gateway.captures.redaction import Replaced
+from biosensor_gateway.cli import capture as command
+from biosensor_gateway.cli.app import app
+from biosensor_gateway.doctor.device_test import DeviceTest
+from biosensor_gateway.settings.models import DeviceSettings
+from tests.zephyr import recorded_capture
+
+SECRET = "00:07:80:5A:3E:7E"
+Command = Callable[..., int]
+
+
+@pytest.fixture
+def device() -> Capture:
+    """The first reads of a real device."""
+    whole = recorded_capture.capture()
+    return whole.model_copy(update={"events": whole.events[:200]})
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, device: Capture, tmp_path: Path) -> list[str]:
+    """What a person types, the last first; the device is there."""
+    answers: list[str] = []
+    replaced = [Replaced("address", SECRET, "00:17:81:5B:3F:7F", 3)]
+
+    async def take(settings: DeviceSettings, seconds: float) -> Taken:
+        assert (settings.sensor, seconds) == ("zephyr", 5.0)
+        return Taken(device, replaced, DeviceTest(problems=["hr: no sample came"]))
+
+    def answer(_question: str) -> str:
+        return answers.pop()
+
+    monkeypatch.setattr(recorder, "take", take)
+    monkeypatch.setattr(command, "can_ask", lambda: True)
+    monkeypatch.setattr("builtins.input", answer)
+    monkeypatch.chdir(tmp_path)
+    settings = tmp_path / "settings.toml"
+    settings.write_text(f'[[device]]\nsensor = "zephyr"\nunit = "U1"\nport = "{SECRET}"\n')
+    return answers
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Run a command; return its exit code."""
+
+    def run(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            app()()
+        return int(ended.value.code or 0)
+
+    return run
+
+
+CAPTURE = ("capture", "zephyr", "--settings", "settings.toml", "--seconds", "5")
+
+
+def test_who_agrees_gets_a_file_with_consent_and_note(
+    typed: list[str], run: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed[:] = ["stops after a minute", "yes"]
+    assert run(*CAPTURE) == 0
+    (file,) = tmp_path.glob(f"*{ENDING}")
+    assert file.name.startswith("zephyr-BioHarness_3-")
+    header = read(file).header
+    assert header.consent == command.AGREED
+    assert header.note == "stops after a minute"
+    told = capsys.readouterr().out
+    # What leaves, what was replaced, and what that means, before the question.
+    assert f"{SECRET} became" in told
+    assert "fingerprint" in told
+    assert "hr: no sample came" in told
+    assert "Nothing was sent" in told
+
+
+@pytest.mark.parametrize("answer", ["no", "", "y", "yes please"])
+def test_anything_but_yes_saves_nothing(
+    typed: list[str], run: Command, tmp_path: Path, answer: str
+) -> None:
+    typed[:] = [answer]
+    assert run(*CAPTURE) == 1
+    assert not list(tmp_path.glob(f"*{ENDING}"))
+
+
+def test_all_of_it_is_shown_to_who_asks(
+    typed: list[str], run: Command, device: Capture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed[:] = ["no", "show"]
+    assert run(*CAPTURE) == 1
+    told = capsys.readouterr().out
+    assert all(each.data in told for each in device.events)
+
+
+def test_a_program_cannot_consent(
+    typed: list[str], run: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "can_ask", lambda: False)
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *CAPTURE])
+    with pytest.raises(ConfigError, match="somebody's consent"):
+        app()(standalone_mode=False)
+
+
+def test_a_replay_reports_each_stream(
+    run: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = recorded_capture.capture()
+    short = whole.model_copy(update={"events": whole.events[:400]})
+    (tmp_path / f"one{ENDING}").write_bytes(packed(short))
+    assert run("capture", "replay", str(tmp_path), "--json") == 0
+    (report,) = json.loads(capsys.readouterr().out).values()
+    assert report["problems"] == []
+    ecg = report["streams"]["ecg"]
+    assert (ecg["samples"] % 63, ecg["lost"], ecg["refused"]) == (0, 0, 0)
+    assert ecg["samples"] > 1000
+    assert ecg["least_s"] <= ecg["median_s"] <= ecg["most_s"]
