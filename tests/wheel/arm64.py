@@ -22,7 +22,10 @@ PLATFORM, PYTHON, RELEASE = "aarch64-manylinux_2_36", "3.11", "bookworm"
 QEMU_RELEASE = "trixie"
 HOME = "home"
 DEV_LOCK = ROOT / "requirements" / "dev.txt"
-TEST_TOOLS = ("pytest", "pytest-asyncio", "pytest-timeout", "pytest-xdist", "hypothesis")
+TEST_TOOLS = (
+    *("pytest", "pytest-asyncio", "pytest-timeout", "pytest-xdist", "hypothesis"),
+    "pyxdf",
+)
 KEYRING = "/usr/share/keyrings/debian-archive-keyring.gpg"
 # Magic and mask of ELF files for this processor.
 MAGIC = r"\x7f\x45\x4c\x46\x02\x01\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\x02\x00\xb7\x00"
