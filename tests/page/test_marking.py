@@ -85,6 +85,8 @@ def test_those_of_the_participant_before_stand_apart_and_none_is_forgotten(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     agent, marking = Agent(session, monkeypatch), Marking(session)
+    # Until the agent has said which buttons there are, nobody is to name them.
+    assert not session.markers.told
 
     def mark(name: str) -> None:
         asyncio.run(marking.mark(NewMarker(marker=name)))
@@ -93,6 +95,7 @@ def test_those_of_the_participant_before_stand_apart_and_none_is_forgotten(
     session.recording = RecordingView(is_running=True, started=time.time())
     mark("of P02")
     assert shown(session) == [("of P01", True, False), ("of P02", False, True)]
+    assert session.markers.told
     # The recording is over: until the next one its markers are the newest ones.
     session.recording = RecordingView()
     mark("behind it")

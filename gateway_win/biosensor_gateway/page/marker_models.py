@@ -41,8 +41,15 @@ class MarkerView(BaseModel):
 
 
 class MarkersView(BaseModel):
-    """The newest markers, the newest last, and the names of the buttons."""
+    """The newest markers, the newest last, and the names of the buttons.
 
+    Attributes
+    ----------
+    told
+        Whether an agent has said so; else there may be some.
+    """
+
+    told: bool = False
     markers: list[MarkerView] = Field(default_factory=list[MarkerView])
     buttons: list[str] = Field(default_factory=list[str])
 

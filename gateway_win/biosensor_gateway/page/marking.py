@@ -102,7 +102,7 @@ class Marking:
             self._of_before = [e for e in before if (e.id, e.lsl_time) not in known][-LISTED:]
         self._begun = max(self._begun, self._session.recording.started)
         gone = len(self._of_before)
-        view.markers = [*self._of_before, *view.markers]
+        view.markers, view.told = [*self._of_before, *view.markers], True
         for number, each in enumerate(view.markers):
             each.earlier = (each.time or 0.0) < self._begun
             each.can_be_undone = number >= gone and not each.earlier

@@ -110,7 +110,7 @@ export function Markers({ markers, experiments, isRecorded, isVirtual, act }) {
       <h2 id="markers">Markers</h2>
       ${!isRecorded && html`<p class="small notes">This page records nothing now: a marker is in a file only if another program records it.</p>`}
       <${MarkerButtons} names=${markers.buttons} act=${act} />
-      ${!isVirtual && html`<${NameButtons} names=${markers.buttons} act=${act} />`}
+      ${!isVirtual && markers.told && html`<${NameButtons} names=${markers.buttons} act=${act} />`}
       <form onSubmit=${send}>
         <label>Note, stamped when it is sent
           <input type="text" maxlength="200" size="40" required value=${note} onInput=${(event) => setNote({ note: event.target.value })} />
