@@ -181,7 +181,7 @@ async def test_the_list_has_the_last_ones_and_who_is_undone(desk: Desk) -> None:
         "received",
         "undone",
     }
-    assert (newest["marker"], newest["kind"], newest["source"]) == ("m11", "api", "page")
+    assert (newest["marker"], newest["kind"], newest["source"]) == (f"m{LISTED + 1}", "api", "page")
     desk.commands.settings = MarkerSettings(buttons=("other",))
     assert json.loads(json.dumps(await desk.ask("markers")))["buttons"] == ["other"]
 
