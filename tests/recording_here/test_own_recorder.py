@@ -35,9 +35,11 @@ from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStr
 from biosensor_gateway.recording.receiving import program
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
+from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.framing import Tag
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import decode
+from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.recording_here.conftest import Sources
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.lsl_streams import note_askers, wait_until
@@ -460,14 +462,16 @@ def test_a_stream_that_answers_late_is_recorded_from_then_on(
     assert b"<sample_count>%d<" % len(found["held"].samples) in found["held"].footer
 
 
-def test_what_comes_back_with_other_channels_is_another_stream(tmp_path: Path) -> None:
-    def start(unit: str) -> pylsl.StreamOutlet:
-        info = pylsl.StreamInfo("unit", "EEG", 1, 0.0, "float32", "unit-id")
-        channel = info.desc().append_child("channels").append_child("channel")
-        channel.append_child_value("label", "Fz")
-        channel.append_child_value("unit", unit)
-        return pylsl.StreamOutlet(info)
+def start(unit: str) -> pylsl.StreamOutlet:
+    """Start a stream whose samples are in this unit."""
+    info = pylsl.StreamInfo("unit", "EEG", 1, 0.0, "float32", "unit-id")
+    channel = info.desc().append_child("channels").append_child("channel")
+    channel.append_child_value("label", "Fz")
+    channel.append_child_value("unit", unit)
+    return pylsl.StreamOutlet(info)
 
+
+def test_what_comes_back_with_other_channels_is_another_stream(tmp_path: Path) -> None:
     file = tmp_path / "unit.xdf"
     outlet = start("microvolts")
     with own_recorder(file):
@@ -482,6 +486,25 @@ def test_what_comes_back_with_other_channels_is_another_stream(tmp_path: Path) -
         time.sleep(1.0)
     found = {each.header.units: values_of(each) for each in streams_of(file)}
     assert found == {("microvolts",): [0.0, 2.0], ("volts",): [1.0]}
+
+
+@pytest.mark.usefixtures("only_own")
+def test_what_changed_under_way_is_a_warning_of_the_verdict(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    outlet = start("microvolts")
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    said = RecorderFolder(state).said
+    wait_until(lambda: "collection for stream unit" in said.read_text(), "it is recorded")
+    del outlet
+    _again = start("volts")
+    wait_until(lambda: "later than others" in said.read_text(), "the recorder goes on")
+    verdict = recording.stop().verdict
+    told = [each for each in verdict.findings if each.code == "told"]
+    assert {each.level for each in told} == {Level.WARNING}
+    assert "has other channels than before" in told[0].text
+    assert verdict.colour is not Colour.GREEN
 
 
 def test_it_looks_as_long_as_other_streams_come(tmp_path: Path) -> None:

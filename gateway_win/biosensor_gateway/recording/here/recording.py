@@ -191,6 +191,7 @@ def end(folder: RecorderFolder) -> StoppedHere:
         _wait_for_program(kept)
     seen = wait_until_closed(file, _STILL_S, _CLOSING_S)
     folder.forget()
+    said = Said(folder.what_was_said())
     expected = [ExpectedStream(each, each) for each in kept.required]
     if seen is None:
         message = f"{kept.file} still grows, though nobody keeps it; record stop --file looks again"
@@ -198,11 +199,11 @@ def end(folder: RecorderFolder) -> StoppedHere:
     if not seen.is_closed:
         verdict = None
         with contextlib.suppress(RecordingError):
-            verdict = check(file, expected, kept.without)
+            verdict = check(file, expected, kept.without, said.notes)
         why = _why_not_closed(kept, seen)
         message = (
             f"{kept.file}: {why}. Look at it with: biosensor-gateway xdf check. The last that "
-            f"{kept.recorder} said: {Said(folder.what_was_said()).end}"
+            f"{kept.recorder} said: {said.end}"
         )
         raise NotClosedError(message, why, verdict)
     took_s = time.monotonic() - begun
@@ -214,7 +215,7 @@ def end(folder: RecorderFolder) -> StoppedHere:
         streams=len(seen.streams),
         with_samples=len(seen.with_samples),
         took_s=took_s,
-        verdict=check(file, expected, kept.without),
+        verdict=check(file, expected, kept.without, said.notes),
         warnings=tuple(_warnings(kept)),
     )
 

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
 from biosensor_gateway.recording.labrecorder.streams import VisibleStream
+from biosensor_gateway.recording.receiving import NOTE
 
 _FOUND, _MATCHING = "Found ", " matching '"
 _READY, _BEGUN = "Starting the recording", "Started data collection for stream "
@@ -50,6 +51,12 @@ class Said:
             else:
                 missed.append(stream)
         return tuple(missed)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the own recorder wants a person to know of its recording."""
+        lines = self._text.splitlines()
+        return tuple(each.removeprefix(NOTE) for each in lines if each.startswith(NOTE))
 
     @property
     def end(self) -> str:

@@ -27,6 +27,7 @@ from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl.namesakes import by_start
 from biosensor_common.lsl.network import Streams, search
 from biosensor_common.lsl.sender_clocks import LIMIT_S, STEP_S, SenderClocks
+from biosensor_gateway.recording.receiving import NOTE
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf import writing
 
@@ -122,6 +123,8 @@ class _Recorder:
             clocks.stop()
         for each in self._streams:
             each.end()
+            if not each.has_begun:
+                _say(f"{NOTE}{each.title} never answered, and is not recorded")
         self._flush()
         return 0
 
@@ -157,7 +160,8 @@ class _Recorder:
         while self._renewed:
             again = ReceivedStream(next(self._numbers), self._renewed.pop(), self._write)
             self._streams.append(again)
-            _say(f"{again.title} has other channels than before; it is recorded as another stream")
+            what = "has other channels than before, and is recorded as another stream"
+            _say(f"{NOTE}{again.title} {what}")
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
         infos = sorted(resolver.results(), key=by_start) if absent else []
         for stream in absent:
@@ -208,8 +212,10 @@ class _Recorder:
             if each.is_open and not each.has_begun:
                 each.begin()
                 _say(f"Started data collection for stream {each.title}, later than others")
+                _say(f"{NOTE}{each.title} is recorded only from {time.strftime('%H:%M:%S')} on")
             if (gone := each.take()) is not None:
-                _say(f"{each.title} has ended; {gone} of its samples were not received")
+                note = NOTE if gone else ""
+                _say(f"{note}{each.title} has ended; {gone} of its samples were not received")
 
     def _flush(self) -> None:
         """Whoever watches the file sees it grow, and what was written outlives this process."""

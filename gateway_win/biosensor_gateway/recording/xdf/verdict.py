@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum, unique
 from pathlib import Path
 
@@ -65,7 +65,10 @@ class Verdict:
 
 
 def check(
-    file: Path, expected: Sequence[ExpectedStream] = (), without: Collection[str] = ()
+    file: Path,
+    expected: Sequence[ExpectedStream] = (),
+    without: Collection[str] = (),
+    told: Iterable[str] = (),
 ) -> Verdict:
     """Read a recording and judge it.
 
@@ -73,13 +76,18 @@ def check(
     ----------
     without
         source_ids of sensors that a person has left out on purpose.
+    told
+        What its recorder says that the analysis must know.
 
     Raises
     ------
     RecordingError
         If there is no such file, it cannot be read, or it is no XDF file.
     """
-    return verdict(judge(read_recording(file), expected, without))
+    report = judge(read_recording(file), expected, without)
+    findings = [*report.findings, *(Finding(Level.WARNING, "told", "", each) for each in told)]
+    findings.sort(key=lambda each: list(Level).index(each.level))
+    return verdict(replace(report, findings=tuple(findings)))
 
 
 def verdict(report: Report) -> Verdict:
