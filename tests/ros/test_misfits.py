@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float32
 
@@ -13,6 +14,7 @@ from tests.rigs.recorded_topics import RecordedPublisher
 
 USUAL = QoSProfile(depth=10)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+ENDLESS = Duration(seconds=9223372036, nanoseconds=854775807)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -41,11 +43,24 @@ def test_another_type_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("offered", "asked", "word"), [(USUAL, LATCHED, "olatile"), (BEST_EFFORT, USUAL, "est effort")]
+    ("offered", "asked", "expected"),
+    [
+        (USUAL, LATCHED, "volatile and not transient_local"),
+        (BEST_EFFORT, USUAL, "best_effort and not reliable"),
+        (
+            BEST_EFFORT,
+            LATCHED,
+            "best_effort and not reliable and volatile and not transient_local",
+        ),
+    ],
 )
 def test_what_is_asked_for_and_not_offered_is_named(
-    offered: QoSProfile, asked: QoSProfile, word: str
+    offered: QoSProfile, asked: QoSProfile, expected: str
 ) -> None:
-    told = misfit(offered, asked)
-    assert told.startswith("/client asks for another quality of service (")
-    assert word in told
+    assert misfit(offered, asked) == f"it is {expected}, as /client wants it"
+
+
+def test_what_dds_says_of_deadlines_is_no_misfit() -> None:
+    # An endless one, which nobody has asked for.
+    endless = QoSProfile(depth=10, deadline=ENDLESS, liveliness_lease_duration=ENDLESS)
+    assert misfit(USUAL, endless) == ""

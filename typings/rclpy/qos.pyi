@@ -1,5 +1,7 @@
 from enum import Enum
 
+from rclpy.duration import Duration
+
 class DurabilityPolicy(Enum):
     TRANSIENT_LOCAL = 1
     VOLATILE = 2
@@ -21,6 +23,8 @@ class QoSProfile:
         depth: int = ...,
         durability: DurabilityPolicy = ...,
         reliability: ReliabilityPolicy = ...,
+        deadline: Duration = ...,
+        liveliness_lease_duration: Duration = ...,
     ) -> None: ...
     @property
     def reliability(self) -> ReliabilityPolicy: ...
@@ -28,12 +32,3 @@ class QoSProfile:
     def durability(self) -> DurabilityPolicy: ...
     @property
     def depth(self) -> int: ...
-
-class QoSCompatibility(Enum):
-    OK = 0
-    WARNING = 1
-    ERROR = 2
-
-def qos_check_compatible(
-    publisher_qos: QoSProfile, subscription_qos: QoSProfile
-) -> tuple[QoSCompatibility, str]: ...

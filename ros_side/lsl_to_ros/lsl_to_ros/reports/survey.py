@@ -163,7 +163,8 @@ class Survey:
             has_others = self._node.count_subscribers(name) > publisher.readers
             known = self._node.get_subscriptions_info_by_topic(name) if has_others else []
             told = [why for each in known if (why := publisher.misfit(each))]
-            if told and is_known_otherwise:
+            is_other_type = any(each.topic_type != publisher.type_name for each in known)
+            if is_other_type and is_known_otherwise:
                 told.append(f"with {COMPAT}:={SMARTLAB} it is as the original framework has it")
             why = "; ".join(dict.fromkeys(told))
             bridge.counters.refusals.hold(Refusal.READ_IN_VAIN, bool(why), about=name, why=why)

@@ -9,13 +9,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import (
-    DurabilityPolicy,
-    QoSCompatibility,
-    QoSPolicyKind,
-    QoSProfile,
-    qos_check_compatible,
-)
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -28,6 +22,12 @@ _POLICIES = (
     QoSPolicyKind.DEPTH,
     QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
+)
+
+# What is offered, and what gets nothing of it.
+_TOO_LITTLE = (
+    (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
+    (DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL),
 )
 
 
@@ -94,10 +94,15 @@ class TopicPublisher:
         who = f"{reader.node_namespace.rstrip('/')}/{reader.node_name}"
         if reader.topic_type != self.type_name:
             return f"{who} reads it as {reader.topic_type}, and it is {self.type_name}"
-        fits, reason = qos_check_compatible(self.ros_publisher.qos_profile, reader.qos_profile)
-        if fits != QoSCompatibility.ERROR:
-            return ""
-        return f"{who} asks for another quality of service ({reason.rstrip('; ')})"
+        # Of what rclpy can compare besides, DDS tells other words for "none" than it is told.
+        offered, asked = self.ros_publisher.qos_profile, reader.qos_profile
+        pairs = ((offered.reliability, asked.reliability), (offered.durability, asked.durability))
+        missing = [
+            f"{there.name.lower()} and not {wanted.name.lower()}"
+            for there, wanted in pairs
+            if (there, wanted) in _TOO_LITTLE
+        ]
+        return f"it is {' and '.join(missing)}, as {who} wants it" if missing else ""
 
     def _is_taken(self) -> bool:
         """Whether the reliable subscribers have all that was published."""
