@@ -15,7 +15,7 @@ from std_msgs.msg import Float32MultiArray
 from lsl_to_ros.lsl.share import Share
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Flow, Ros
+    from tests.ros.conftest import Flow, Ros, RunningNode
 
 PROCESSES = 3
 NODE_ARGUMENTS = ("--ros-args", "-p", f"processes:={PROCESSES}")
@@ -110,7 +110,7 @@ def test_units_of_one_name_are_named_apart_whoever_reads_them(ros: Ros) -> None:
         assert status.level == DiagnosticStatus.ERROR
 
 
-def test_a_parameter_that_is_set_holds_in_every_process(ros: Ros) -> None:
+def test_a_parameter_that_is_set_holds_in_every_process(ros: Ros, node: RunningNode) -> None:
     sources = [for_process(index, "set") for index in range(PROCESSES)]
     topics = [topic_of(source) for source in sources]
     outlets = [pylsl.StreamOutlet(info(source, source)) for source in sources]
@@ -159,6 +159,11 @@ def test_a_parameter_that_is_set_holds_in_every_process(ros: Ros) -> None:
     assert ros.set("Sensor_Enable", True) == ""
     assert ros.set("Chunk_Length", 128) == ""
     assert ros.set("processes", 2) != ""
+    # Of a stream of any process it is known, and of a misspelt one it is not.
+    assert ros.set("mispselt.EEG.Chunk_Length", 3) == ""
+    early = "holds for no stream yet"
+    ros.until(lambda: node.count("mispselt.EEG.Chunk_Length", early) == 1, "a line in the log")
+    assert node.count(f"{sources[2]}.EEG.Chunk_Length", early) == 0
 
 
 def parameters(ros: Ros) -> list[str]:

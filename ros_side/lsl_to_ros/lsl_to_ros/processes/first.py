@@ -82,10 +82,9 @@ class LslToRos(Node):
         return Setup(share, self.get_name(), self.get_namespace(), parameters)
 
     def _pass_on(self, parameters: Sequence[Parameter]) -> None:
-        if not self._children:
-            # Else this process does not know all streams.
-            for sentence in self._work.parameters.without_stream(parameters):
-                self._work.log.warn(sentence)
+        # Also the streams of other processes are declared here.
+        for sentence in self._work.parameters.without_stream(parameters):
+            self._work.log.warn(sentence)
         messages = [parameter.to_parameter_msg() for parameter in parameters]
         for child in self._children:
             child.send(Settings(messages))
