@@ -122,7 +122,7 @@ def test_a_subscriber_that_gets_nothing_is_told(ros: Ros, start_node: Start) -> 
     other_type = "/listener reads it as std_msgs/msg/Int32, and it is std_msgs/msg/String"
     ros.until(lambda: other_type in message(), "a warning of the type")
     assert status_of(ros, topic).level == DiagnosticStatus.WARN
-    assert node.count("[WARN]", topic, other_type) == 1
+    ros.until(lambda: node.count("[WARN]", topic, other_type) == 1, "a line in the log")
     ros.stop_listening()
     ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "nobody gets nothing")
     ros.listen(String, topic, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
