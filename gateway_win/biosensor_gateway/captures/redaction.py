@@ -27,6 +27,7 @@ _HEADERS = 4
 """A text that goes on in the next packet stands behind at most so many bytes less one there."""
 _TRIES = 20_000
 _LEAST_SUMMED = 6
+_ADDRESS_BYTES = 6
 _ADDRESS_TEXT = re.compile(rb"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
 _ADDRESS = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]?){5}[0-9A-Fa-f]{2}")
 _WORD = re.compile(r"[^\W_]+")
@@ -213,9 +214,14 @@ def _advertisement(seen: Advertised) -> Advertisement:
 
 
 def _spelt(found: bytes) -> str:
-    """Return an identifier as text; what is not printable is an address in six bytes."""
+    """Return an identifier as text, also an address in six bytes; empty if it is neither.
+
+    With the header of a packet in its middle it is not whole; it is found without.
+    """
     text = found.decode("ascii", "replace")
-    return text if text.isprintable() and "\ufffd" not in text else found.hex(":")
+    if text.isprintable() and "\ufffd" not in text:
+        return text
+    return found.hex(":") if len(found) == _ADDRESS_BYTES else ""
 
 
 def _with_word(name: str, word: str, other: str) -> str:
@@ -271,12 +277,24 @@ def _like(secret: str, kept: str = "") -> str:
     rest = secret[len(kept) :]
     candidate = secret
     for _ in range(_TRIES):
-        candidate = kept + "".join(_drawn(each, classes) for each in rest)
+        if is_address(secret):
+            candidate = kept + _address_like(secret)[len(kept) :]
+        else:
+            candidate = kept + "".join(_drawn(each, classes) for each in rest)
         # Of a short one the sum tells too much.
         is_alike = len(secret) < _LEAST_SUMMED or _sums(candidate) == _sums(secret)
         if candidate != secret and is_alike:
             return candidate
     return candidate
+
+
+def _address_like(address: str) -> str:
+    """Make up an address whose six bytes have the same sum, spelt alike."""
+    octets = secrets.token_bytes(5)
+    last = (sum(bytes.fromhex(_bare(address))) - sum(octets)) % 256
+    digits = iter((octets + bytes([last])).hex().upper())
+    drawn = "".join(each if each in ":-" else next(digits) for each in address)
+    return drawn.lower() if address == address.lower() else drawn
 
 
 def _drawn(letter: str, classes: Sequence[str]) -> str:
