@@ -22,7 +22,7 @@ import pylsl
 from biosensor_common.doctor import probe, survey
 from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION
 from biosensor_gateway.features.live import Live
-from biosensor_gateway.features.outputs import TYPES, feature_streams
+from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.page.network.reader import Reader
 from biosensor_gateway.recording.here.said import predicate
@@ -36,7 +36,7 @@ WITHOUT_BRACKETS = "without brackets"
 ON_PURPOSE = "all sessions on purpose"
 LIMIT_S, LONGER_S, STEP_S = 60.0, 2.0, 0.1
 ENDINGS = ("ecg", "hr_live", "ecg_sqi")
-KINDS = (*TYPES, "GatewayCounters", "HR")
+KINDS = (*READ_TYPES, "GatewayCounters", "HR")
 
 _found: dict[str, set[str]] = defaultdict(set)
 _done = threading.Event()
