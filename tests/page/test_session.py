@@ -277,3 +277,60 @@ def test_a_card_stays_where_it_is_when_its_wearer_is_renamed(
     expect(cards).to_have_count(2)
     order = [each.get_attribute("data-device") for each in cards.all()]
     assert order == ["zephyr/A", "zephyr/C"]
+
+
+NOTED = """
+window.noticed = [];
+window.Notification = class extends window.Notification {
+  constructor(words, more) {
+    super(words, more);
+    window.noticed.push([words, more.body]);
+  }
+};
+window.AudioContext = class extends window.AudioContext {
+  constructor() {
+    super();
+    window.sounds = this;
+  }
+};
+"""
+
+
+def test_who_looks_elsewhere_hears_of_red_and_buttons_are_named_there(
+    server: Server, window: Callable[..., Page], harness: SteeredBioHarness, tmp_path: Path
+) -> None:
+    server.programs.settings.write_text(SETTINGS.format(port=harness.port))
+    page = window(permissions=["notifications"])
+    page.add_init_script(NOTED)
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    expect(page.locator('[data-device="zephyr/A"]').get_by_text("streaming")).to_be_visible()
+    session = page.get_by_role("region", name="Recording")
+    markers = page.get_by_role("region", name="Markers")
+    markers.get_by_role("button", name="Name the buttons").click()
+    names = markers.get_by_role("textbox", name="Names of the buttons")
+    expect(names).to_have_value("baseline\ntask")
+    names.fill("baseline\nbaseline")
+    markers.get_by_role("button", name="Save").click()
+    expect(page.locator(".toast")).to_contain_text("markers.buttons")
+    names.fill("rest, eyes closed\n\nhandover")
+    markers.get_by_role("button", name="Save").click()
+    expect(markers.get_by_role("button", name="handover")).to_be_visible()
+    assert 'buttons = ["rest, eyes closed", "handover"]' in server.programs.settings.read_text()
+
+    session.get_by_label("sound and notice").check()
+    page.reload()
+    expect(session.get_by_label("sound and notice")).to_be_checked()
+    session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
+    session.get_by_role("button", name="Record", exact=True).click()
+    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+    page.keyboard.press("2")
+    expect(markers.locator("li", has_text="handover")).to_be_visible()
+    assert page.evaluate("window.noticed") == []
+    harness.drop_link()
+    expect(page).to_have_title(f"▲ recording: not all is well {DASH} Biosensor Gateway")
+    page.wait_for_function("window.noticed.length")
+    ((words, problem),) = page.evaluate("window.noticed")
+    assert words == "▲ recording: not all is well"
+    assert problem
+    assert page.evaluate("window.sounds.state") == "running"
