@@ -218,3 +218,13 @@ def test_an_agent_that_was_started_again() -> None:
         32, 32, 0, restarts=1
     )
     assert compare(_readings(counts, stamps), np.delete(held, [7, 30]), 100.0).held == 30
+
+
+def test_a_beat_that_is_told_of_late_and_at_the_stop_is_not_missing() -> None:
+    """A wristband tells of a beat six seconds later; what came in the last 0.5 s is in no file."""
+    beats = [100.0 + k for k in range(30)]
+    readings = [Reading(5 + k, 0, beats[k], told_at=beats[k] + 6.0) for k in range(30)]
+    end = beats[-1] + 6.0
+    assert compare(readings, np.array(beats[:-1]), end) == RecordedCounters(28, 28, 0)
+    # What had three seconds to come is missing.
+    assert compare(readings, np.array(beats[:-4]), end) == RecordedCounters(26, 25, 0)

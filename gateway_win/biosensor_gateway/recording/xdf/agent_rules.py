@@ -28,7 +28,7 @@ def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], lis
         header = counters.stream.header
         if not header.is_counters:
             continue
-        readings, unreadable = parse_readings(counters.stream.texts)
+        readings, unreadable = parse_readings(counters.stream.texts, counters.stream.stamps)
         if unreadable:
             text = f"{unreadable} of its samples cannot be read"
             findings.append(Finding(Level.ERROR, "counters", header.name, text))

@@ -8,8 +8,10 @@ between two of these readings the file must hold as many samples as were pushed.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, repeat
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -23,12 +25,13 @@ _SAME_STAMP_S = 1e-6
 
 
 class Reading(NamedTuple):
-    """What the agent had counted of one stream at one moment."""
+    """What the agent had counted of one stream at one moment, by the agent's clock `told_at`."""
 
     pushed: int
     lost: int
     last_stamp: float
     is_off: bool = False
+    told_at: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +59,10 @@ class RecordedCounters:
     is_off: bool = False
 
 
-def parse_readings(texts: Iterable[str]) -> tuple[dict[str, list[Reading]], int]:
-    """Read the samples of a counters stream.
+def parse_readings(
+    texts: Iterable[str], times: Iterable[float] = ()
+) -> tuple[dict[str, list[Reading]], int]:
+    """Read the samples of a counters stream, and their stamps where they are given.
 
     Returns
     -------
@@ -68,14 +73,14 @@ def parse_readings(texts: Iterable[str]) -> tuple[dict[str, list[Reading]], int]
     """
     readings: dict[str, list[Reading]] = {}
     unreadable = 0
-    for text in texts:
+    for text, told_at in zip(texts, chain(times, repeat(math.nan)), strict=False):
         try:
             entries = _entries(text)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
             unreadable += 1
             continue
         for source_id, reading in entries.items():
-            readings.setdefault(source_id, []).append(reading)
+            readings.setdefault(source_id, []).append(reading._replace(told_at=float(told_at)))
     return readings, unreadable
 
 
@@ -143,8 +148,10 @@ def _compare_run(
     # Nothing recorded at all: the first reading is the only beginning there is.
     first, last = (stamps[0], stamps[-1]) if len(stamps) else (-np.inf, -np.inf)
     reached = [reading for reading in run if reading.last_stamp >= first - _SAME_STAMP_S]
-    needless_after = max(last + _SAME_STAMP_S, tail_begin)
-    while reached and reached[-1].last_stamp > needless_after:
+    # Some devices tell of a beat six seconds later: what was told of in the tail may be older.
+    while reached and reached[-1].last_stamp > last + _SAME_STAMP_S:
+        if not (reached[-1].last_stamp > tail_begin or reached[-1].told_at > tail_begin):
+            break
         reached.pop()
     if not reached:
         return RecordedCounters(0, 0, lost)
