@@ -80,6 +80,10 @@ def test_features_are_shown_with_their_quality_marked_in_traces_and_never_stale(
     assert found["hr_live"]["topic"] == "/biosensors/polar_h10/hr_live"
     # The strap says a rate of its own.
     assert abs(found["hr_live"]["values"][0] - streams["hr"]["values"][0]) < 5
+    # What the newest is each second, by the stream beside the rate.
+    assert found["hr_state"]["topic"] == "/biosensors/polar_h10/hr_state"
+    told_of = re.compile(r"^HR, mean of \d+ intervals$")
+    expect(value(of_agent, "hr_live")).to_have_attribute("title", told_of)
     require_marks(of_agent, found["beats"]["source_id"], streams["ecg"]["source_id"])
     seen = told(of_network, "/api/v1/streams")["devices"]
     (device,) = (each for each in seen if each["title"] == "Polar H10")
