@@ -11,6 +11,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
     ],
+    # By this colcon test knows who runs the tests.
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Biosensor Gateway maintainers",
     maintainer_email="maintainers@biosensor-gateway.org",

@@ -1,6 +1,11 @@
 from setuptools import find_packages, setup
 
 PACKAGE = "lsl_to_ros"
+LAUNCH_FILES = [
+    f"launch/{node}.launch.{form}"
+    for node in ("lsl_to_ros", "ros_to_lsl")
+    for form in ("py", "xml", "yaml")
+]
 
 setup(
     name=PACKAGE,
@@ -10,7 +15,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/launch", ["launch/lsl_to_ros.launch.py", "launch/ros_to_lsl.launch.py"]),
+        (f"share/{PACKAGE}/launch", LAUNCH_FILES),
         (
             f"share/{PACKAGE}/config",
             ["config/lsl_to_ros.policy.xml", "config/params.yaml", "config/ros_to_lsl.yaml"],
@@ -26,6 +31,8 @@ setup(
     ],
     # ROS packages are named in package.xml; this one comes from PyPI.
     install_requires=["pylsl>=1.18"],
+    # By this colcon test knows who runs the tests.
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Biosensor Gateway maintainers",
     maintainer_email="maintainers@biosensor-gateway.org",

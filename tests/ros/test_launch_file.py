@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from lsl_to_ros.ros_to_lsl.parameters import NODE_OPTIONS
 
@@ -205,3 +207,25 @@ def test_the_second_node_has_a_file_of_its_own(
         "respawn",
         "use_sim_time",
     }
+
+
+@pytest.mark.parametrize("node", ["lsl_to_ros", "ros_to_lsl"])
+def test_xml_and_yaml_take_the_same_arguments_and_start_the_same(
+    monkeypatch: pytest.MonkeyPatch, node: str
+) -> None:
+    *declared, _ = _actions(monkeypatch, f"{node}.launch.py")
+    expected = [
+        (each.args[0], each.options["default_value"], each.options["description"])
+        for each in declared
+    ]
+    fields = ("name", "default", "description")
+    # A string in quotes alone: YAML would make something else of an empty one.
+    *arguments, started = yaml.safe_load((LAUNCH_FILES / f"{node}.launch.yaml").read_text())[
+        "launch"
+    ]
+    assert [tuple(each["arg"][field] for field in fields) for each in arguments] == expected
+    root = ElementTree.parse(LAUNCH_FILES / f"{node}.launch.xml").getroot()
+    assert [tuple(map(each.get, fields)) for each in root.findall("arg")] == expected
+    (included,) = root.findall("include")
+    # Without arguments of its own it sees all of them.
+    assert included.attrib == started["include"] == {"file": f"$(dirname)/{node}.launch.py"}

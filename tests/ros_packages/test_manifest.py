@@ -14,14 +14,19 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
-PACKAGE = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros"
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "ros_side" / "lsl_to_ros"
+FOLDERS = [ROOT / "common", ROOT / "ros_side" / "biosensor_msgs", PACKAGE]
 SOURCES = sorted([*(PACKAGE / "lsl_to_ros").rglob("*.py"), *(PACKAGE / "launch").glob("*.py")])
 # Import names whose rosdep key is another.
 KEYS = {"numpy": "python3-numpy"}
 # No rosdep key: setup.py names it.
 FROM_PYPI = {"pylsl"}
 OPTIONAL = {"biosensor_msgs"}
+# Of launch files that are not Python.
+FRONT_ENDS = {".xml": "launch_xml", ".yaml": "launch_yaml"}
 
 
 def _manifest() -> ElementTree.Element:
@@ -51,7 +56,53 @@ def test_the_manifest_names_what_is_imported_and_nothing_else() -> None:
     foreign = imported - set(sys.stdlib_module_names) - {PACKAGE.name}
     assert foreign >= FROM_PYPI
     keys = {KEYS.get(name, name) for name in foreign - FROM_PYPI - OPTIONAL}
-    assert _named() == {"exec_depend": sorted(keys)}
+    suffixes = {path.suffix for path in (PACKAGE / "launch").glob("*.launch.*")} - {".py"}
+    keys |= {FRONT_ENDS[suffix] for suffix in suffixes}
+    assert _named() == {
+        "exec_depend": [*sorted(keys), *OPTIONAL],
+        "test_depend": ["python3-pytest"],
+    }
+
+
+def test_what_is_optional_is_taken_out_by_a_variable() -> None:
+    conditions = {each.text: each.get("condition") for each in _manifest().findall("exec_depend")}
+    assert {name: text for name, text in conditions.items() if text} == {
+        "biosensor_msgs": "$BIOSENSOR_MSGS != 0"
+    }
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_each_package_has_what_bloom_and_the_index_of_ros_look_for(folder: Path) -> None:
+    manifest = ElementTree.parse(folder / "package.xml").getroot()
+    name = manifest.findtext("name") or ""
+    (licence,) = manifest.findall("license")
+    assert (folder / (licence.get("file") or "")).read_bytes() == (ROOT / "LICENSE").read_bytes()
+    assert {url.get("type") for url in manifest.findall("url")} == {"repository", "bugtracker"}
+    assert manifest.findtext("author")
+    file = folder / (manifest.findtext("export/rosdoc2") or "")
+    kind, documents = yaml.safe_load_all(file.read_text())
+    assert kind == {"type": "rosdoc2 config", "version": 1}
+    # Both must be there, or nothing is built.
+    assert documents.keys() == {"settings", "builders"}
+    assert (folder / "README.md").read_text().startswith(f"# {name}\n")
+    assert f" {name}\n" in (folder / "QUALITY_DECLARATION.md").read_text()
+    bar, title, below, *rest = (folder / "CHANGELOG.rst").read_text().splitlines()
+    assert title == f"Changelog for package {name}"
+    assert bar == below == "^" * len(title)
+    version = manifest.findtext("version") or ""
+    # What catkin_prepare_release makes of the first.
+    assert rest[1] == "Forthcoming" or rest[1].startswith(f"{version} (")
+    assert list((folder / "test").glob("test_*.py"))
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_the_tests_of_a_package_need_nothing_of_the_repository(folder: Path) -> None:
+    imported = {
+        name
+        for path in (folder / "test").glob("*.py")
+        for name in _imported_by(ast.parse(path.read_text()))
+    }
+    assert not imported & {"tests", "biosensor_gateway", "hypothesis"}
 
 
 @pytest.mark.nightly

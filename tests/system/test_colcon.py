@@ -8,6 +8,8 @@ locks or a package index these tests fail, because they run only where they are 
 from __future__ import annotations
 
 import json
+import re
+import shutil
 import signal
 import sys
 import time
@@ -102,6 +104,39 @@ def test_colcon_finds_the_ros_packages_and_nothing_else(
         ["biosensor_msgs", "ros_side/biosensor_msgs", "(ros.ament_cmake)"],
         ["lsl_to_ros", "ros_side/lsl_to_ros", "(ros.ament_python)"],
     ]
+
+
+def test_the_ros_packages_are_built_and_tested_without_the_rest(
+    toolchain: Toolchain, tmp_path: Path
+) -> None:
+    copy_repository(tmp_path / "all")
+    (tmp_path / "src").mkdir()
+    for folder in ("common", "ros_side"):
+        (tmp_path / "all" / folder).rename(tmp_path / "src" / folder)
+    shutil.rmtree(tmp_path / "all")
+    toolchain.build(tmp_path)
+    toolchain.run(tmp_path, "env", f"AMENT_PREFIX_PATH={toolchain.folder}", "colcon", "test")
+    results = toolchain.run(tmp_path, "colcon", "test-result", "--all")
+    ran = {
+        line.partition("/")[2].partition("/")[0]: re.findall(
+            r"(\d+) (test|error|failure|skipped)", line
+        )
+        for line in results.splitlines()
+        if line.startswith("build/") and line.partition(":")[0].endswith("xml")
+    }
+    assert ran.keys() == PACKAGES.keys()
+    for counts in ran.values():
+        of = {what: int(count) for count, what in counts}
+        assert of["test"] > of["skipped"]
+        assert of["error"] == of["failure"] == 0
+
+
+def test_the_stamped_messages_can_be_left_out(toolchain: Toolchain, tmp_path: Path) -> None:
+    copy_repository(tmp_path)
+    select = ("list", "--packages-up-to", "lsl_to_ros", "--names-only")
+    assert set(toolchain.run(tmp_path, "colcon", *select).split()) == PACKAGES.keys()
+    without = toolchain.run(tmp_path, "env", "BIOSENSOR_MSGS=0", "colcon", *select)
+    assert set(without.split()) == PACKAGES.keys() - {"biosensor_msgs"}
 
 
 def test_what_runs_is_what_colcon_has_built(built: Workspace) -> None:
