@@ -90,6 +90,8 @@ class Expected:
         How well losses can be counted.
     impossible
         By fault, why the real device cannot have it.
+    is_linked
+        Whether a host connects to it; else it is heard, or it is not.
     """
 
     contact: Contact | None = None
@@ -99,3 +101,4 @@ class Expected:
     gaps: Mapping[FaultKind, Gap] = field(default_factory=dict[FaultKind, Gap])
     loss_tolerance: LossTolerance = LossTolerance()
     impossible: Mapping[FaultKind, str] = field(default_factory=dict[FaultKind, str])
+    is_linked: bool = True

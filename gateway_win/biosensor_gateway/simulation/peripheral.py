@@ -22,9 +22,8 @@ from biosensor_gateway.simulation.advertising import pack_advertisement, pack_na
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.transceiver import Transceiver
 
-_ADVERTISING_INTERVAL_MS = 50.0
 # bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
-_BUMBLE_INTERVAL = _ADVERTISING_INTERVAL_MS * 0.625
+_BUMBLE_UNITS = 0.625
 _NOTIFICATION_HEADER = 3
 _Bits = ClientCharacteristicConfigurationBits
 _AUTHENTICATED = (
@@ -94,6 +93,8 @@ class Peripheral:
         How strong hosts hear it.
     max_mtu
         The largest ATT MTU that it grants.
+    interval_ms
+        So often it advertises.
 
     Attributes
     ----------
@@ -117,9 +118,11 @@ class Peripheral:
         manufacturer_data: Mapping[int, bytes] | None = None,
         rssi_dbm: int = -58,
         max_mtu: int = MAX_MTU,
+        interval_ms: float = 50.0,
     ) -> None:
         self.address = address
         self.name = name
+        self._interval = interval_ms * _BUMBLE_UNITS
         self.on_connected: list[Callable[[], None]] = []
         self.on_disconnected: list[Callable[[], None]] = []
         self.demand_pairing = False
@@ -146,6 +149,11 @@ class Peripheral:
     def connected(self) -> bool:
         """Whether a host is connected."""
         return self._connection is not None
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether it is on the air, for whoever listens."""
+        return self._transceiver is not None and self._transceiver.audible
 
     @property
     def rssi_dbm(self) -> int:
@@ -203,8 +211,8 @@ class Peripheral:
             auto_restart=True,
             advertising_data=self._advertisement,
             scan_response_data=self._scan_response,
-            advertising_interval_min=_BUMBLE_INTERVAL,
-            advertising_interval_max=_BUMBLE_INTERVAL,
+            advertising_interval_min=self._interval,
+            advertising_interval_max=self._interval,
         )
 
     async def power_off(self) -> None:

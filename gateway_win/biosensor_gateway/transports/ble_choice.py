@@ -45,6 +45,8 @@ class Choice:
     is_generic
         The kind has devices in it for which there are other kinds: those are left to
         choices of these.
+    connects
+        The device is connected to; one that is only listened to may be somebody else's.
     """
 
     def __init__(
@@ -55,13 +57,14 @@ class Choice:
         advice: str = "switch it on and bring it nearer",
         *,
         is_generic: bool = False,
+        connects: bool = True,
     ) -> None:
         self._identify = identify
         self._kind = kind
         self._device = device
         self._advice = advice
         self._is_generic = is_generic
-        self._may_hold, self._gave_up = True, False
+        self._may_hold, self._gave_up = connects, False
         self._kept = ""
         self._kept_seen = Advertisement("")
         self._found = ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import defaultdict
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager, suppress
 from dataclasses import replace
@@ -41,8 +42,13 @@ class Sighting(NamedTuple):
 
 
 @asynccontextmanager
-async def sightings() -> AsyncGenerator[AsyncIterator[Sighting]]:
+async def sightings(address: str = "") -> AsyncGenerator[AsyncIterator[Sighting]]:
     """Scan while the context lasts: devices heard just now, then all that are heard.
+
+    Parameters
+    ----------
+    address
+        Only this device; with many in range, who listens to one is not woken by the others.
 
     Raises
     ------
@@ -50,7 +56,7 @@ async def sightings() -> AsyncGenerator[AsyncIterator[Sighting]]:
         ``UNAVAILABLE`` or ``DENIED``: there is no radio, or it is off, or not for us.
     """
     scan = _shared_scan()
-    queue = await scan.join()
+    queue = await scan.join(address)
     try:
         yield _Heard(queue, lambda sighting: sighting)
     finally:
@@ -108,26 +114,30 @@ class _SharedScan:
         self._scanner: BleakScanner | None = None
         self._starting: asyncio.Task[None] | None = None
         self._stopping: asyncio.Task[None] | None = None
-        self._listeners: set[asyncio.Queue[Sighting]] = set()
+        # By address; under the empty one, those who listen to all devices.
+        self._listeners = defaultdict[str, set[asyncio.Queue[Sighting]]](set)
         self._seen: dict[str, Sighting] = {}
         self._last_heard_s = 0.0
 
-    async def join(self) -> asyncio.Queue[Sighting]:
+    async def join(self, address: str = "") -> asyncio.Queue[Sighting]:
         queue: asyncio.Queue[Sighting] = asyncio.Queue()
         async with self._switching:
             if self._scanner is not None and self._now() - self._last_heard_s > SILENT_S:
                 await self._stop()
             if self._scanner is None:
                 await self._start()
-            self._listeners.add(queue)
+            self._listeners[address].add(queue)
         recently = self._now() - RECENT_S
         for sighting in self._seen.values():
-            if sighting.heard_s > recently:
+            if sighting.heard_s > recently and address in {"", sighting.device.address}:
                 queue.put_nowait(sighting)
         return queue
 
     async def leave(self, queue: asyncio.Queue[Sighting]) -> None:
-        self._listeners.discard(queue)
+        for address, queues in list(self._listeners.items()):
+            queues.discard(queue)
+            if not queues:
+                del self._listeners[address]
         # Finished in the background if whoever leaves is cancelled.
         await asyncio.wait({in_background(self._stop_unless_used())}, timeout=STOP_LIMIT_S)
 
@@ -185,8 +195,9 @@ class _SharedScan:
         self._seen[device.address] = sighting
         while len(self._seen) > MAX_SEEN:
             del self._seen[next(iter(self._seen))]
-        for queue in self._listeners:
-            queue.put_nowait(sighting)
+        for address in ("", device.address):
+            for queue in self._listeners.get(address, ()):
+                queue.put_nowait(sighting)
 
 
 _scans: WeakKeyDictionary[asyncio.AbstractEventLoop, _SharedScan] = WeakKeyDictionary()

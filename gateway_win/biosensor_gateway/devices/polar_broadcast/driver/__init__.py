@@ -1,0 +1,1 @@
+"""Listens to the device, and turns what it advertises into samples."""

@@ -1,0 +1,188 @@
+"""A virtual Polar strap that tells its heart rate to everybody."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Unpack
+
+from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED as ANY_STRAP
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    STRAP_EFFECTS,
+    Strap,
+    StrapDevice,
+)
+from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.expected import LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+# Layout: polar-ble-sdk, class BlePolarHrAdvertisement.
+_POLAR = 0x006B
+_BATTERY, _SKIN, _ON_AIR = 0x01, 0x02, 0x20
+_SLOW_SECONDS = 8
+_GARBAGE_S, _BETWEEN_S = 0.1, 0.15
+"""Each longer than it takes until what is advertised goes out."""
+_NO_LINK = "nobody connects to it, so there is nothing to ask, to refuse or to forget"
+
+EXPECTED = replace(
+    ANY_STRAP,
+    without_contact=("hr", "hr_fast"),
+    by_agent=frozenset({"quality", "rssi"}),
+    # Heard when it is advertised next.
+    unstamped_s={"hr": 0.1, "hr_fast": 0.1},
+    loss_tolerance=LossTolerance(over_break=1, over_restart={"hr": 9, "hr_fast": 9}),
+    impossible={
+        **dict.fromkeys((FaultKind.REFUSE, FaultKind.LATE, FaultKind.FORGET), _NO_LINK),
+        FaultKind.LOW_BATTERY: "it tells no charge, only whether the battery will do",
+    },
+    is_linked=False,
+)
+
+
+class SimulatedPolarBroadcast(StrapDevice):
+    """A Polar H9 with a connection to somebody else: it advertises its heart rate, no services.
+
+    Parameters
+    ----------
+    world, radio
+        Where it lives, and the air that it is heard on.
+    address, device_id
+        Address, and the id printed on it, which is in its name.
+    rssi_dbm
+        How strongly it is heard.
+    interval_ms
+        So often it advertises.
+    **specimen
+        As for every virtual device: see `Specimen`.
+    """
+
+    sensor = "polar_broadcast"
+    expected = EXPECTED
+    on_air = True
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str = "A0:9E:1A:00:00:01",
+        device_id: str = "B0000001",
+        rssi_dbm: int = -66,
+        interval_ms: float = 50.0,
+        **specimen: Unpack[SpecimenOptions],
+    ) -> None:
+        super().__init__(world, **specimen)
+        self._device_id = device_id
+        self._strap = Strap(
+            Peripheral(
+                radio, address, f"Polar H9 {device_id}", rssi_dbm=rssi_dbm, interval_ms=interval_ms
+            ),
+            self.truth,
+            self.specimen,
+            identity=Identity("Polar Electro Oy", "H9", device_id),
+        )
+        # Whoever is connected to it has that to himself.
+        self._strap.pulse_every_s = 0
+        self._strap.on_power_on.append(self._begin)
+        self._strap.on_second.append(self._measure)
+        self._battery_ok = True
+        self._stands_still = False
+        self._begin()
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address and an id of its own, too."""
+        own = {"address": f"A0:9E:1A:00:01:{number:02X}", "device_id": f"B00001{number:02X}"}
+        return {**super().worn_by(wearer, number), **own}
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Fields that lead a driver to it."""
+        return {"device": self._device_id}
+
+    def _begin(self) -> None:
+        self._counter = 0
+        self._rates = deque[int](maxlen=_SLOW_SECONDS)
+        self._shown = (0, 0)
+        self._unheard: dict[str, tuple[float, float]] = {}
+        self._advertise()
+
+    def _measure(self) -> None:
+        """Measure, once a second; off the body the last rate stays."""
+        if self._stands_still:
+            return
+        strap, now_s = self._strap, self._strap.peripheral.clock()
+        self._counter = (self._counter + 1) % 8
+        bpm = strap.pulse.measure(now_s, worn=strap.worn).bpm
+        if bpm:
+            self._rates.append(bpm)
+            self._shown = (bpm, round(sum(self._rates) / len(self._rates)))
+        elif strap.worn:
+            self._rates.clear()
+            self._shown = (0, 0)
+        self._advertise()
+        for name in self._unheard:
+            self.truth.unsent(name, 1)
+        rates = zip(("hr_fast", "hr"), self._shown, strict=True) if bpm else ()
+        self._unheard = {name: (now_s, float(rate)) for name, rate in rates}
+        self._note_heard()
+
+    def _note_heard(self) -> None:
+        """Enter the newest measurement as sent, if it can be heard now."""
+        if self._strap.peripheral.is_heard and not self._strap.is_unreadable:
+            for name, (measured_s, rate) in self._unheard.items():
+                self.truth.sent(name, [measured_s], [(rate,)])
+            self._unheard = {}
+
+    def _come_back(self) -> None:
+        self._strap.restore()
+        self._note_heard()
+
+    def _go_away(self) -> None:
+        self._strap.drop()
+
+    def _advertise(self, data: bytes | None = None) -> None:
+        flags = _ON_AIR | self._counter << 2
+        flags |= _BATTERY * self._battery_ok | _SKIN * self._strap.worn
+        block = bytes((flags, 0, *self._shown))
+        if data is None:
+            data = block[:2] if self._strap.is_unreadable else block
+        self._strap.peripheral.set_manufacturer_data({_POLAR: data})
+
+    def _stand_still(self) -> None:
+        self._stands_still = True
+
+    def _go_on(self) -> None:
+        self._stands_still = False
+
+    def _babble(self, times: float) -> None:
+        self._strap.run(self._send_garbage(round(times)))
+
+    async def _send_garbage(self, times: int) -> None:
+        for number in range(times):
+            self._advertise(bytes((number & 0xBF,)))
+            await asyncio.sleep(_GARBAGE_S)
+            self._advertise()
+            await asyncio.sleep(_BETWEEN_S)
+
+    effects = MappingProxyType(
+        {
+            **{
+                kind: effect
+                for kind, effect in on_part("_strap", STRAP_EFFECTS).items()
+                if kind not in EXPECTED.impossible
+            },
+            FaultKind.DROP: lasting(_go_away, _come_back),
+            FaultKind.STALL: lasting(_stand_still, _go_on),
+            FaultKind.GARBAGE: Effect(_babble),
+        }
+    )

@@ -1,0 +1,3 @@
+"""The air of virtual straps that tell their heart rate to everybody."""
+
+from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
