@@ -16,6 +16,7 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.devices.line_sensor.driver import driver as driver_module
 from biosensor_gateway.devices.line_sensor.driver.driver import DRIVER
 from biosensor_gateway.devices.line_sensor.simulator import (
+    OpenEarableLineSensor,
     SimulatedLineSensor,
     StructLineSensor,
     UdpLineSensor,
@@ -28,7 +29,13 @@ from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
 
-BOARDS = [SimulatedLineSensor, UdpLineSensor, WebSocketLineSensor, StructLineSensor]
+BOARDS = [
+    SimulatedLineSensor,
+    UdpLineSensor,
+    WebSocketLineSensor,
+    StructLineSensor,
+    OpenEarableLineSensor,
+]
 
 
 @pytest.mark.parametrize("board", BOARDS)
@@ -204,3 +211,42 @@ async def test_connecting_again_finds_the_port_free(world: World) -> None:
         for _ in range(2):
             async with connected(device):
                 pass
+
+
+async def test_when_the_app_ends_the_values_they_are_asked_for_again(world: World) -> None:
+    with OpenEarableLineSensor(world) as device:
+        async with streaming(device) as run:
+            await until(run.sink.has(10, "acc"))
+            world.call(device.app.end_values)
+            await until(lambda: "has ended the values of Chest" in run.error)
+            await run.goes_on(10, "acc")
+        assert run.supervisor.connections == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "fields", "words"),
+    [
+        ({"wearables": ()}, {}, "no wearable is connected to it; connect yours there"),
+        ({}, {"openearable_wearable": "Other"}, "only OpenEarable-0001 is connected to it"),
+        ({"wearables": ("A", "B")}, {}, "A, B are connected to it; set openearable_wearable to"),
+        ({}, {"openearable_sensor": "Arm"}, "has no sensor Arm; it has Chest"),
+        ({"exponent": -9}, {}, "the time of Chest is in ns, and columns says [us]"),
+    ],
+)
+async def test_what_the_app_does_not_have_is_told(
+    world: World, options: dict[str, Any], fields: dict[str, Any], words: str
+) -> None:
+    with OpenEarableLineSensor(world, **options) as device:
+        assert words in await refusal({**device.settings, **fields})
+
+
+async def test_the_wearable_of_two_is_taken_by_its_name_and_a_refusal_is_told(
+    world: World,
+) -> None:
+    with OpenEarableLineSensor(world, wearables=("A", "B")) as device:
+        named = {"openearable_wearable": "B"}
+        async with connected(device, **named):
+            pass
+        device.app.refuses = True
+        said = await refusal({**device.settings, **named})
+        assert "refuses list_connected: Bad state: No permission" in said

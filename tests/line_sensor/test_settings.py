@@ -63,6 +63,8 @@ def test_a_column_is_stream_label_and_unit(text: str, expected: tuple[str, str, 
         ("columns = []", "columns has no channel"),
         ('columns = ["Acc/x"]', "not a lower-case ROS name"),
         ('columns = ["x"]\nsequence_column = "n"', "sequence_column is 'n'"),
+        ('columns = ["t [us]", "x"]\nopenearable_sensor = "A"', "the OpenEarable app needs url"),
+        ('columns = ["x"]\nopenearable_wearable = "A"', "set openearable_sensor, too"),
         ('columns = ["t", "x"]\ntime_column = "t"', "the time has none of the units ns, us, ms, s"),
         ('columns = ["n"]\nsequence_column = "n"', "no channel besides"),
         ('columns = ["x"]\nname = "zephyr"', "no other sensor's name"),
@@ -116,3 +118,10 @@ def test_ways_that_a_format_does_not_have() -> None:
     for fields in cases:
         with pytest.raises(ValueError, match=r"WebSocket|frame_start|start_command|ws://HOST"):
             line_settings(**fields)
+
+
+def test_the_values_of_the_openearable_app_begin_with_the_time() -> None:
+    asked = {"url": "ws://127.0.0.1:8765/ws", "format": "json", "openearable_sensor": "A"}
+    with pytest.raises(ValueError, match="begin with the time"):
+        line_settings(columns=["x", "t [us]"], time_column="t", **asked)
+    line_settings(columns=["t [us]", "x"], time_column="t", **asked)

@@ -18,6 +18,7 @@ from biosensor_common.errors import (
 from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
+from biosensor_gateway.devices.line_sensor.driver.openearable import Asked, OpenEarableLink
 from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
     FrameProtocol,
     checked_format,
@@ -138,6 +139,8 @@ class LineDriver:
             )
             return ProtocolError(ProtocolReason.UNSUPPORTED, message)
         advice = "does the device send, and to here?"
+        if self._settings.openearable_sensor:
+            advice = f"switch {self._settings.openearable_sensor} on in the app"
         message = f"{self._where}: nothing came for {self._wait_s:.0f} s; {advice}"
         return TransportError(TransportReason.ABSENT, message)
 
@@ -280,6 +283,10 @@ def line_link(settings: LineSettings) -> LineLink:
     """Return the closed link that the settings ask for."""
     if settings.udp_port is not None:
         return _UdpLink(settings.udp_port)
+    if settings.url is not None and settings.openearable_sensor:
+        time_unit = settings.parsed_columns[0].unit
+        asked = Asked(settings.openearable_sensor, settings.openearable_wearable, time_unit)
+        return OpenEarableLink(settings.url, asked)
     if settings.url is not None:
         return _WebSocket(settings.url)
     assert settings.port is not None

@@ -160,6 +160,17 @@ class LineSettings(DeviceSettings):
         description="Text to send once the device is connected, if it waits for one.",
     )
 
+    openearable_sensor: ShortText = Field(
+        default="",
+        description="Name of a sensor, as Accelerometer, that the OpenEarable app at url is asked "
+        "for: of its values the first column is the time. Empty for anything else.",
+    )
+    openearable_wearable: ShortText = Field(
+        default="",
+        description="Name or id of the wearable in that app; empty takes the only one that is "
+        "connected to it.",
+    )
+
     @property
     def sensor_name(self) -> str:
         """The device's own name."""
@@ -215,6 +226,28 @@ class LineSettings(DeviceSettings):
             (
                 self.udp_port is not None and bool(self.start_command),
                 "start_command cannot be sent by UDP: its port only listens",
+            ),
+            *self._wrong_openearable(),
+        ]
+
+    def _wrong_openearable(self) -> list[tuple[bool, str]]:
+        first = self.parsed_columns[0].label if self.columns else ""
+        is_asked = bool(self.openearable_sensor)
+        return [
+            (
+                is_asked and (self.url is None or self.format != "json"),
+                'the OpenEarable app needs url, as in ws://192.168.1.20:8765/ws, and format "json"',
+            ),
+            (
+                is_asked and (not first or first != self.time_column),
+                (
+                    'the values of the OpenEarable app begin with the time: "t [us]" as the first '
+                    'column, and time_column = "t"'
+                ),
+            ),
+            (
+                bool(self.openearable_wearable) and not is_asked,
+                "openearable_wearable is of the app: set openearable_sensor, too",
             ),
         ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Unpack
 
@@ -18,7 +18,13 @@ from biosensor_gateway.devices.line_sensor.declaration import (
     EXAMPLE_TELLS_TIME,
     NAME,
 )
-from biosensor_gateway.devices.line_sensor.simulator.ways import Serial, Udp, Way, WebSocket
+from biosensor_gateway.devices.line_sensor.simulator.ways import (
+    OpenEarableApp,
+    Serial,
+    Udp,
+    Way,
+    WebSocket,
+)
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
@@ -128,8 +134,7 @@ class SimulatedLineSensor(VirtualDevice):
         self._opening: asyncio.Task[None] | None = None
         self._is_stalled, self._is_otherwise = False, False
 
-    @staticmethod
-    def _make_way() -> Way:
+    def _make_way(self) -> Way:
         return Serial()
 
     @staticmethod
@@ -263,8 +268,7 @@ class UdpLineSensor(SimulatedLineSensor):
 
     format_settings = MappingProxyType({"format": "json"})
 
-    @staticmethod
-    def _make_way() -> Way:
+    def _make_way(self) -> Way:
         return Udp()
 
     @staticmethod
@@ -277,8 +281,7 @@ class WebSocketLineSensor(SimulatedLineSensor):
 
     format_settings = MappingProxyType({"format": "json"})
 
-    @staticmethod
-    def _make_way() -> Way:
+    def _make_way(self) -> Way:
         return WebSocket()
 
     @staticmethod
@@ -298,10 +301,57 @@ class StructLineSensor(SimulatedLineSensor):
         }
     )
 
-    @staticmethod
-    def _make_way() -> Way:
+    def _make_way(self) -> Way:
         return Serial(tcp=True)
 
     @staticmethod
     def _written(measured: Measured) -> bytes:
         return _record(measured)
+
+
+class OpenEarableLineSensor(SimulatedLineSensor):
+    """A wearable behind the OpenEarable app, whose one sensor has all values.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    wearables
+        Names of those that are connected to the app.
+    exponent
+        Its time is in so many powers of ten of a second.
+    **specimen
+        As for every virtual device: see `Specimen`.
+
+    Attributes
+    ----------
+    app
+        What speaks for it.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        wearables: Sequence[str] = ("OpenEarable-0001",),
+        exponent: int = -6,
+        **specimen: Unpack[SpecimenOptions],
+    ) -> None:
+        super().__init__(world, **specimen)
+        axes = {"axis_names": ["x", "y", "z", "gsr"], "axis_units": ["g", "g", "g", "uS"]}
+        sensor = {"sensor_id": "chest_0", "sensor_index": 0, "name": "Chest", **axes}
+        self.app = OpenEarableApp({**sensor, "timestamp_exponent": exponent}, wearables)
+
+    def _make_way(self) -> Way:
+        return self.app
+
+    @staticmethod
+    def _written(measured: Measured) -> bytes:
+        values = [*measured.acc_g, measured.gsr_us]
+        said = {"timestamp": measured.micros, "value_strings": [str(each) for each in values]}
+        return json.dumps({**said, "values": values}).encode()
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Where the app is, and what it is asked for; nothing counts the values."""
+        counted = {**super().settings, "sequence_column": "", "format": "json"}
+        return {**counted, "columns": list(EXAMPLE_COLUMNS[1:]), "openearable_sensor": "Chest"}

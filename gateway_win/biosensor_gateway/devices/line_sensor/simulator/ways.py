@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import count
 from typing import Any, Protocol
 
 from websockets.asyncio.connection import broadcast
@@ -140,20 +143,27 @@ class WebSocket:
     async def _serve(self, connection: ServerConnection) -> None:
         self._listeners.add(connection)
         try:
-            await connection.wait_closed()
+            await self._talk(connection)
         finally:
             self._listeners.discard(connection)
 
+    async def _talk(self, connection: ServerConnection) -> None:
+        await connection.wait_closed()
+
     def write(self, data: bytes) -> bool:
         """Send a message to everybody who listens and reads."""
-        reading = [
+        reading = self._reading
+        broadcast(reading, data.decode("latin-1"))
+        return bool(reading)
+
+    @property
+    def _reading(self) -> list[ServerConnection]:
+        return [
             each
             for each in self._listeners
             if each.state is State.OPEN
             and each.transport.get_write_buffer_size() < _WEB_SOCKET_ROOM_BYTES
         ]
-        broadcast(reading, data.decode("latin-1"))
-        return bool(reading)
 
     def hang_up(self) -> None:
         """Break off, and refuse connections."""
@@ -169,3 +179,88 @@ class WebSocket:
         """Hang up."""
         self.hang_up()
         self._port.give_back()
+
+
+class OpenEarableApp(WebSocket):
+    """The app on a phone, with wearables that have one sensor each.
+
+    Written from https://github.com/OpenEarable/app, ``docs/connectors/websocket-ipc-api.md``.
+
+    Parameters
+    ----------
+    sensor
+        As the app lists it.
+    wearables
+        Names of those that are connected to it.
+
+    Attributes
+    ----------
+    refuses
+        Whether it answers each request with an error.
+    """
+
+    def __init__(self, sensor: Mapping[str, Any], wearables: Sequence[str]) -> None:
+        super().__init__()
+        self._sensor = sensor
+        self._wearables = {f"id-{number}": name for number, name in enumerate(wearables)}
+        self._subscriptions: dict[ServerConnection, tuple[int, str]] = {}
+        self._numbers = count(1)
+        self.refuses = False
+
+    async def _talk(self, connection: ServerConnection) -> None:
+        await connection.send(json.dumps({"event": "ready", "methods": ["ping"], "endpoint": None}))
+        try:
+            async for said in connection:
+                await self._answer(connection, json.loads(said))
+        finally:
+            self._subscriptions.pop(connection, None)
+
+    async def _answer(self, connection: ServerConnection, request: Mapping[str, Any]) -> None:
+        params, known = request["params"], self._wearables
+        answer: dict[str, Any] = {"id": request["id"]}
+        match request["method"], params.get("action"):
+            case _ if self.refuses:
+                answer["error"] = {"message": "Bad state: No permission", "type": "StateError"}
+            case "list_connected", None:
+                answer["result"] = [
+                    {"device_id": each, "name": name, "type": "OpenEarableV2", "capabilities": []}
+                    for each, name in known.items()
+                ]
+            case "invoke_action", "list_sensors" if params["device_id"] in known:
+                answer["result"] = [self._sensor]
+            case "subscribe", None if params["args"]["sensor_id"] == self._sensor["sensor_id"]:
+                number = next(self._numbers)
+                self._subscriptions[connection] = number, params["device_id"]
+                # The first values overtake the answer.
+                await asyncio.sleep(0.03)
+                of = {"stream": params["stream"], "device_id": params["device_id"]}
+                answer["result"] = {"subscription_id": number, **of}
+            case _:
+                answer["error"] = {"message": f"Unsupported: {request}", "type": "Error"}
+        await connection.send(json.dumps(answer))
+
+    def write(self, data: bytes) -> bool:
+        """Send values to everybody who has subscribed and reads."""
+        reading = [each for each in self._reading if each in self._subscriptions]
+        for each in reading:
+            self._tell(each, json.loads(data))
+        return bool(reading)
+
+    def end_values(self) -> None:
+        """End all subscriptions, as where the wearable goes."""
+        for each in self._reading:
+            if each in self._subscriptions:
+                number, device = self._subscriptions.pop(each)
+                said = {"event": "stream_done", "subscription_id": number, "device_id": device}
+                broadcast([each], json.dumps(said))
+
+    def _tell(self, connection: ServerConnection, data: Mapping[str, Any]) -> None:
+        number, device = self._subscriptions[connection]
+        said = {
+            "event": "stream",
+            "subscription_id": number,
+            "stream": "sensor_values",
+            "device_id": device,
+            "data": data,
+        }
+        broadcast([connection], json.dumps(said))
