@@ -16,6 +16,7 @@ from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
 
@@ -23,6 +24,7 @@ HEART_RATE = "0000180d-0000-1000-8000-00805f9b34fb"
 RATE = {0x006B: bytes.fromhex("3b1b5452")}
 
 
+@ON_BUMBLE
 async def test_it_is_heard_with_its_name_and_at_its_time(radio: Radio) -> None:
     with SimulatedPolarBroadcast(radio.world, radio, device_id="CAFE0001") as strap:
         async with streaming(strap) as run:
@@ -63,6 +65,7 @@ async def test_a_counter_that_stands_is_a_reason(radio: Radio) -> None:
             assert len(run.sink.rows["hr"]) > count - 1
 
 
+@ON_BUMBLE
 async def test_who_goes_out_of_range_is_looked_for_and_what_was_missed_is_counted(
     radio: Radio, monkeypatch: pytest.MonkeyPatch
 ) -> None:
