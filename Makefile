@@ -10,12 +10,14 @@
 # make docs                what documents show of the code: tables of sensors, topics, decisions
 # make docs-site           the documents as a site, in build/site
 # make pictures            the pictures of the demo and of the page, from real runs
+# make containers [ENGINE=docker BASE=]  the agent and the node as images of containers
 # make changelog [VERSION=]  the fragments of changelog.d joined into CHANGELOG.md; shown without a version
 # make bench, make format, make lock
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win hatch_build.py installer ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
+ENGINE := docker
 # The tests start thousands of programs. Where the environment forbids Python to keep what it has
 # compiled, as in many containers, each of them would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
@@ -28,7 +30,7 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test seams nightly explore faults fuzz installer check bench format docs docs-site changelog
-.PHONY: pictures lock venv-ros venv-dev venv-kilted venv-peers
+.PHONY: pictures containers lock venv-ros venv-dev venv-kilted venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -73,6 +75,15 @@ format: venv-dev
 
 docs: venv-dev
 	$(RUN) tests.docs.generate
+
+containers: venv-dev
+	rm -rf build/containers
+	.uv/bin/uv build --quiet --wheel --out-dir build/containers .
+	cp .uv/bin/uv requirements/gateway.txt requirements/ros.txt build/containers
+	for image in agent node; do \
+	    $(ENGINE) build --file containers/Containerfile --target $$image --tag biosensor-gateway-$$image \
+	        $(OPTIONS) $(if $(BASE),--build-arg BASE=$(BASE)) build/containers || exit 1; \
+	done
 
 docs-site: venv-dev
 	$(DOCS_SITE)

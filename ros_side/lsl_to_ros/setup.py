@@ -20,14 +20,6 @@ setup(
             f"share/{PACKAGE}/config",
             ["config/lsl_to_ros.policy.xml", "config/params.yaml", "config/ros_to_lsl.yaml"],
         ),
-        (
-            f"share/{PACKAGE}/config/layouts",
-            [
-                "config/layouts/README.md",
-                "config/layouts/foxglove.json",
-                "config/layouts/plotjuggler.xml",
-            ],
-        ),
     ],
     # ROS packages are named in package.xml; this one comes from PyPI.
     install_requires=["pylsl>=1.18"],

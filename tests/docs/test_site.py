@@ -27,7 +27,7 @@ REPOSITORY = "https://example.org/lab/gateway"
         ("sensors/zephyr.md", "README.md", "README.md"),
         ("contributing.md", "docs/decisions", "decisions/README.md"),
         ("contributing.md", "docs/../README.md", "index.md"),
-        ("ros.md", "../ros_side/docker", f"{REPOSITORY}/blob/main/ros_side/docker"),
+        ("ros.md", "../ros_side/biosensor_msgs", f"{REPOSITORY}/blob/main/ros_side/biosensor_msgs"),
         ("ros.md", "#install", "#install"),
         ("ros.md", "https://example.org/a?b=c#d", "https://example.org/a?b=c#d"),
     ],
@@ -40,7 +40,7 @@ def test_a_link_leads_where_its_file_went(page: str, link: str, on_site: str) ->
 
 
 def test_a_link_to_a_source_file_is_text_where_the_repository_is_unknown() -> None:
-    assert relinked("in [`docker`](../ros_side/docker).", "ros.md", "") == ("in `docker`.", [])
+    assert relinked("in [`msgs`](../ros_side/biosensor_msgs).", "ros.md", "") == ("in `msgs`.", [])
 
 
 def test_a_picture_that_is_a_link_keeps_both() -> None:

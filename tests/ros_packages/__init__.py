@@ -1,1 +1,1 @@
-"""What is installed beside the code: manifests, layouts, container files."""
+"""What is installed beside the code: manifests and files."""

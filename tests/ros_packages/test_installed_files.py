@@ -37,7 +37,7 @@ def test_the_share_folder_has_every_launch_and_configuration_file(installed: Pat
     sources = {
         Path(folder, name) for folder in ("launch", "config") for name in _files(PACKAGE / folder)
     }
-    assert {path.name for path in sources} >= {"params.yaml", "plotjuggler.xml", "foxglove.json"}
+    assert {path.name for path in sources} >= {"params.yaml", "ros_to_lsl.yaml"}
     assert _files(installed / SHARE) == sources | {Path("package.xml")}
     for path in sources:
         assert (installed / SHARE / path).read_bytes() == (PACKAGE / path).read_bytes()

@@ -46,7 +46,7 @@ def _run(*command: str | Path, folder: Path | None = None, **variables: str) -> 
     return done.stdout
 
 
-def _mirror() -> str:
+def mirror() -> str:
     """Return where this computer takes Debian's packages from."""
     sources = ["$(SITE)", "$(RELEASE)"]
     listed = _run("apt-get", "indextargets", "--format", " ".join(sources), "Created-By: Packages")
@@ -154,13 +154,13 @@ class Arm64:
 @contextmanager
 def arm64(folder: Path, wheel: Path) -> Generator[Arm64]:
     """Install a wheel and all that it needs, by hash, in a Debian for ARM."""
-    root, mirror = folder / "root", _mirror()
+    root, site_of_debian = folder / "root", mirror()
     (folder / "apt").mkdir()
-    qemu = _qemu(folder / "apt", mirror)
+    qemu = _qemu(folder / "apt", site_of_debian)
     packages = "python3,ca-certificates,libstdc++6"
     _run(
         *("mmdebstrap", "--quiet", "--arch=arm64", "--variant=extract"),
-        *(f"--include={packages}", RELEASE, root, mirror),
+        *(f"--include={packages}", RELEASE, root, site_of_debian),
     )
     site = ("--target", root / "site", "--python-platform", PLATFORM, "--python-version", PYTHON)
     uv("pip", "install", "--quiet", *site, "--only-binary=:all:", "--require-hashes", "-r", LOCK)
