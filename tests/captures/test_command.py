@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import structlog
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.captures import recorder
@@ -22,6 +24,21 @@ from tests.zephyr import recorded_capture
 
 SECRET = "00:07:80:5A:3E:7E"
 Command = Callable[..., int]
+
+
+@pytest.fixture(autouse=True)
+def restore_logging() -> Iterator[None]:
+    """Leave logging as it was: a command sets it up for the whole process."""
+    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
+    handlers, levels = root.handlers[:], (root.level, own.level)
+    yield
+    for handler in root.handlers[:]:
+        if handler not in handlers:
+            root.removeHandler(handler)
+            handler.close()
+    root.setLevel(levels[0])
+    own.setLevel(levels[1])
+    structlog.reset_defaults()
 
 
 @pytest.fixture

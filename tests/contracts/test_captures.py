@@ -23,7 +23,7 @@ from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.system.clock import Clock
 from biosensor_gateway.transports.tap import tapped
-from tests.contracts.conftest import NAMES, ON_AIR, class_of
+from tests.contracts.conftest import NAMES, class_of
 from tests.rigs.driver_run import streaming
 
 if TYPE_CHECKING:
@@ -32,6 +32,13 @@ if TYPE_CHECKING:
 SECONDS = 5.0
 SAME_S = 1e-4
 """A file has microseconds; what maps a device's clock adds some of them up."""
+_ON_AIR = [each for each in NAMES if class_of(each).on_air]
+CONNECTED = pytest.mark.parametrize(
+    "name", [each for each in _ON_AIR if not class_of(each).only_advertises], indirect=True
+)
+ADVERTISING = pytest.mark.parametrize(
+    "name", [each for each in _ON_AIR if class_of(each).only_advertises], indirect=True
+)
 FIRST = [next(each for each in NAMES if class_of(each).on_air), NAMES[-1]]
 BY_BYTES = pytest.mark.parametrize(
     "name", [each for each in NAMES if not class_of(each).on_air], indirect=True
@@ -120,7 +127,13 @@ def assert_tells_nothing(capture: Capture, device: VirtualDevice) -> None:
         assert not [each for each in payloads if any(form in each for form in forms)]
 
 
-@ON_AIR
+@ADVERTISING
+async def test_what_nothing_connects_to_cannot_be_captured(device: VirtualDevice) -> None:
+    with pytest.raises(ConfigError, match="other ways cannot be captured yet"):
+        await captured(device)
+
+
+@CONNECTED
 async def test_a_device_on_the_air_is_replayed_as_it_was(
     device: VirtualDevice, tmp_path: Path
 ) -> None:

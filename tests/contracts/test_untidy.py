@@ -120,7 +120,9 @@ async def test_a_device_under_another_address_is_nobody_until_the_settings_say_s
         begin_s = run.sink.clock() + SETTLED_S
         await asyncio.sleep(2 * SETTLED_S)
     assert min(abs(t - begin_s) for t in run.sink.times[name]) < COUNT
-    assert_true(device, run, begin_s, has_gaps=True)
+    # A broadcast does not say which measurement it is of: behind a silence that is an estimate.
+    if not device.only_advertises:
+        assert_true(device, run, begin_s, has_gaps=True)
 
 
 @every(FaultKind.DENY)

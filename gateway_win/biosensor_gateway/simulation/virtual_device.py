@@ -77,6 +77,8 @@ class VirtualDevice(ABC):
     """Which faults it can have: those of `effects`, besides its untidiness."""
     on_air: ClassVar[bool] = False
     """Whether it is made with a :class:`~biosensor_gateway.simulation.radio.Radio`, too."""
+    only_advertises: ClassVar[bool] = False
+    """Whether it measures into its advertisements, so that nothing connects to it."""
     filled: ClassVar[Mapping[str, Filled]] = MappingProxyType({})
     """By data name, what takes its time; all else comes at once."""
     rates_hz: ClassVar[Mapping[str, float]] = MappingProxyType({})

@@ -1,5 +1,7 @@
 """The node as it is installed: a stream in, topics out, a clean end; run by ``colcon test``."""
 
+# ruff: noqa: E402 - ROS and LSL may not be there
+
 from __future__ import annotations
 
 import os

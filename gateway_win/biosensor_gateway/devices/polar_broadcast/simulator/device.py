@@ -67,7 +67,7 @@ class SimulatedPolarBroadcast(StrapDevice):
 
     sensor = "polar_broadcast"
     expected = EXPECTED
-    on_air = True
+    on_air = only_advertises = True
 
     def __init__(
         self,
