@@ -358,7 +358,8 @@ class BleLink:
     def _arrived(self, characteristic: BleakGATTCharacteristic, data: bytearray) -> None:
         arrival = self.clock()
         notification = Notification(characteristic.uuid.lower(), bytes(data), arrival)
-        self._tap.came(What.CAME, *notification)
+        if self._tap.is_heard:
+            self._tap.came(What.CAME, *notification)
         self._incoming.put_nowait(notification)
 
     def _disconnected(self, client: BleakClient) -> None:

@@ -145,11 +145,17 @@ class LinkTap:
     ----------
     clock
         Of the link's arrivals.
+
+    Attributes
+    ----------
+    is_heard
+        Whether anybody listens; who asks spares each packet the telling.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._tap = _tap.get()
+        self.is_heard = self._tap is not None
         self._number: int | None = None
 
     def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> None:
