@@ -14,6 +14,7 @@ from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.bids.study import ADDED, Study, recordings_in
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.container import RecordingError
 from tests.recording_export.bids_shapes import h10
 from tests.xdf import xdf_file as made
@@ -31,11 +32,10 @@ def _recording(folder: Path, person: str, name: str = "", count: int = 0) -> Pat
     return path
 
 
-def _add(root: Path, recording: Path) -> Outcome | None:
+def _add(root: Path, recording: Path, whose: Whose | None = None) -> Outcome | None:
     def export_to(place: Path) -> Outcome:
-        return export(
-            recording, Task(("bids",), Wish(), output=place), lambda _name, _s: lambda _done: None
-        )
+        task = Task(("bids",), Wish(), output=place, whose=whose)
+        return export(recording, task, lambda _name, _s: lambda _done: None)
 
     return Study(root).add(recording, export_to)
 
@@ -142,8 +142,39 @@ def test_recordings_of_folders_are_found_salvaged_ones_in_place_of_broken(tmp_pa
     salvaged = broken.with_name(f"{broken.stem}_salvaged.xdf")
     salvaged.write_bytes(broken.read_bytes())
     (tmp_path / "a" / "notes.txt").touch()
-    assert recordings_in([tmp_path]) == [paths[1], salvaged]
-    assert recordings_in([broken, tmp_path]) == [broken, paths[1], salvaged]
+    assert recordings_in([tmp_path]) == ([paths[1], salvaged], [broken])
+    assert recordings_in([broken, tmp_path]) == ([broken, paths[1], salvaged], [broken])
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="there is no recording"):
         recordings_in([tmp_path / "empty"])
+
+
+def test_nobodys_data_is_added_under_a_name_that_is_a_guess(tmp_path: Path, root: Path) -> None:
+    recording = _recording(tmp_path, "P01", "sub-P09_task-walk_run-001_beh.xdf")
+    with pytest.raises(RecordingError, match=r"P09.*P01.*--whose"):
+        _add(root, recording)
+    assert not root.exists()
+    assert _add(root, recording, Whose.SENSORS) is not None
+    assert list(_people(root)) == ["sub-P01"]
+
+
+def test_what_is_not_whole_is_said_each_time(tmp_path: Path, root: Path) -> None:
+    recording = _recording(tmp_path, "P01")
+    recording.write_bytes(recording.read_bytes()[:-40])
+    for _ in range(2):
+        outcome = _add(root, recording)
+        assert outcome is not None
+        assert not outcome.is_whole
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_a_table_that_is_no_text_is_not_written_over(
+    encoding: str, tmp_path: Path, root: Path
+) -> None:
+    _add(root, _recording(tmp_path, "P01"))
+    table = root / "participants.tsv"
+    table.write_text("participant_id\tname\nsub-P01\tM\u00fcller\n", encoding)
+    before = _files(root)
+    with pytest.raises(RecordingError, match=r"participants\.tsv cannot be read.*UTF-8"):
+        _add(root, _recording(tmp_path, "P02"))
+    assert _files(root) == before

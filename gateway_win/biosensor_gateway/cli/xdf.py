@@ -125,7 +125,10 @@ def export_recording(
             _say_outcome(outcome)
         is_certain = outcome.is_certain
     else:
-        is_certain = _export_all(recordings_in(files), wanted, print_json=print_json)
+        recordings, left_out = recordings_in(files)
+        for each in left_out:
+            typer.echo(f"{each} is left out, for it was salvaged beside it", err=True)
+        is_certain = _export_all(recordings, wanted, print_json=print_json)
     if not is_certain:
         raise typer.Exit(1)
 

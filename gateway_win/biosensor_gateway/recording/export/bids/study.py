@@ -69,24 +69,28 @@ class Study:
         Raises
         ------
         RecordingError
-            ``UNWRITABLE``, if another recording of that name was added, a file of it is there
-            already, or means somebody else by a label that is there; nothing is added then.
+            ``UNWRITABLE``, if nobody has said who is right about its participant, a file of it is
+            there already of another recording, it means somebody else by a label that is there,
+            or the data set cannot be read or written; nothing is added then.
         """
         digest = _digest(recording)
-        for added in _read_table(self._root / ADDED):
-            if added["recording"] == recording.name and added["sha256"] == digest:
-                return None
         try:
+            for added in _read_table(self._root / ADDED):
+                if (added.get("recording"), added.get("sha256")) == (recording.name, digest):
+                    return None
             with self._workshop() as workshop:
                 made = workshop / self._root.name
                 outcome = export_to(made)
+                self._require_name(outcome)
                 self._require_room(made, recording)
                 count = self._move_in(made)
+            # What is missing is said again as long as it is missing.
+            if outcome.is_whole:
                 self._note(recording.name, digest)
         except OSError as error:
             message = f"cannot write {self._root}: {error.strerror or error}"
             raise RecordingError(RecordingReason.UNWRITABLE, message) from error
-        told = f"{count} files of {recording.name}"
+        told = "1 file was added" if count == 1 else f"{count} files were added"
         written = tuple(
             replace(each, path=self._root, notes=(*each.notes, told)) for each in outcome.written
         )
@@ -102,6 +106,14 @@ class Study:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
+    def _require_name(self, outcome: Outcome) -> None:
+        if outcome.mismatch is not None:
+            message = (
+                f"{outcome.path}: {outcome.mismatch.sentence}; it is not added until --whose says "
+                "who is right"
+            )
+            raise RecordingError(RecordingReason.UNWRITABLE, message)
+
     def _require_room(self, made: Path, recording: Path) -> None:
         for file in _data_of(made):
             place = self._root / file.relative_to(made)
@@ -113,7 +125,7 @@ class Study:
                 )
                 raise RecordingError(RecordingReason.UNWRITABLE, message)
         people = _read_table(self._root / _PARTICIPANTS)
-        there = {each[_ID]: each.get(_CALLED, "") for each in people}
+        there = {each.get(_ID): each.get(_CALLED, "") for each in people}
         for person in _read_table(made / _PARTICIPANTS):
             called = there.get(person[_ID], person[_CALLED])
             if called not in {person[_CALLED], NOTHING, ""}:
@@ -156,7 +168,7 @@ class Study:
         columns = list(rows[0]) if rows else [_ID, _CALLED]
         if _CALLED not in columns:
             columns.append(_CALLED)
-        known = {each[_ID] for each in rows}
+        known = {each.get(_ID) for each in rows}
         rows += [each for each in people if each[_ID] not in known]
         text = line(columns) + "".join(
             line([each.get(column) or NOTHING for column in columns]) for each in rows
@@ -168,15 +180,16 @@ class Study:
 
     def _note(self, name: str, digest: str) -> None:
         rows = _read_table(self._root / ADDED)
-        lines = [line(_ADDED_COLUMNS), *(line([each[c] for c in _ADDED_COLUMNS]) for each in rows)]
+        cells = ([each.get(column) or NOTHING for column in _ADDED_COLUMNS] for each in rows)
+        lines = [line(_ADDED_COLUMNS), *map(line, cells)]
         (self._root / ADDED).parent.mkdir(exist_ok=True)
         _replace(self._root / ADDED, "".join([*lines, line([name, digest])]))
 
 
-def recordings_in(places: Sequence[Path]) -> list[Path]:
-    """Return the recordings that are named, and those in the folders that are named.
+def recordings_in(places: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Return the recordings that are named or in folders that are named, and those left out.
 
-    Of a recording that was salvaged the salvaged one is taken.
+    Left out of a folder is a recording that was salvaged: the salvaged one is taken.
 
     Raises
     ------
@@ -184,6 +197,7 @@ def recordings_in(places: Sequence[Path]) -> list[Path]:
         ``NOT_FOUND``, if a folder holds none.
     """
     found: list[Path] = []
+    left_out: list[Path] = []
     for place in places:
         if not place.is_dir():
             found.append(place)
@@ -192,8 +206,9 @@ def recordings_in(places: Sequence[Path]) -> list[Path]:
         if not inside:
             raise ConfigError(ConfigReason.NOT_FOUND, f"there is no recording (.xdf) in {place}")
         names = {*inside}
-        found += [each for each in inside if _salvaged(each) not in names]
-    return list(dict.fromkeys(found))
+        for each in inside:
+            (left_out if _salvaged(each) in names else found).append(each)
+    return list(dict.fromkeys(found)), left_out
 
 
 def _is_recording(path: Path) -> bool:
@@ -222,11 +237,23 @@ def _digest(path: Path) -> str:
 
 
 def _read_table(path: Path) -> Table:
+    """Return the rows of a table; none if there is no such file.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    RecordingError
+        ``UNWRITABLE``, if it is no text that can be added to.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
     except FileNotFoundError:
         return []
+    except (UnicodeDecodeError, csv.Error) as error:
+        message = f"{path} cannot be read, so nothing is added: save it as text with tabs, in UTF-8"
+        raise RecordingError(RecordingReason.UNWRITABLE, message) from error
 
 
 def _replace(path: Path, text: str) -> None:
