@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum, unique
 
 from biosensor_common.doctor import firewall_rules, lsl_text
@@ -85,57 +85,64 @@ def judge_rules(
         yield note("the rules of Windows' firewall cannot be read", _WHY, opening)
         return
     treated = {each: treatments.get(each, Treatment()) for each in _profiles(network)}
-    off = [profile for profile, treatment in treated.items() if not treatment.is_on]
-    if len(off) == len(treated):
+    # One that is off needs no rule.
+    on = {profile: treatment for profile, treatment in treated.items() if treatment.is_on}
+    if not on:
         yield ok(
-            f"the firewall of Windows is off in {_kinds(off)} networks, so it holds nothing back; "
-            "that of another program may"
+            f"the firewall of Windows is off in {_kinds(treated)} networks, so it holds nothing "
+            "back; that of another program may"
         )
         return
-    shut = [profile for profile, treatment in treated.items() if not treatment.lets_in]
+    shut = [profile for profile, treatment in on.items() if not treatment.lets_in]
     if shut:
-        yield warning(
-            f"the firewall lets nobody in, in {_kinds(shut)} networks, whatever its rules say",
-            _WHY,
-            "Windows Security > Firewall & network protection > the network > untick 'Blocks all "
-            "incoming connections'; where it is grey, ask who manages this PC",
-        )
-    # One that is off needs no rule.
-    on = [profile for profile in treated if profile not in off]
+        yield _shut(shut)
     named = list(rules)
-    ours = [rule for rule in named if rule.is_active and rule.is_for(program)]
-
-    def in_force(rule: Rule) -> bool:
-        return any(
-            rule.holds_in(each) and (treated[each].heeds_local_rules or not rule.is_local)
-            for each in on
-        )
-
+    ours = [
+        rule for rule in named if rule.is_active and rule.is_for(program) and _is_in_force(rule, on)
+    ]
     needs = _needs(ports)
     blocking = [
         rule
         for rule in ours
-        if not rule.allows
-        and in_force(rule)
-        and any(rule.opened(needs[each]) for each in rule.protocols)
+        if not rule.allows and any(rule.opened(needs[each]) for each in rule.protocols)
     ]
-    yield from (_blocked(rule) for rule in blocking)
-    allowing = [rule for rule in ours if rule.allows and in_force(rule)]
+    yield from map(_blocked, blocking)
+    allowing = [rule for rule in ours if rule.allows]
     closed = [each.name for each in Protocol if not _is_open(allowing, each, needs[each])]
-    deaf = [each for each in on if not treated[each].heeds_local_rules]
+    deaf = [profile for profile, treatment in on.items() if not treatment.heeds_local_rules]
     if closed and deaf:
-        yield warning(
-            f"in {_kinds(deaf)} networks the firewall heeds only rules of who manages this PC, "
-            f"and none of those lets {' and '.join(closed)} in to this program",
-            _WHY,
-            f"ask them for a rule for {program}, or for local rules to be merged",
-        )
+        yield _unheeded(deaf, closed, program)
     elif closed:
         what = f"no rule of the firewall lets {' and '.join(closed)} in to this program"
         yield note(what + _nearly(named, program, on), _WHY, opening)
     elif not blocking and not shut:
         names = ", ".join(dict.fromkeys(repr(rule.name) for rule in allowing))
         yield ok(f"the firewall lets this program in: {names}")
+
+
+def _is_in_force(rule: Rule, treated: Mapping[str, Treatment]) -> bool:
+    return any(
+        rule.holds_in(profile) and (treatment.heeds_local_rules or not rule.is_local)
+        for profile, treatment in treated.items()
+    )
+
+
+def _shut(profiles: Iterable[str]) -> Finding:
+    return warning(
+        f"the firewall lets nobody in, in {_kinds(profiles)} networks, whatever its rules say",
+        _WHY,
+        "Windows Security > Firewall & network protection > the network > untick 'Blocks all "
+        "incoming connections'; where it is grey, ask who manages this PC",
+    )
+
+
+def _unheeded(profiles: Iterable[str], closed: Sequence[str], program: str) -> Finding:
+    return warning(
+        f"in {_kinds(profiles)} networks the firewall heeds only rules of who manages this PC, "
+        f"and none of those lets {' and '.join(closed)} in to this program",
+        _WHY,
+        f"ask them for a rule for {program}, or for local rules to be merged",
+    )
 
 
 def _kinds(profiles: Iterable[str]) -> str:
