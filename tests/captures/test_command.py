@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import structlog
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.captures import recorder
@@ -20,6 +18,7 @@ from biosensor_gateway.cli import capture as command
 from biosensor_gateway.cli.app import app
 from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.settings.models import DeviceSettings
+from tests.rigs.kept_logging import kept_logging
 from tests.zephyr import recorded_capture
 
 SECRET = "00:07:80:5A:3E:7E"
@@ -28,17 +27,8 @@ Command = Callable[..., int]
 
 @pytest.fixture(autouse=True)
 def restore_logging() -> Iterator[None]:
-    """Leave logging as it was: a command sets it up for the whole process."""
-    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
-    handlers, levels = root.handlers[:], (root.level, own.level)
-    yield
-    for handler in root.handlers[:]:
-        if handler not in handlers:
-            root.removeHandler(handler)
-            handler.close()
-    root.setLevel(levels[0])
-    own.setLevel(levels[1])
-    structlog.reset_defaults()
+    with kept_logging():
+        yield
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from biosensor_gateway.cli import doctor as commands
 from biosensor_gateway.doctor.context import Context, read_context
 from biosensor_gateway.doctor.table import CHECKS
 from tests.doctor.outlets import Offered, arguments, running
+from tests.rigs.kept_logging import kept_logging
 
 Examine = Callable[[Context, str], list[Finding]]
 """Runs one check of the table; returns what it found."""
@@ -101,7 +102,7 @@ def program() -> typer.Typer:
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Generator[Callable[..., Outcome]]:
     """Run the command in this process; no settings file is there by default."""
     monkeypatch.setenv("BIOSENSOR_GATEWAY_SETTINGS", str(tmp_path / "settings.toml"))
     monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path / "state"))
@@ -111,7 +112,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcom
         assert result.exception is None or isinstance(result.exception, SystemExit)
         return Outcome(result.exit_code, result.output)
 
-    return command
+    with kept_logging():
+        yield command
 
 
 @pytest.fixture

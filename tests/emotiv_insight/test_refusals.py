@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import time
 from collections.abc import Awaitable, Callable, Generator
 from typing import TYPE_CHECKING
 
 import keyring
 import pytest
-import structlog
 from keyring.backends import null
 from structlog.testing import capture_logs
 
@@ -30,6 +28,7 @@ from biosensor_gateway.devices.emotiv_insight.driver import driver
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER, find
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
+from tests.rigs.kept_logging import kept_logging
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -285,17 +284,9 @@ async def test_a_search_waits_for_nobody(
 
 @contextlib.contextmanager
 def logging_into(folder: Path) -> Generator[None]:
-    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
-    handlers, levels = root.handlers[:], (root.level, own.level)
-    configure_logs(LogSettings(), folder, verbose=True)
-    yield
-    for handler in root.handlers[:]:
-        if handler not in handlers:
-            root.removeHandler(handler)
-            handler.close()
-    root.setLevel(levels[0])
-    own.setLevel(levels[1])
-    structlog.reset_defaults()
+    with kept_logging():
+        configure_logs(LogSettings(), folder, verbose=True)
+        yield
 
 
 @pytest.mark.seam

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import os
 import subprocess
 import sys
@@ -18,7 +17,6 @@ from typing import NamedTuple
 
 import pylsl
 import pytest
-import structlog
 
 from biosensor_gateway import cli
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
@@ -26,6 +24,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import flush_logs
 from tests.open_outlets import outlets_of
+from tests.rigs.kept_logging import kept_logging
 from tests.rigs.virtual_time import virtual_clock
 
 __all__ = ["virtual_clock"]
@@ -177,15 +176,8 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def logging_as_before() -> Generator[None]:
     """Undo what a command sets up: its handlers hold on to the captured console."""
-    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
-    handlers, levels = root.handlers[:], (root.level, own.level)
-    yield
-    for handler in [each for each in root.handlers if each not in handlers]:
-        root.removeHandler(handler)
-        handler.close()
-    root.setLevel(levels[0])
-    own.setLevel(levels[1])
-    structlog.reset_defaults()
+    with kept_logging():
+        yield
 
 
 @pytest.fixture

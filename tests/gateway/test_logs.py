@@ -17,6 +17,7 @@ from _pytest.capture import CaptureResult
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_logs
+from tests.rigs.kept_logging import kept_logging
 
 DEADLINE_S = 30.0
 LOG = structlog.stdlib.get_logger("biosensor_gateway.test")
@@ -25,17 +26,8 @@ LIBRARY = logging.getLogger("some_library.part")
 
 @pytest.fixture(autouse=True)
 def restore_logging() -> Iterator[None]:
-    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
-    handlers, levels = root.handlers[:], (root.level, own.level)
-    yield
-    for handler in root.handlers[:]:
-        if handler not in handlers:
-            root.removeHandler(handler)
-            handler.close()
-    root.setLevel(levels[0])
-    own.setLevel(levels[1])
-    structlog.reset_defaults()
-    structlog.contextvars.clear_contextvars()
+    with kept_logging():
+        yield
 
 
 def fail_with(text: str) -> None:
