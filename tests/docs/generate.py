@@ -41,15 +41,18 @@ class Part:
 
 
 def decisions() -> str:
-    """Return the list of all decisions, each with its title."""
-    rows = [_decision(path) for path in sorted(DECISIONS.glob("[0-9]*.md"))]
-    return f"\n{sensor_table.table(('', 'Decision'), rows)}\n\n"
+    """Return a list of the decisions of each room, each with its title."""
+    rooms = sorted(path for path in DECISIONS.iterdir() if path.is_dir())
+    return "\n" + "\n".join(f"## {room.name.capitalize()}\n\n{_titles(room)}" for room in rooms)
 
 
-def _decision(path: Path) -> tuple[str, str]:
-    heading = path.read_text(encoding="utf-8").partition("\n")[0]
-    number, _, title = heading.removeprefix("# ").partition(". ")
-    return number, f"[{title}]({path.name})"
+def _titles(room: Path) -> str:
+    pages = sorted(room.glob("*.md"))
+    titles = [page.read_text(encoding="utf-8").partition("\n")[0][2:] for page in pages]
+    lines = [
+        f"- [{title}]({room.name}/{page.name})" for title, page in zip(titles, pages, strict=True)
+    ]
+    return "\n".join(lines) + "\n"
 
 
 PARTS = (

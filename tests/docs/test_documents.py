@@ -19,7 +19,7 @@ from biosensor_gateway.devices.registry import declaration, declaration_names, s
 from biosensor_gateway.settings import file as settings_file
 
 ROOT = Path(__file__).parents[2]
-DECISIONS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*/*.md"))
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *sorted((ROOT / "docs").glob("*.md")),
@@ -187,18 +187,17 @@ def test_migration_has_a_row_for_every_topic_of_the_original() -> None:
     assert not missing
 
 
-def test_decisions_are_numbered_without_a_gap() -> None:
-    numbers = [int(path.name[:4]) for path in DECISIONS]
-    assert numbers == list(range(1, len(DECISIONS) + 1))
+def test_decisions_are_few_and_each_title_is_there_once() -> None:
+    titles = {path.read_text(encoding="utf-8").partition("\n")[0] for path in DECISIONS}
+    assert len(titles) == len(DECISIONS) <= 50
 
 
 @pytest.mark.parametrize("decision", DECISIONS, ids=_name)
 def test_a_decision_has_its_parts_on_one_page(decision: Path) -> None:
     text = decision.read_text(encoding="utf-8")
-    assert text.startswith(f"# {int(decision.name[:4])}. ")
     parts = re.findall(r"^## (.+)$", text, re.MULTILINE)
     assert parts == ["Context", "Decision", "Consequences"]
-    assert len(text.split()) <= 350
+    assert len(text.split()) <= 400
 
 
 @each_document

@@ -65,7 +65,7 @@ def test_a_link_that_leads_nowhere_is_named(link: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("page", "meta"), [("page.md", {}), ("decisions/0001-a.md", {"search": {"boost": 0.3}})]
+    ("page", "meta"), [("page.md", {}), ("decisions/node/a.md", {"search": {"boost": 0.3}})]
 )
 def test_decisions_are_found_behind_the_pages_for_users(
     page: str, meta: dict[str, object], tmp_path: Path

@@ -1,8 +1,8 @@
 """Sets Fast DDS up for lossy networks and for programs that crash.
 
-Lost messages are sent again after 50 ms (decision 23), and messages go over UDP on one
-machine, too, never through shared memory (decision 28). The node announces itself twice a
-second (decision 29), and is ready when the others answer (decision 47).
+Lost messages are sent again after 50 ms, and messages go over UDP on one machine, too, never
+through shared memory. The node announces itself twice a second, and is ready when the others
+answer. Why: docs/decisions/node/fast-dds-profile.md.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class _Entry:
 class Taker:
     """Waits for messages of any subscription, and hands each to whom it belongs.
 
-    An executor of rclpy takes two to three times the processor time (decision 58).
+    An executor of rclpy takes two to three times the processor time.
 
     Parameters
     ----------

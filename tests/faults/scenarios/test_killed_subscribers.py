@@ -1,7 +1,7 @@
 """Programs that subscribe to the node crash, one after the other; those that follow hear it.
 
 With Fast DDS's shared memory about one in two hundred kept those from hearing anything that
-were started after it, for as long as the node ran (decision 28).
+were started after it, for as long as the node ran.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ DIAGNOSTICS_PERIOD = "diagnostic_updater.period"
 QOS_OVERRIDES = "qos_overrides."
 MAX_PREFIX_CHARACTERS = 100
 MAX_DEPTH = 1_000_000
-# Measured: decision 32.
+# Measured: docs/decisions/node/pace-bursts-for-subscribers.md.
 PACING_PER_MS, MAX_PACING_PER_MS = 0.5, 1000.0
 MAX_PROCESSES = 16
 # Rates and delays are those of a second.
