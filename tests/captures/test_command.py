@@ -11,6 +11,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.captures import recorder
+from biosensor_gateway.captures.draft import AGREED
 from biosensor_gateway.captures.file import ENDING, Capture, packed, read
 from biosensor_gateway.captures.recorder import Taken
 from biosensor_gateway.captures.redaction import Replaced
@@ -84,7 +85,7 @@ def test_who_agrees_gets_a_file_with_consent_and_note(
     (file,) = tmp_path.glob(f"*{ENDING}")
     assert file.name.startswith("zephyr-BioHarness_3-")
     header = read(file).header
-    assert header.consent == command.AGREED
+    assert header.consent == AGREED
     assert header.note == "stops after a minute"
     told = capsys.readouterr().out
     # What leaves, what was replaced, and what that means, before the question.

@@ -25,14 +25,28 @@ _OF_THE_LAB = frozenset(DeviceSettings.model_fields)
 
 
 class Recorder:
-    """A :class:`~biosensor_gateway.transports.tap.Tap` that keeps all it is told."""
+    """A :class:`~biosensor_gateway.transports.tap.Tap` that keeps all it is told.
+
+    Attributes
+    ----------
+    failed
+        How often a link could not be opened, by reason.
+    came
+        How many packets have come from the device.
+    """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
         self._clock = clock
         self._opened: list[tuple[float, Advertisement | None, Sequence[Characteristic]]] = []
         self._passed: list[tuple[int, Passed]] = []
         self.failed: Counter[str] = Counter()
+        self.came = 0
         self._has_ended = False
+
+    @property
+    def opened_s(self) -> float | None:
+        """When the first link was opened [s]; None before."""
+        return self._opened[0][0] if self._opened else None
 
     def end(self) -> None:
         """Take nothing more: how the driver takes its leave is not what the device sends."""
@@ -51,6 +65,7 @@ class Recorder:
         """Take what passes over a link; an answer is filled in when it has come."""
         if not self._has_ended:
             self._passed.append((link, what))
+            self.came += what.what is What.CAME
 
     def events(self) -> list[Event]:
         """Return all of it, in the order of its times."""
@@ -122,8 +137,13 @@ class Taken(NamedTuple):
     test: DeviceTest
 
 
-async def take(settings: DeviceSettings, seconds: float) -> Taken:
+async def take(settings: DeviceSettings, seconds: float, recorder: Recorder | None = None) -> Taken:
     """Connect to a device and capture what passes for so long.
+
+    Parameters
+    ----------
+    recorder
+        A new one that keeps what passes, for who wants to see how far it is.
 
     Raises
     ------
@@ -132,7 +152,7 @@ async def take(settings: DeviceSettings, seconds: float) -> Taken:
     TransportError, ProtocolError
         As for :func:`~biosensor_gateway.doctor.device_test.run_device_test`.
     """
-    recorder = Recorder()
+    recorder = recorder or Recorder()
     with tapped(recorder):
         test = await run_device_test(settings, seconds, recorder.end)
     return taken(recorder, settings, test)

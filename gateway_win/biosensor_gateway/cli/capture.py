@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from secrets import token_hex
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -25,22 +23,9 @@ from biosensor_gateway.system.logs import configure_logs
 if TYPE_CHECKING:
     from typer._click import Command, Context
 
+    from biosensor_gateway.captures.draft import Draft
     from biosensor_gateway.captures.file import Capture
-    from biosensor_gateway.captures.recorder import Taken
     from biosensor_gateway.captures.replaying import Report
-
-SECONDS = 60.0
-CONSENT = (
-    "An electrocardiogram, a pulse wave, an EEG and the way a person moves can identify this "
-    "person, as a fingerprint can, without any name. The file will be public, for anybody and for "
-    "good: under the licence CC0-1.0, which gives up all rights, nobody can take it back. So send "
-    "it only if you wore the device, or if whoever wore it knows all this and agrees; for a child, "
-    "the parents."
-)
-AGREED = "Whoever wore the device has agreed that it is public under CC0-1.0."
-_SHOWN_BYTES = 24
-_MAX_NOTE = 300
-_UNFIT = re.compile(r"[^A-Za-z0-9.]+")
 
 
 class _Captures(QuickGroup):
@@ -73,7 +58,7 @@ def capture_of(
     sensor: Annotated[str, typer.Argument(help="Which sensor, by its name in the settings.")],
     unit: Annotated[str, typer.Option(help="Which one, if several are configured.")] = "",
     settings: SettingsOption = None,
-    seconds: Annotated[float, typer.Option(min=5, max=3600, help="How long.")] = SECONDS,
+    seconds: Annotated[float, typer.Option(min=5, max=3600, help="How long.")] = 60.0,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="File to write.", show_default=False)
     ] = None,
@@ -88,7 +73,7 @@ def capture_of(
     if not can_ask():
         message = "a capture needs somebody's consent: run it in a terminal"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    from biosensor_gateway.captures.file import packed  # takes a second, and needs liblsl
+    from biosensor_gateway.captures.draft import HOW_TO_SEND, Draft  # takes a second, needs liblsl
     from biosensor_gateway.captures.recorder import take
     from biosensor_gateway.doctor.device_test import chosen_device
 
@@ -97,19 +82,19 @@ def capture_of(
         device = chosen_device(sensor, unit, configured)
         say(f"Connecting, then {seconds:g} s are captured. The device should be worn.")
         taken = asyncio.run(take(device, seconds))
-    for line in summary(taken):
+    draft = Draft(taken, "a virtual device" if simulate else "")
+    typer.echo()
+    for line in draft.lines:
         say(line, hang=4)
-    for problem in taken.test.problems:
+    for problem in draft.problems:
         say(f"! {problem}")
-    if not _is_agreed(taken):
+    if not _is_agreed(draft):
         say("Nothing was saved.")
         raise typer.Exit(1)
-    capture = _with_note(taken.capture, "a virtual device" if simulate else "")
-    path = output or Path(file_name(capture))
-    with path.open("xb") as file:
-        file.write(packed(capture))
-    say(f"Saved: {path.resolve()} ({path.stat().st_size / 1024:.0f} KB). Nothing was sent.")
-    say('To send it, open an issue of the kind "A capture of a device" and attach the file.')
+    note = ask("What did you see? One line without names, or Enter:", str)
+    path = draft.save(output or Path(), note)
+    say(f"Saved: {path} ({path.stat().st_size / 1024:.0f} KB). Nothing was sent.")
+    say(HOW_TO_SEND)
 
 
 @app.command()
@@ -147,48 +132,9 @@ def replay(
         raise typer.Exit(1)
 
 
-def summary(taken: Taken) -> Iterator[str]:
-    """Say what would leave this computer, and what does not."""
-    capture = taken.capture
-    header = capture.header
-    yield ""
-    yield "This is what the file holds:"
-    known = (header.manufacturer, header.model, header.firmware)
-    yield f"  device: {header.sensor}, {', '.join(filter(None, known)) or 'nothing known of it'}"
-    yield f"  computer: {header.system}; {header.radio}; biosensor-gateway {header.gateway}"
-    yield f"  month: {header.recorded}; length: {header.seconds:g} s"
-    if header.settings:
-        yield f"  settings: {json.dumps(header.settings)}"
-    if header.left_out:
-        yield f"  left out of the settings: {', '.join(header.left_out)}"
-    seen = capture.events[0].seen
-    if seen is not None:
-        yield f"  advertised: {seen.name or 'no name'}, {seen.address}"
-    yield "  what passed, with the time of each, and the first of it:"
-    groups: dict[tuple[str, str], list[bytes]] = {}
-    for event in capture.events:
-        groups.setdefault((event.what.value, event.at), []).append(event.bytes)
-    for (what, at), packets in groups.items():
-        size = sum(map(len, packets))
-        first = next(filter(None, packets), b"")[:_SHOWN_BYTES].hex(" ")
-        yield f"    {what} {at}".rstrip() + f": {len(packets)} times, {size} bytes; {first}"
-    yield "The device's own clock is in it as it is, which may tell date and time."
-    yield "Replaced:" if taken.replaced else "There was nothing to replace."
-    for each in taken.replaced:
-        found = f", {each.times} times in what passed" if each.times else ""
-        yield f"    {each.kind}: {each.secret} became {each.pseudonym}{found}"
+def _is_agreed(draft: Draft) -> bool:
+    from biosensor_gateway.captures.draft import CONSENT  # only then, as above
 
-
-def file_name(capture: Capture) -> str:
-    """Return a name for the file that tells what it is of, and not whose."""
-    from biosensor_gateway.captures.file import ENDING  # only then
-
-    header = capture.header
-    parts = (header.sensor, header.model, header.firmware, token_hex(2))
-    return "-".join(_UNFIT.sub("_", each) for each in parts if each) + ENDING
-
-
-def _is_agreed(taken: Taken) -> bool:
     typer.echo()
     say(CONSENT)
     typer.echo()
@@ -196,16 +142,8 @@ def _is_agreed(taken: Taken) -> bool:
         answer = ask("Type yes to save it, show to see all of it, no to throw it away:", str)
         if answer.casefold() != "show":
             return answer.casefold() == "yes"
-        typer.echo(taken.capture.header.model_dump_json())
-        for event in taken.capture.events:
-            typer.echo(event.model_dump_json(exclude_defaults=True))
-
-
-def _with_note(capture: Capture, source: str) -> Capture:
-    note = ask("What did you see? One line without names, or Enter:", str)[:_MAX_NOTE]
-    update = {"consent": AGREED, "note": note, "source": source}
-    header = capture.header.model_copy(update=update)
-    return capture.model_copy(update={"header": header})
+        for line in draft.whole():
+            typer.echo(line)
 
 
 def _each(files: Sequence[Path]) -> Iterator[Path]:
