@@ -14,7 +14,7 @@
 # make changelog [VERSION=]  the fragments of changelog.d joined into CHANGELOG.md; shown without a version
 # make bench, make format, make lock
 SHELL := /bin/sh
-PYTHON_FILES := common gateway_win hatch_build.py installer ros_side tests typings
+PYTHON_FILES := common examples gateway_win hatch_build.py installer ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
 ENGINE := docker
@@ -30,7 +30,7 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test seams nightly explore faults fuzz installer check bench format docs docs-site changelog
-.PHONY: pictures containers lock venv-ros venv-dev venv-kilted venv-peers
+.PHONY: pictures containers lock venv-ros venv-dev venv-kilted venv-peers venv-psychopy
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -109,3 +109,6 @@ venv-kilted:
 
 venv-peers: venv-dev
 	@tests/peers/install.sh
+
+venv-psychopy: venv-dev
+	@tests/examples/psychopy/install.sh

@@ -7,6 +7,7 @@ are out of date.
 from __future__ import annotations
 
 import argparse
+import functools
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -55,6 +56,22 @@ def _titles(room: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
+def example(path: str) -> str:
+    """Return a program of the examples as a block of code that is called by its name."""
+    program = ROOT / "examples" / path
+    text = program.read_text(encoding="utf-8")
+    return f'\n```python title="{program.name}"\n{text}```\n\n'
+
+
+EXAMPLES = {
+    "two_people_and_a_robot/robot.py": "docs/example.md",
+    "two_people_and_a_robot/table.py": "docs/example.md",
+    "act_on_features/score.py": "docs/acting-on-features.md",
+    "act_on_features/slow_down.py": "docs/tutorial-robot.md",
+    "act_on_features/tree.py": "docs/acting-on-features.md",
+}
+"""Programs that are shown on a page."""
+
 PARTS = (
     Part("README.md", "sensors", sensor_table.sensors),
     Part("docs/topics.md", "topics", sensor_table.topics),
@@ -66,6 +83,10 @@ PARTS = (
     Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
     Part("docs/pictures/faults.svg", "", fault_picture.picture),
+    *(
+        Part(page, Path(path).name, functools.partial(example, path))
+        for path, page in EXAMPLES.items()
+    ),
 )
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pylsl
@@ -17,7 +19,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
 from tests.system.stamped_messages import Sample
-from tests.system.stamped_streams import Listener, Source
+from tests.system.stamped_streams import DEADLINE_S, Listener, Source
 from tests.system.workspace import Workspace
 
 pytestmark = pytest.mark.system
@@ -283,3 +285,21 @@ def test_the_battery_is_kept_for_later_subscribers(listen: Callable[..., Listene
     (sample,) = late.samples(topic)
     assert sample.values == (79.0,)
     assert abs(_errors_ns([sample], stamps[-1:])[0]) <= TOLERANCE_NS
+
+
+def test_the_example_shows_how_old_samples_are(
+    workspace: Workspace, start: Callable[..., Program]
+) -> None:
+    person = DeviceIdentity("polar_h10", "virtual", participant="P01")
+    outlet = Outlet(declaration("polar_h10").stream("ecg"), person, DeviceInfo())
+    example = Path(__file__).parents[2] / "examples" / "ros" / "delay.py"
+    program = start("delay", [workspace.python, str(example)], env=workspace.environment())
+    deadline = time.monotonic() + DEADLINE_S
+    while "samples, newest" not in program.output:
+        assert time.monotonic() < deadline, program.output
+        assert program.process.poll() is None, program.output
+        outlet.push([1.0], [pylsl.local_clock() - 0.5])
+        time.sleep(0.01)
+    (first, *_) = re.findall(r"newest (\d+) ms old, lost: (\S+)", program.output)
+    assert int(first[0]) >= 500
+    assert first[1] in {"0", "unknown"}

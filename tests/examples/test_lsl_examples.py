@@ -1,0 +1,124 @@
+"""The examples of LSL and of recordings, as they stand, in processes of their own."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Generator
+from pathlib import Path
+
+import numpy as np
+import pylsl
+import pytest
+
+from tests.page.conftest import DEADLINE_S, Programs
+from tests.xdf import xdf_file
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+pytestmark = pytest.mark.nightly
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> Generator[Programs]:
+    running = Programs(tmp_path)
+    running.settings.write_text("")
+    yield running
+    running.end()
+
+
+def output(path: str, *arguments: str) -> str:
+    command = [sys.executable, str(EXAMPLES / path), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_stream_is_read_with_its_unit_and_rate(programs: Programs) -> None:
+    programs.start("run", "--simulate", "polar_h10@P01")
+    # Found by a program that does not wait for the agent's start.
+    assert pylsl.resolve_byprop("type", "ECG", timeout=DEADLINE_S)
+    said = output("lsl/read_a_stream.py")
+    assert re.search(r"P01-polar_h10-virtual-ecg: 130 Hz, in microvolts", said), said
+    measured = re.search(r"measured rate: ([\d.]+) Hz", said)
+    assert measured
+    assert float(measured[1]) == pytest.approx(130.0, rel=0.02)
+
+
+def test_a_stream_without_a_sender_is_a_sentence() -> None:
+    command = [sys.executable, str(EXAMPLES / "lsl/read_a_stream.py")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.returncode == 1
+    assert "No ECG on the network" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_stream_of_ones_own_is_received_with_its_times() -> None:
+    sender = subprocess.Popen([sys.executable, str(EXAMPLES / "lsl/send_a_stream.py")])
+    try:
+        (found,) = pylsl.resolve_byprop("source_id", "my-lab-thermometer-1", timeout=DEADLINE_S)
+        inlet = pylsl.StreamInlet(found, recover=False)
+        received = [inlet.pull_sample(timeout=DEADLINE_S) for _ in range(20)]
+        assert inlet.info(timeout=DEADLINE_S).get_channel_units() == ["celsius"]
+    finally:
+        sender.kill()
+        sender.wait()
+    times = np.array([time for _, time in received])
+    np.testing.assert_allclose(np.diff(times), 0.1, atol=1e-6)
+    values = np.array([sample for sample, _ in received], float)[:, 0]
+    np.testing.assert_allclose(values, 33.0 + np.sin(times), atol=1e-5)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A signal that rises by 2 each time, half a second after a marker, and a gap."""
+    times = np.arange(100.0, 160.0, 0.1)
+    events = (110.0, 120.0, 140.0)
+    values = np.zeros(len(times))
+    for event in events:
+        values[(times > event + 0.45) & (times < event + 3.05)] = 2.0
+    kept = (times < 121.95) | (times > 122.95)
+    parts = [
+        xdf_file.stream_header(1, "skin", kind="GSR", rate=10.0),
+        xdf_file.stream_header(2, "marks", kind="Markers", fmt="string"),
+        xdf_file.samples(1, "float32", values[kept][:, np.newaxis].tolist(), times[kept].tolist()),
+        xdf_file.samples(
+            2,
+            "string",
+            [["stimulus"], ['{"marker":"stimulus","id":1}'], ["other"], ["stimulus"]],
+            [110.0, 120.0, 130.0, 140.0],
+        ),
+        xdf_file.footer(1, int(kept.sum())),
+        xdf_file.footer(2, 4),
+    ]
+    path = tmp_path / "study.xdf"
+    path.write_bytes(xdf_file.xdf(*parts))
+    return path
+
+
+def test_a_signal_is_averaged_around_its_markers(recording: Path) -> None:
+    said = output(
+        "recordings/average_around_markers.py",
+        str(recording),
+        "--signal",
+        "GSR",
+        "--marker",
+        "stimulus",
+    )
+    assert "skin: 3 of 3 markers have a signal before" in said
+    curve = dict(re.findall(r"^ *(-?[\d.]+) s +([+-][\d.]+|nan)$", said, re.MULTILINE))
+    assert float(curve["-0.5"]) == 0.0
+    assert float(curve["0.3"]) == 0.0
+    # The gap behind the second marker takes nothing from the mean of the others.
+    assert float(curve["2.5"]) == 2.0
+    assert float(curve["4.0"]) == 0.0
+
+
+def test_a_signal_that_is_not_there_is_a_sentence(recording: Path) -> None:
+    program = str(EXAMPLES / "recordings/average_around_markers.py")
+    command = [sys.executable, program, str(recording), "--signal", "EEG", "--marker", "stimulus"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.returncode == 1
+    assert "There is no EEG" in done.stderr
+    assert "GSR" in done.stderr
