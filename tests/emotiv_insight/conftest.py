@@ -19,9 +19,8 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.emotiv_insight.driver import account, driver, headsets
-from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
-from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
+from biosensor_gateway.devices.emotiv_insight.driver import account, driver, session
+from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER, EmotivInsightSettings
 from tests.rigs.driver_run import NotedSink, Run, supervised
 
 DEADLINE_S = 30.0
@@ -260,8 +259,8 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
         (supervisor_module, "BACKOFF_FIRST_S", 0.05),
         (account, "ASK_EVERY_S", 0.1),
         (account, "RETRY_HEADSET_S", 0.05),
-        (headsets, "ASK_EVERY_S", 0.1),
-        (headsets, "SCAN_PATIENCE_S", 2.0),
+        (session, "ASK_EVERY_S", 0.1),
+        (session, "SCAN_PATIENCE_S", 2.0),
         (driver, "PATIENCE_S", 1.5),
     ):
         monkeypatch.setattr(module, name, seconds)

@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 from biosensor_common.errors import ConfigError, ProtocolError
-from biosensor_gateway.devices.emotiv_insight.driver import results
+from biosensor_gateway.devices.emotiv_insight.driver import protocol
 from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
-from biosensor_gateway.devices.emotiv_insight.driver.headsets import chosen
 from biosensor_gateway.devices.emotiv_insight.driver.messages import Data, Reply, Warned, parse
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder, Sample
+from biosensor_gateway.devices.emotiv_insight.driver.session import chosen
 from tests.fuzz.breaking import Fault, instead
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
@@ -26,13 +26,13 @@ from tests.fuzz.seeding import Seeds, vectors
 _MAX_BYTES = 8192
 
 _READERS: tuple[Callable[[object], object], ...] = (
-    results.version,
-    results.login,
-    results.access_granted,
-    results.token,
-    results.eula_missing,
-    results.session,
-    results.sessions,
+    protocol.version,
+    protocol.login,
+    protocol.access_granted,
+    protocol.token,
+    protocol.eula_missing,
+    protocol.session,
+    protocol.sessions,
 )
 
 
@@ -71,14 +71,14 @@ def _read(result: object, decoder: Decoder) -> None:
             read(result)
         except ProtocolError:
             continue
-    headsets = results.headsets(result)
+    headsets = protocol.headsets(result)
     for headset in headsets:
         _can_be_written(headset.headset_id + headset.name + headset.firmware)
     try:
         chosen(headsets, "")
     except ConfigError as error:
         _can_be_written(str(error))
-    subscription = results.subscription(result)
+    subscription = protocol.subscription(result)
     decoder.subscribed(subscription.session_id, subscription.layouts)
 
 

@@ -19,13 +19,12 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.devices.emotiv_insight.driver import cortex as module
-from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import (
     KEPT_WARNINGS,
     CortexClient,
     CortexError,
 )
-from biosensor_gateway.devices.emotiv_insight.driver.messages import FaultCode
+from biosensor_gateway.devices.emotiv_insight.driver.messages import ErrorKind, Event, FaultCode
 from biosensor_gateway.transports.websocket import ReceivedText
 
 SECRET = "planted-secret"

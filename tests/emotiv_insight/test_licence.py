@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.emotiv_insight.driver.results import Licence, licence
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Licence, licence
 
 
 def test_scopes_and_expiry_are_read() -> None:

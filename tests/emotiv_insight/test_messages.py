@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.emotiv_insight.driver import results
-from biosensor_gateway.devices.emotiv_insight.driver.codes import Event
+from biosensor_gateway.devices.emotiv_insight.driver import protocol
 from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     STREAMS,
     Data,
+    Event,
     Fault,
     FaultCode,
     Reply,
@@ -149,19 +149,19 @@ def test_results_are_read(vector: dict[str, Any]) -> None:
     assert reply.error is None
     match expect["method"]:
         case "getCortexInfo":
-            assert results.version(reply.result) == expect["version"]
+            assert protocol.version(reply.result) == expect["version"]
         case "getUserLogin":
-            login = results.login(reply.result)
-            assert login == results.Login(expect["logged_in"], expect["same_os_user"])
+            login = protocol.login(reply.result)
+            assert login == protocol.Login(expect["logged_in"], expect["same_os_user"])
         case "authorize":
-            assert results.token(reply.result) == expect["token"]
-            assert results.eula_missing(reply.result) is expect["eula_warning"]
+            assert protocol.token(reply.result) == expect["token"]
+            assert protocol.eula_missing(reply.result) is expect["eula_warning"]
         case "createSession":
-            session = results.session(reply.result)
+            session = protocol.session(reply.result)
             assert (session.session_id, session.status) == (expect["session"], expect["status"])
             assert session.is_active is expect["activated"]
         case "subscribe":
-            subscription = results.subscription(reply.result)
+            subscription = protocol.subscription(reply.result)
             assert sorted(subscription.layouts) == sorted(expect["ok"])
             assert subscription.failures == expect["failed"]
             assert subscription.session_id == vector["message"]["result"]["success"][0]["sid"]
@@ -221,8 +221,8 @@ def test_no_columns_and_values_make_the_decoder_fail(
 
 @given(JSON | keyed(JSON))
 def test_no_result_makes_its_reader_fail(result: object) -> None:
-    for read in (results.version, results.login, results.access_granted, results.eula_missing,
-                 results.headsets, results.sessions, results.subscription):  # fmt: skip
+    for read in (protocol.version, protocol.login, protocol.access_granted, protocol.eula_missing,
+                 protocol.headsets, protocol.sessions, protocol.subscription):  # fmt: skip
         read(result)
 
 
@@ -256,4 +256,4 @@ def test_a_nested_column_has_nested_values(nested: object, fault: FaultCode | No
 def test_what_is_no_list_of_labels_is_no_layout(cols: object) -> None:
     assert layout(cols) is None
     answer = {"success": [{"streamName": "eeg", "cols": cols, "sid": SID}], "failure": []}
-    assert results.subscription(answer) == results.Subscription({}, {"eeg": 0}, "")
+    assert protocol.subscription(answer) == protocol.Subscription({}, {"eeg": 0}, "")

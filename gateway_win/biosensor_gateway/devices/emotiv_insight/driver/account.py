@@ -14,11 +14,9 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.emotiv_insight.driver import results
-from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
-from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
-from biosensor_gateway.devices.emotiv_insight.driver.messages import Warned
-from biosensor_gateway.devices.emotiv_insight.driver.waiting import until
+from biosensor_gateway.devices.emotiv_insight.driver import protocol
+from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError, until
+from biosensor_gateway.devices.emotiv_insight.driver.messages import ErrorKind, Event, Warned
 from biosensor_gateway.settings.secrets import Secret, SecretName, find_secret
 from biosensor_gateway.system.device_log import Once
 from biosensor_gateway.transports.threads import in_daemon_thread
@@ -163,16 +161,16 @@ class Account:
         if self._license_id:
             params["license"] = self._license_id
         result = await client.call("authorize", params, AUTHORIZE_TIMEOUT_S)
-        self._token = Secret(results.token(result))
+        self._token = Secret(protocol.token(result))
         client.warnings.hide(self._token.reveal())
-        if results.eula_missing(result):
+        if protocol.eula_missing(result):
             self.say_once("the licence agreement is not accepted; do so in EMOTIV Launcher")
 
     async def _await_login(self, client: CortexClient, patience_s: float) -> None:
         missing = "nobody is logged in to EMOTIV Launcher; log in there"
 
         async def ask(_: Warned | None) -> bool | None:
-            login = results.login(await client.call("getUserLogin"))
+            login = protocol.login(await client.call("getUserLogin"))
             if not login.same_os_user:
                 message = "another user of this computer is logged in to EMOTIV Launcher; log out"
                 raise TransportError(TransportReason.BUSY, message)
@@ -196,11 +194,11 @@ class Account:
                 message = "the use of Emotiv headsets was rejected in EMOTIV Launcher; allow it"
                 raise CredentialError(CredentialReason.REJECTED, message)
             method = "hasAccessRight"
-            granted = results.access_granted(await client.call(method, credentials.params()))
+            granted = protocol.access_granted(await client.call(method, credentials.params()))
             if not granted and not requested:
                 requested = True
                 method = "requestAccess"
-                granted = results.access_granted(await client.call(method, credentials.params()))
+                granted = protocol.access_granted(await client.call(method, credentials.params()))
                 if not granted:
                     self.say_once(missing)
             return granted or None

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from ipaddress import ip_address
 from urllib.parse import urlsplit
 
 import structlog
+from pydantic import Field, ValidationInfo, field_validator
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import IRREGULAR, DeviceInfo
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.emotiv_insight.driver import account as accounts
-from biosensor_gateway.devices.emotiv_insight.driver import results
+from biosensor_gateway.devices.emotiv_insight.driver import protocol
 from biosensor_gateway.devices.emotiv_insight.driver.account import (
     SECRETS,
     Account,
@@ -30,29 +32,81 @@ from biosensor_gateway.devices.emotiv_insight.driver.emitter import (
     MOTION_RATE_HZ,
     EmotivEmitter,
 )
-from biosensor_gateway.devices.emotiv_insight.driver.failures import ENDINGS, ending, gateway_error
-from biosensor_gateway.devices.emotiv_insight.driver.headsets import (
+from biosensor_gateway.devices.emotiv_insight.driver.messages import Fault
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder, Headset, Subscription
+from biosensor_gateway.devices.emotiv_insight.driver.session import (
+    ENDINGS,
+    Session,
+    ending,
+    gateway_error,
     is_insight,
     known_headsets,
+    open_session,
     reach,
     search,
-)
-from biosensor_gateway.devices.emotiv_insight.driver.messages import Fault
-from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder
-from biosensor_gateway.devices.emotiv_insight.driver.results import Headset, Subscription
-from biosensor_gateway.devices.emotiv_insight.driver.session import (
-    Session,
-    open_session,
-    unlicensed,
-)
-from biosensor_gateway.devices.emotiv_insight.driver.settings import (
-    DEFAULT_URL,
-    EmotivInsightSettings,
-    is_loopback,
 )
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.websocket import WebSocketLink
+
+DEFAULT_URL = "wss://localhost:6868"
+
+
+class EmotivInsightSettings(DeviceSettings):
+    """Settings of one Insight.
+
+    The client id and secret of the Cortex app are no settings: they come from the
+    environment or the keyring.
+    """
+
+    headset: str = Field(
+        default="",
+        description="Id of the headset as EMOTIV Launcher shows it, INSIGHT-A1B2C3D4 for instance; "
+        "* stands for any characters. Empty for the only one in reach.",
+    )
+    allow_remote: bool = Field(
+        default=False,
+        description="Whether Cortex may run on another computer, which then gets the client id and "
+        "secret.",
+    )
+    url: str = Field(
+        default=DEFAULT_URL,
+        description="Where the Cortex service listens. Its certificate is for localhost, not for "
+        "127.0.0.1.",
+    )
+    ca_file: str = Field(
+        default="",
+        description="PEM file of the vendor's root certificate. Empty for what the operating "
+        "system trusts, which on Windows has it from the installer.",
+    )
+    license: str = Field(
+        default="",
+        description="Id of the Emotiv licence to use. Empty for the one that Cortex chooses.",
+    )
+    debit: int = Field(
+        default=10,
+        ge=0,
+        description="How many sessions to draw from a counted licence at a time.",
+    )
+
+    @field_validator("url")
+    @classmethod
+    def _check_url(cls, url: str, info: ValidationInfo) -> str:
+        parts = urlsplit(url)
+        if parts.scheme != "wss" or not parts.hostname or parts.username is not None:
+            raise ValueError(f"should be like {DEFAULT_URL}")
+        if not (info.data.get("allow_remote") or is_loopback(parts.hostname)):
+            raise ValueError("should be this computer, unless allow_remote is true")
+        return url
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a host name or address can only mean this computer."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
 
 PATIENCE_S = 10.0
 WHY_TIMEOUT_S = 2.0
@@ -133,7 +187,7 @@ class EmotivInsightDriver:
 
     async def _start(self) -> Connected:
         client = self._client
-        version = results.version(await client.call("getCortexInfo"))
+        version = protocol.version(await client.call("getCortexInfo"))
         await self._account.sign_in(client, accounts.PATIENCE_S)
         headset, stayed = await reach(client, self._pattern)
         self._headset = headset
@@ -221,6 +275,37 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotivInsightDri
     emitter = EmotivEmitter(sink)
     account = Account(own.license, own.debit)
     return lambda: EmotivInsightDriver(own, sink, emitter, account)
+
+
+EXPIRED = "it has expired"
+NO_RAW_EEG = "it does not cover raw EEG: eeg and eeg_status stay empty"
+SLOW_METRICS = "it does not cover performance metrics: met comes every 10 s, not twice a second"
+
+
+async def unlicensed(settings: DeviceSettings) -> Sequence[str]:
+    """Sign in, without drawing sessions from a counted licence, and ask.
+
+    Raises
+    ------
+    CredentialError
+        ``MISSING``: a client id or secret, a user, an approval; ``REJECTED``.
+    ProtocolError, TransportError
+        See :meth:`CortexClient.call`.
+    """
+    own = own_settings(EmotivInsightSettings, settings)
+    client = CortexClient(WebSocketLink(own.url, own.ca_file))
+    account = Account(own.license)
+    try:
+        await client.open()
+        await account.sign_in(client, patience_s=0.0)
+        licence = protocol.licence(await account.call(client, "getLicenseInfo", {}))
+    except CortexError as error:
+        raise gateway_error(error) from error
+    finally:
+        await client.close()
+    found = [EXPIRED] if licence.expired else []
+    found += [NO_RAW_EEG] if "eeg" not in licence.scopes else []
+    return found + ([SLOW_METRICS] if "pm" not in licence.scopes else [])
 
 
 async def find(configured: Sequence[DeviceSettings]) -> list[Found]:

@@ -1,66 +1,244 @@
-"""A session with one headset: made, subscribed to, closed."""
+"""The headset, the session with it, and what Cortex' refusals mean for the agent."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
+from typing import NamedTuple
 
-from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError
-from biosensor_gateway.devices.driver import own_settings
-from biosensor_gateway.devices.emotiv_insight.driver import results
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    CredentialError,
+    CredentialReason,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
+from biosensor_gateway.devices.emotiv_insight.driver import protocol
 from biosensor_gateway.devices.emotiv_insight.driver.account import Account
-from biosensor_gateway.devices.emotiv_insight.driver.codes import (
+from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError, until
+from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     SESSION_EXISTS,
     SESSION_NOT_ACTIVE,
     ErrorKind,
+    Event,
+    Warned,
 )
-from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
-from biosensor_gateway.devices.emotiv_insight.driver.failures import gateway_error
-from biosensor_gateway.devices.emotiv_insight.driver.results import (
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import (
     Headset,
     SessionState,
     Subscription,
 )
-from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
-from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.transports.websocket import WebSocketLink
+
+ELECTRODES = SPEC.stream("eeg").labels
+"""Of an Insight, and so of all that is declared."""
+_FAMILY = "INSIGHT"
+"""Ids begin with the model: ``INSIGHT-``, ``INSIGHT2-``, ``EPOCX-``, ``MN8-`` ..."""
+SCAN_PATIENCE_S = 25.0
+"""A scan takes about 20 s."""
+CONNECT_PATIENCE_S = 30.0
+ASK_EVERY_S = 2.0
+
+
+class Reached(NamedTuple):
+    """A headset that is connected to Cortex.
+
+    ``stayed`` tells whether it was so already, and so has measured all the time.
+    """
+
+    headset: Headset
+    stayed: bool
+
+
+async def known_headsets(client: CortexClient, timeout_s: float = 0.0) -> list[Headset]:
+    """Ask Cortex which headsets it knows now; see :meth:`CortexClient.call`."""
+    return protocol.headsets(await client.call("queryHeadsets", timeout_s=timeout_s))
+
+
+async def reach(client: CortexClient, pattern: str) -> Reached:
+    """Find the headset and have it connected.
+
+    Parameters
+    ----------
+    pattern
+        Id, with ``*`` for any characters; empty for the only one.
+
+    Raises
+    ------
+    TransportError
+        ``ABSENT``.
+    ConfigError
+        ``WRONG_VALUE``: more than one headset fits.
+    CortexError, ProtocolError
+        Cortex refuses or does not answer; ``UNSUPPORTED``: the headset is no Insight.
+    """
+    known = await search(client, SCAN_PATIENCE_S, lambda found: _has_insight(found, pattern))
+    found = chosen(known, pattern)
+    if found is None:
+        message = f"Cortex finds no headset {pattern or 'at all'}; switch it on, near this computer"
+        raise TransportError(TransportReason.ABSENT, message)
+    if found.is_connected:
+        return Reached(found, stayed=True)
+    return Reached(await _connect(client, found), stayed=False)
+
+
+def chosen(headsets: Sequence[Headset], pattern: str) -> Headset | None:
+    """Return the headset that a pattern means, None if there is none.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``: more than one fits, and which it is must not be left to chance.
+    ProtocolError
+        ``UNSUPPORTED``: none that fits is an Insight.
+    """
+    fitting = _fitting(headsets, pattern)
+    insights = [each for each in fitting if is_insight(each)]
+    if len(insights) > 1:
+        ids = ", ".join(sorted(each.headset_id for each in insights))
+        message = f"{len(insights)} headsets fit; set headset to one of {ids}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    if fitting and not insights:
+        _require_insight(fitting[0])
+    return insights[0] if insights else None
+
+
+def is_insight(headset: Headset) -> bool:
+    """Tell whether a headset has the channels of the declaration, as far as it tells its own."""
+    if headset.electrodes:
+        return set(headset.electrodes) == set(ELECTRODES)
+    return headset.headset_id.upper().startswith(_FAMILY)
+
+
+async def search(
+    client: CortexClient, patience_s: float, is_enough: Callable[[Sequence[Headset]], bool]
+) -> list[Headset]:
+    """Let Cortex search until enough is found or it has finished; return all that it knows then.
+
+    A search disturbs what is streaming, so there is none while any headset is connected.
+    """
+    known = await known_headsets(client)
+    if is_enough(known) or any(each.is_connected for each in known):
+        return known
+
+    async def ask(warned: Warned | None) -> list[Headset] | None:
+        found = await known_headsets(client)
+        return found if warned is not None or is_enough(found) else None
+
+    with client.warnings.watching(Event.SCAN_FINISHED) as heard:
+        await client.call("controlDevice", {"command": "refresh"})
+        found = await until(ask, heard, every_s=ASK_EVERY_S, patience_s=patience_s)
+    return found if found is not None else known
+
+
+async def _connect(client: CortexClient, found: Headset) -> Headset:
+    message = f"Cortex cannot connect to {found.headset_id}; is it on, charged and near?"
+    own = found.headset_id
+
+    async def ask(warned: Warned | None) -> Headset | None:
+        if (
+            warned is not None
+            and warned.event is Event.HEADSET_CONNECT_FAILED
+            and warned.headset in (own, "")
+        ):
+            raise TransportError(TransportReason.ABSENT, message)
+        known = chosen(await known_headsets(client), own)
+        return known if known is not None and known.is_connected else None
+
+    with client.warnings.watching(Event.HEADSET_CONNECTED, Event.HEADSET_CONNECT_FAILED) as heard:
+        if found.status != "connecting":
+            params = {"command": "connect", "headset": own}
+            await client.call("controlDevice", params, CONNECT_PATIENCE_S)
+        connected = await until(ask, heard, every_s=ASK_EVERY_S, patience_s=CONNECT_PATIENCE_S)
+    if connected is None:
+        raise TransportError(TransportReason.ABSENT, message)
+    return connected
+
+
+def _require_insight(headset: Headset) -> None:
+    if is_insight(headset):
+        return
+    own = headset.electrodes
+    channels = f" ({len(own)} electrodes: {', '.join(own)})" if own else ""
+    message = (
+        f"{headset.headset_id} is no Insight{channels}; only the Insight's channels are known "
+        "here, so set headset to an Insight"
+    )
+    raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+
+
+def _has_insight(headsets: Sequence[Headset], pattern: str) -> bool:
+    return any(is_insight(each) for each in _fitting(headsets, pattern))
+
+
+def _fitting(headsets: Sequence[Headset], pattern: str) -> list[Headset]:
+    return [each for each in headsets if fnmatchcase(each.headset_id, pattern or "*")]
+
+
+_ABSENT = TransportReason.ABSENT
+_LOST = TransportReason.LOST
+_MISSING = CredentialReason.MISSING
+_REJECTED = CredentialReason.REJECTED
+
+_ERRORS: dict[ErrorKind, tuple[TransportReason | CredentialReason, str]] = {
+    ErrorKind.CREDENTIALS: (_REJECTED, "check the client id and secret of the Cortex app"),
+    ErrorKind.TOKEN: (_REJECTED, "log out of EMOTIV Launcher and in again"),
+    ErrorKind.USER: (_MISSING, "log in to EMOTIV Launcher"),
+    ErrorKind.ACCESS: (_MISSING, "approve this application in EMOTIV Launcher"),
+    ErrorKind.LICENSE: (
+        _REJECTED,
+        "check the licence; a Cortex app that requires EEG needs a licence with EEG",
+    ),
+    ErrorKind.HEADSET: (_ABSENT, "switch the headset on, near this computer"),
+    ErrorKind.RETRY_HEADSET: (_ABSENT, "wait until EMOTIV Launcher shows it as ready"),
+    ErrorKind.SESSION: (_LOST, "the session is made anew"),
+}
+
+ENDINGS = {
+    Event.SUBSCRIPTIONS_STOPPED: (_LOST, "Cortex has stopped the streams"),
+    Event.SESSION_CLOSED: (_LOST, "Cortex has closed the session"),
+    Event.HEADSET_LOST: (_LOST, "Cortex has lost the headset; is it on, charged and near?"),
+    Event.CLIENT_UNKNOWN: (_LOST, "Cortex asks for a new connection"),
+    Event.USER_LOGOUT: (_MISSING, "the user has logged out of EMOTIV Launcher; log in there"),
+    Event.OTHER_OS_USER: (
+        TransportReason.BUSY,
+        "another user of this computer has logged in to EMOTIV Launcher",
+    ),
+}
+"""Warnings that end a connection."""
+
+
+def gateway_error(error: CortexError) -> GatewayError:
+    """Return the error of the class that tells what to do; its own where that is "try later"."""
+    found = _ERRORS.get(error.kind)
+    return error if found is None else _error(found[0], f"{error}; {found[1]}")
+
+
+def ending(warned: Warned, headset_id: str, session_id: str) -> GatewayError | None:
+    """Return the error that a warning makes of a connection; None if it concerns another one."""
+    if warned.session not in ("", session_id) or warned.headset not in ("", headset_id):
+        return None
+    found = ENDINGS.get(warned.event)
+    return None if found is None else _error(*found)
+
+
+def _error(reason: TransportReason | CredentialReason, message: str) -> GatewayError:
+    if isinstance(reason, TransportReason):
+        return TransportError(reason, message)
+    return CredentialError(reason, message)
+
 
 STREAMS = ("eeg", "mot", "dev", "pow", "met")
 """What the declaration has a place for."""
 STOP_TIMEOUT_S = 0.5
 EEG_NOT_LICENSED = "the licence does not cover raw EEG; the other streams go on"
 STREAM_REFUSED = "Cortex refuses a stream; the others go on"
-
-EXPIRED = "it has expired"
-NO_RAW_EEG = "it does not cover raw EEG: eeg and eeg_status stay empty"
-SLOW_METRICS = "it does not cover performance metrics: met comes every 10 s, not twice a second"
-
-
-async def unlicensed(settings: DeviceSettings) -> Sequence[str]:
-    """Sign in, without drawing sessions from a counted licence, and ask.
-
-    Raises
-    ------
-    CredentialError
-        ``MISSING``: a client id or secret, a user, an approval; ``REJECTED``.
-    ProtocolError, TransportError
-        See :meth:`CortexClient.call`.
-    """
-    own = own_settings(EmotivInsightSettings, settings)
-    client = CortexClient(WebSocketLink(own.url, own.ca_file))
-    account = Account(own.license)
-    try:
-        await client.open()
-        await account.sign_in(client, patience_s=0.0)
-        licence = results.licence(await account.call(client, "getLicenseInfo", {}))
-    except CortexError as error:
-        raise gateway_error(error) from error
-    finally:
-        await client.close()
-    found = [EXPIRED] if licence.expired else []
-    found += [NO_RAW_EEG] if "eeg" not in licence.scopes else []
-    return found + ([SLOW_METRICS] if "pm" not in licence.scopes else [])
 
 
 class Session:
@@ -116,7 +294,7 @@ class Session:
 
     async def _subscribe(self, streams: Sequence[str]) -> Subscription:
         params = {"session": self.session_id, "streams": list(streams)}
-        return results.subscription(await self._account.call(self._client, "subscribe", params))
+        return protocol.subscription(await self._account.call(self._client, "subscribe", params))
 
     async def _send(self, method: str, params: dict[str, object]) -> None:
         await self._client.send(method, self._account.with_token(params))
@@ -145,11 +323,11 @@ async def _create(
 ) -> SessionState:
     params = {"headset": headset.headset_id, "status": status}
     try:
-        return results.session(await account.call(client, "createSession", params))
+        return protocol.session(await account.call(client, "createSession", params))
     except CortexError as error:
         if error.code != SESSION_EXISTS:
             raise
-        own = results.sessions(await account.call(client, "querySessions", {}))
+        own = protocol.sessions(await account.call(client, "querySessions", {}))
         usable = [each for each in own
                   if each.headset_id == headset.headset_id and not each.is_closed]  # fmt: skip
         if not usable:
@@ -157,4 +335,4 @@ async def _create(
     if usable[0].is_active or status == "open":
         return usable[0]
     params = {"session": usable[0].session_id, "status": status}
-    return results.session(await account.call(client, "updateSession", params))
+    return protocol.session(await account.call(client, "updateSession", params))

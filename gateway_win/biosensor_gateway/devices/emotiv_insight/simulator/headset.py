@@ -3,13 +3,177 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, auto
 from typing import Any
 
-from biosensor_gateway.devices.emotiv_insight.simulator.models import Model
-from biosensor_gateway.devices.emotiv_insight.simulator.warnings import Announcement
+_FULL_SCALE_UV = 20 / 39 * 2**14  # 0.51 uV a step at 14 bits
+_INSIGHT = ("AF3", "T7", "Pz", "T8", "AF4")
+_EPOC = (
+    "AF3", "F7", "F3", "FC5", "T7", "P7", "O1", "O2", "P8", "T8", "FC6", "F4", "F8", "AF4"
+)  # fmt: skip
+_QUATERNION = ("Q0", "Q1", "Q2", "Q3")
+_GYROSCOPE = ("GYROX", "GYROY", "GYROZ")
+_FIELDS = ("ACCX", "ACCY", "ACCZ", "MAGX", "MAGY", "MAGZ")
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What a headset of one model and firmware measures.
+
+    Attributes
+    ----------
+    prefix
+        Of the headset's id, as in ``INSIGHT-A1B2C3D4``.
+    mode
+        As ``settings.mode`` names it.
+    electrodes
+        In the order of the columns.
+    eeg_rate, eeg_bits
+        Samples a second and resolution of the converter.
+    motion_rate
+        Samples a second; 0 = the motion sensor is switched off.
+    has_gyroscope
+        Older firmware: angular rates in place of the quaternion.
+    firmware
+        Version as the headset object has it.
+    """
+
+    prefix: str
+    mode: str
+    electrodes: tuple[str, ...]
+    eeg_rate: int
+    eeg_bits: int
+    motion_rate: int
+    has_gyroscope: bool
+    firmware: str
+
+    @property
+    def motion_sensors(self) -> tuple[str, ...]:
+        """Columns of the motion stream after its counter and flag."""
+        return (*(_GYROSCOPE if self.has_gyroscope else _QUATERNION), *_FIELDS)
+
+    @property
+    def resolution_uv(self) -> float:
+        """One step of the converter [uV]."""
+        return _FULL_SCALE_UV / 2**self.eeg_bits
+
+
+INSIGHT_1 = Model("INSIGHT", "INSIGHT", _INSIGHT, 128, 14, 64, False, "930")
+INSIGHT_1_GYRO = Model("INSIGHT", "INSIGHT", _INSIGHT, 128, 14, 128, True, "925")
+INSIGHT_2 = Model("INSIGHT2", "INSIGHT", _INSIGHT, 128, 16, 32, False, "a11")
+EPOC_X = Model("EPOCX", "EPOCX", _EPOC, 256, 16, 64, False, "635")
+
+
+_BANDS = ("theta", "alpha", "betaL", "betaH", "gamma")
+
+Columns = list[str | list[str]]
+
+
+class Metrics(Enum):
+    """Layout of the performance metrics."""
+
+    SEVEN = auto()
+    """Seven numbers, without ``isActive``."""
+    FOCUS = auto()
+    ATTENTION_FIRST = auto()
+    ATTENTION_LAST = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """One version of Cortex.
+
+    Parameters
+    ----------
+    version
+        As ``getCortexInfo`` has it, such as ``4.8.32``.
+    metrics
+        Layout of ``met``; None = the one that this version usually has.
+    """
+
+    version: str
+    metrics: Metrics | None = None
+
+    @property
+    def must_scan(self) -> bool:
+        """Tell whether headsets are looked for only when a client asks for it."""
+        return self._at_least(3, 7)
+
+    @property
+    def names_metrics(self) -> bool:
+        """Tell whether the session object lists the performance metrics."""
+        return self._at_least(3)
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Streams that can be had."""
+        return ("eeg", "mot", "pow", "met", "dev", *(("eq",) if self._at_least(2, 7) else ()))
+
+    def columns(self, stream: str, model: Model) -> Columns:
+        """Columns of a stream, as the reply to a subscription lists them."""
+        match stream:
+            case "eeg":
+                markers = ("MARKERS",) if self._at_least(2, 1) else ()
+                lead = ("COUNTER", "INTERPOLATED")
+                return [*lead, *model.electrodes, "RAW_CQ", "MARKER_HARDWARE", *markers]
+            case "mot":
+                return ["COUNTER_MEMS", "INTERPOLATED_MEMS", *model.motion_sensors]
+            case "pow":
+                return [f"{name}/{band}" for name in model.electrodes for band in _BANDS]
+            case "met":
+                return self._metric_columns()
+            case "dev":
+                return self._device_columns(model)
+            case _:
+                return ["batteryPercent", "overall", "sampleRateQuality", *model.electrodes]
+
+    def _device_columns(self, model: Model) -> Columns:
+        if self._at_least(2, 7):
+            return ["Battery", "Signal", [*model.electrodes, "OVERALL"], "BatteryPercent"]
+        return ["Battery", "Signal", [*model.electrodes]]
+
+    def _metric_columns(self) -> Columns:
+        six = ["eng", "exc", "lex", "str", "rel", "int"]
+        match self.metrics or self._usual_metrics():
+            case Metrics.SEVEN:
+                return [*six, "foc"]
+            case Metrics.FOCUS:
+                return _with_activity([*six, "foc"])
+            case Metrics.ATTENTION_FIRST:
+                return _with_activity(["attention", *six])
+            case Metrics.ATTENTION_LAST:
+                return _with_activity([*six, "attention"])
+
+    def _usual_metrics(self) -> Metrics:
+        if self._at_least(4):
+            return Metrics.ATTENTION_FIRST
+        if self._at_least(3):
+            return Metrics.ATTENTION_LAST
+        return Metrics.FOCUS if self._at_least(2, 2, 1) else Metrics.SEVEN
+
+    def _at_least(self, *number: int) -> bool:
+        return tuple(int(part) for part in self.version.split(".")) >= number
+
+
+def _with_activity(names: list[str]) -> Columns:
+    columns: Columns = []
+    for name in names:
+        # The long-term excitement is the one that is never inactive.
+        columns += [name] if name == "lex" else [f"{name}.isActive", name]
+    return columns
+
+
+Announcement = str | dict[str, str]
+"""A warning's message: a text, or what happened to which headset or session."""
+
+
+def warning(code: int, message: Announcement) -> str:
+    """Write a warning."""
+    return json.dumps({"jsonrpc": "2.0", "warning": {"code": code, "message": message}})
+
 
 Warn = Callable[[int, Announcement], None]
 """Tells every client of a warning: its code and message."""

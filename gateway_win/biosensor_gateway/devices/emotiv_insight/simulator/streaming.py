@@ -7,18 +7,208 @@ import json
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import floor, nan
+from math import ceil, floor, nan, pi
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
+from biosensor_gateway.devices.emotiv_insight.simulator.headset import Columns, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
-from biosensor_gateway.devices.emotiv_insight.simulator.release import Columns
-from biosensor_gateway.devices.emotiv_insight.simulator.sessions import Session
-from biosensor_gateway.devices.emotiv_insight.simulator.signals import Sample, Signal
+from biosensor_gateway.devices.emotiv_insight.simulator.methods import Session
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.wearer import Floats, Wearer
+
+Sample = dict[str, Any]
+"""Values by column; None where there is none."""
+Integers = NDArray[np.int64]
+Signal = Callable[[Integers, Floats], list[Sample]]
+"""Samples of given numbers since power-on and true times since the wearer's begin [s]."""
+
+_OFFSET_UV = 4200.0
+_BANDS_UV2_HZ = {"theta": 5.0, "alpha": 6.0, "betaL": 2.4, "betaH": 1.1, "gamma": 0.4}
+_METRICS = ("eng", "exc", "lex", "str", "rel", "int", "foc", "attention")
+_MAGNETIC_FIELD_UT = (22.0, 5.0, -42.0)
+_GYROSCOPE_ZERO = 8192
+_GYROSCOPE_SCALE = 2000.0
+
+
+class Signals:
+    """The signals of one headset on one head.
+
+    Parameters
+    ----------
+    model, wearer, seed
+        What measures whom; the seed is of contact quality and offsets.
+    """
+
+    def __init__(self, model: Model, wearer: Wearer, seed: int) -> None:
+        self.is_worn = True
+        self.battery_percent = 80
+        self._model = model
+        self._wearer = wearer
+        self._seed = seed
+        rng = np.random.default_rng((seed, 0xDC))
+        self._offsets = _OFFSET_UV + rng.uniform(-80, 80, len(model.electrodes))
+
+    def sources(self) -> dict[str, tuple[float, Signal]]:
+        """Return rate [Hz] and signal of each stream that this headset has."""
+        sources: dict[str, tuple[float, Signal]] = {
+            "eeg": (self._model.eeg_rate, self.eeg),
+            "pow": (8, self.band_power),
+            "met": (2, self.metrics),
+            "dev": (2, self.device),
+            "eq": (2, self.eeg_quality),
+        }
+        if self._model.motion_rate:
+            sources["mot"] = (self._model.motion_rate, self.motion)
+        return sources
+
+    def eeg(self, numbers: Integers, t: Floats) -> list[Sample]:
+        """Measure the EEG on its direct voltage [uV], in whole steps of the converter."""
+        wearer, step = self._wearer, self._model.resolution_uv
+        potentials = np.stack(
+            [
+                wearer.eeg_uv(t, name) if self.is_worn else wearer.noise(t, 40.0, f"open {name}")
+                for name in self._model.electrodes
+            ],
+            axis=1,
+        )
+        potentials = np.round(np.rint((self._offsets + potentials) / step) * step, 3)
+        return [
+            {
+                "COUNTER": number % self._model.eeg_rate,
+                "INTERPOLATED": 0,
+                **dict(zip(self._model.electrodes, row, strict=True)),
+                "RAW_CQ": 1024.0 if self.is_worn else 0.0,
+                "MARKER_HARDWARE": 0,
+                "MARKERS": [],
+            }
+            for number, row in zip(numbers.tolist(), potentials.tolist(), strict=True)
+        ]
+
+    def motion(self, numbers: Integers, t: Floats) -> list[Sample]:
+        """Move the head, which nods and turns: attitude, acceleration [g], field [uT].
+
+        Q0 is the scalar of a rotation from the body to the world, in which the
+        acceleration at rest lies along -Z.
+        """
+        yaw, yaw_rate = _swing(t, 0.5, 11.0)
+        pitch, pitch_rate = _swing(t, 0.2, 7.0)
+        sway = [self._wearer.noise(t, 0.004, f"head {axis}") for axis in "xyz"]
+        gravity = (np.zeros(t.shape), np.zeros(t.shape), -np.ones(t.shape))
+        field = tuple(np.full(t.shape, strength) for strength in _MAGNETIC_FIELD_UT)
+        acceleration = [a + s for a, s in zip(_to_body(gravity, yaw, pitch), sway, strict=True)]
+        attitude = (
+            _angular_rates(yaw_rate, pitch_rate)
+            if self._model.has_gyroscope
+            else _quaternion(yaw, pitch)
+        )
+        names = ("ACCX", "ACCY", "ACCZ", "MAGX", "MAGY", "MAGZ")
+        fields = zip(names, (*acceleration, *_to_body(field, yaw, pitch)), strict=True)
+        columns: dict[str, Floats] = {**attitude, **dict(fields)}
+        samples = _rows({name: np.round(values, 6) for name, values in columns.items()})
+        for number, sample in zip(numbers.tolist(), samples, strict=True):
+            sample["COUNTER_MEMS"] = number % self._model.motion_rate
+            sample["INTERPOLATED_MEMS"] = 0
+        return samples
+
+    def band_power(self, numbers: Integers, t: Floats) -> list[Sample]:
+        """Measure the power in each band [uV^2/Hz]; 0 without contact."""
+        del numbers
+        columns: dict[str, Floats] = {}
+        for k, name in enumerate(self._model.electrodes):
+            for band, level in _BANDS_UV2_HZ.items():
+                swing = 1 + 0.3 * np.sin(2 * pi * t / (5.0 + k) + level)
+                columns[f"{name}/{band}"] = np.round(level * swing * self.is_worn, 3)
+        return _rows(columns)
+
+    def metrics(self, numbers: Integers, t: Floats) -> list[Sample]:
+        """Rate the mind, 0 to 1; the interest cannot always be told."""
+        samples: list[Sample] = []
+        for number, time_s in zip(numbers.tolist(), t.tolist(), strict=True):
+            sample: Sample = {}
+            for k, name in enumerate(_METRICS):
+                is_active = self.is_worn and not (name == "int" and number % 8 == 7)
+                level = 0.5 + 0.4 * np.sin(2 * pi * time_s / (9.0 + k) + k)
+                sample[f"{name}.isActive"] = is_active
+                sample[name] = round(float(level), 6) if is_active else None
+            samples.append(sample)
+        return samples
+
+    def device(self, numbers: Integers, t: Floats) -> list[Sample]:
+        """Grade the battery (0-4), the radio (0-1) and each contact (0-4)."""
+        del t
+        return [
+            {
+                "Battery": ceil(self.battery_percent / 25),
+                "Signal": 1.0,
+                **contact,
+                "OVERALL": _overall(contact),
+                "BatteryPercent": self.battery_percent,
+            }
+            for contact in map(self._contact, numbers.tolist())
+        ]
+
+    def eeg_quality(self, numbers: Integers, t: Floats) -> list[Sample]:
+        """Grade each channel's signal (0-4) and of all together [percent]."""
+        del t
+        return [
+            {
+                "batteryPercent": self.battery_percent,
+                "overall": _overall(quality),
+                "sampleRateQuality": 1.0,
+                **quality,
+            }
+            for quality in map(self._contact, numbers.tolist())
+        ]
+
+    def _contact(self, number: int) -> dict[str, int]:
+        names = self._model.electrodes
+        if not self.is_worn:
+            return dict.fromkeys(names, 0)
+        grades = np.random.default_rng((self._seed, number)).integers(2, 5, len(names))
+        return dict(zip(names, grades.tolist(), strict=True))
+
+
+def _overall(grades: dict[str, int]) -> int:
+    return round(25 * sum(grades.values()) / len(grades))
+
+
+def _swing(t: Floats, amplitude: float, period_s: float) -> tuple[Floats, Floats]:
+    """Return an angle [rad] and its rate [rad/s]."""
+    omega = 2 * pi / period_s
+    return amplitude * np.sin(omega * t), amplitude * omega * np.cos(omega * t)
+
+
+def _quaternion(yaw: Floats, pitch: Floats) -> dict[str, Floats]:
+    """Combine a turn about the vertical with a nod about y, from the body to the world."""
+    cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    return {"Q0": cy * cp, "Q1": -sy * sp, "Q2": cy * sp, "Q3": sy * cp}
+
+
+def _angular_rates(yaw_rate: Floats, pitch_rate: Floats) -> dict[str, Floats]:
+    """Count about a zero of 8192; the vendor documents no scale."""
+    rates = {"GYROX": np.zeros(yaw_rate.shape), "GYROY": pitch_rate, "GYROZ": yaw_rate}
+    return {n: np.rint(_GYROSCOPE_ZERO + _GYROSCOPE_SCALE * rate) for n, rate in rates.items()}
+
+
+def _to_body(vector: tuple[Floats, ...], yaw: Floats, pitch: Floats) -> tuple[Floats, ...]:
+    """Rotate a vector of the world into the body."""
+    x, y, z = vector
+    ahead = np.cos(yaw) * x + np.sin(yaw) * y
+    aside = -np.sin(yaw) * x + np.cos(yaw) * y
+    return (np.cos(pitch) * ahead - np.sin(pitch) * z, aside,
+            np.sin(pitch) * ahead + np.cos(pitch) * z)  # fmt: skip
+
+
+def _rows(columns: dict[str, Floats]) -> list[Sample]:
+    names = tuple(columns)
+    table = np.stack(tuple(columns.values()), axis=1).tolist()
+    return [dict(zip(names, row, strict=True)) for row in table]
+
 
 _AHEAD_S = 0.25
 _TRUE_OF = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro")}
