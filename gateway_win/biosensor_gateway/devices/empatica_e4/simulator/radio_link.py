@@ -12,7 +12,7 @@ from math import ceil, inf
 import numpy as np
 
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import as_sent
-from biosensor_gateway.devices.empatica_e4.simulator.samples import (
+from biosensor_gateway.devices.empatica_e4.simulator.wire import (
     ACC,
     BATTERY,
     BVP,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import as_sent
-from biosensor_gateway.devices.empatica_e4.simulator.samples import (
+from biosensor_gateway.devices.empatica_e4.simulator.wire import (
     ACC,
     BVP,
     COUNTS_PER_G,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 
-from biosensor_gateway.devices.empatica_e4.simulator.samples import Sample
+from biosensor_gateway.devices.empatica_e4.simulator.wire import Sample
 from biosensor_gateway.system.clock import Clock
 
 

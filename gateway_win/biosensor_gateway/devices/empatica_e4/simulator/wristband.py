@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 
 from biosensor_gateway.devices.empatica_e4.simulator.radio_link import RadioLink, Timing
-from biosensor_gateway.devices.empatica_e4.simulator.samples import Packet
+from biosensor_gateway.devices.empatica_e4.simulator.wire import Packet
 from biosensor_gateway.devices.empatica_e4.simulator.signals import Signals
 from biosensor_gateway.devices.empatica_e4.simulator.wall_clock import Stamps, WallClock
 from biosensor_gateway.simulation.crystal import Crystal

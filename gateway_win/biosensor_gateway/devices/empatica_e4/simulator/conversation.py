@@ -9,7 +9,7 @@ from functools import partial
 from math import inf
 
 from biosensor_gateway.devices.empatica_e4.simulator.client import Client
-from biosensor_gateway.devices.empatica_e4.simulator.samples import SUBSCRIPTIONS
+from biosensor_gateway.devices.empatica_e4.simulator.wire import SUBSCRIPTIONS
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 
 _MODEL = "Empatica_E4"
