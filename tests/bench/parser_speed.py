@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from itertools import pairwise
 
-from biosensor_gateway.devices.zephyr.driver.frames import MessageId
 from biosensor_gateway.devices.zephyr.driver.messages import Waveform
-from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.protocol import MessageId, ZephyrProtocol
 from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,

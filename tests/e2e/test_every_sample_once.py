@@ -16,8 +16,8 @@ import pytest
 from numpy.typing import NDArray
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly

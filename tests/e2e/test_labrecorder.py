@@ -13,7 +13,7 @@ import pyxdf
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.zephyr import SteeredBioHarness
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat
-from biosensor_gateway.devices.empatica_e4.simulator.number_format import as_sent
+from biosensor_gateway.devices.empatica_e4.simulator.wire import as_sent
 from biosensor_gateway.simulation.world import World
 from tests.empatica_e4.steering import SteeredE4
 

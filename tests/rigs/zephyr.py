@@ -12,10 +12,14 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness, Session
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source
-from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.bioharness import (
+    BioHarness,
+    Outgoing,
+    Session,
+    Source,
+)
 from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet, Request
+from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock

@@ -9,9 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.driver.frames import MAX_PAYLOAD, STX, FrameParser, crc8
 from biosensor_gateway.devices.zephyr.driver.messages import Message
-from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.protocol import (
+    MAX_PAYLOAD,
+    STX,
+    FrameParser,
+    ZephyrProtocol,
+    crc8,
+)
 from tests.fuzz.breaking import Fault, forgets_what_it_holds
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure

@@ -26,9 +26,9 @@ from biosensor_gateway.devices.zephyr.driver import driver as module
 from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.simulator import wire
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
-from biosensor_gateway.devices.zephyr.simulator.synthetic import DEFAULT_CLOCK, SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.bioharness import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.devices.zephyr.simulator.zephyr import DEFAULT_CLOCK, SyntheticSource
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.streaming import plausibility
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock

@@ -12,8 +12,6 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.driver.fields import Number
-from biosensor_gateway.devices.zephyr.driver.frames import MessageId
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
     Event,
@@ -21,6 +19,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     Header,
     Lifesign,
     Message,
+    Number,
     Reply,
     RrIntervals,
     Status,
@@ -28,6 +27,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     Unknown,
     Waveform,
 )
+from biosensor_gateway.devices.zephyr.driver.protocol import MessageId
 from tests.rigs.emitter_sink import EmitterSink
 
 NOON = dt.datetime(2026, 1, 30, 12)  # noqa: DTZ001 - naive, as the device means it

@@ -14,14 +14,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr.driver.frames import (
-    Frame,
-    FrameParser,
-    MessageId,
-    Terminator,
-    crc8,
-    request,
-)
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Lifesign,
     Message,
@@ -29,7 +21,16 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     RrIntervals,
     Unknown,
 )
-from biosensor_gateway.devices.zephyr.driver.protocol import LIFESIGN, ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.protocol import (
+    LIFESIGN,
+    Frame,
+    FrameParser,
+    MessageId,
+    Terminator,
+    ZephyrProtocol,
+    crc8,
+    request,
+)
 
 _WHOLE = "zephyr_bh3_2012-09-26_150s.dat"
 _WITH_GAP = "zephyr_bh3_2012-04-06_with_gap.dat"

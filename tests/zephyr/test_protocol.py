@@ -17,13 +17,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr.driver import fields, messages, protocol
-from biosensor_gateway.devices.zephyr.driver.frames import Frame, FrameParser, MessageId, request
+from biosensor_gateway.devices.zephyr.driver import messages, protocol
 from biosensor_gateway.devices.zephyr.driver.protocol import (
     LIFESIGN,
+    Frame,
+    FrameParser,
+    MessageId,
     Request,
     ZephyrProtocol,
     enable,
+    request,
 )
 
 _150S, _WITH_GAP = "zephyr_bh3_2012-09-26_150s.dat", "zephyr_bh3_2012-04-06_with_gap.dat"
@@ -201,10 +204,10 @@ def _packed(values: dict[str, int], table: tuple[tuple[str, int], ...], size: in
 
 
 @settings(deadline=None)
-@given(_bits(fields.GPS), st.integers(0, 0x3FFF), _bits(fields.MOVEMENT))
+@given(_bits(messages.GPS), st.integers(0, 0x3FFF), _bits(messages.MOVEMENT))
 def test_version_3_bit_fields(gps: dict[str, int], speed: int, movement: dict[str, int]) -> None:
-    packed = {39: _packed(gps, fields.GPS, 10), 49: struct.pack("<H", speed | 0xC000)}
-    packed[51] = _packed(movement, fields.MOVEMENT, 20)
+    packed = {39: _packed(gps, messages.GPS, 10), 49: struct.pack("<H", speed | 0xC000)}
+    packed[51] = _packed(movement, messages.MOVEMENT, 20)
     hundredths = ("avg_rate_of_force", "avg_step_impulse", "last_jump_flight_s")
     scaled = {name: movement[name] / 100 for name in hundredths}
     scaled["avg_step_period_s"] = movement["avg_step_period_s"] / 1000
@@ -214,8 +217,8 @@ def test_version_3_bit_fields(gps: dict[str, int], speed: int, movement: dict[st
 
 
 def test_version_3_bit_fields_have_the_documented_widths() -> None:
-    assert [width for _, width in fields.GPS] == [7, 6, 14, 1, 8, 6, 14, 1, 1, 15, 6]
-    movement = [width for _, width in fields.MOVEMENT]
+    assert [width for _, width in messages.GPS] == [7, 6, 14, 1, 8, 6, 14, 1, 1, 15, 6]
+    movement = [width for _, width in messages.MOVEMENT]
     assert movement == [20, 18, 18, 10, 10, 10, 10, 12, 10, 10, 8, 8, 10]
 
 
@@ -243,7 +246,7 @@ def test_worn_level_and_state_of_the_wearer() -> None:
 
 def test_invalid_patterns_are_none_in_both_versions() -> None:
     lowest = {"h": b"\x00\x80", "b": b"\x80"}
-    for version, (table, _, _) in fields.SUMMARY_LAYOUTS.items():
+    for version, (table, _, _) in messages.SUMMARY_LAYOUTS.items():
         changes = {item.offset: lowest[item.code] for item in table if item.code in lowest}
         assert set(_summary(version, changes, fill=0xFF).numbers.values()) == {None}
 

@@ -15,8 +15,8 @@ from biosensor_gateway.devices.zephyr.simulator.recording import (
     RecordedSource,
     split,
 )
-from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from tests.rigs.serial_hosts import SerialHosts, is_there
 from tests.rigs.virtual_time import pause
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged

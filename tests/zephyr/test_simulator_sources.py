@@ -5,7 +5,7 @@ from datetime import date
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.zephyr.simulator.inputs import Inputs
+from biosensor_gateway.devices.zephyr.simulator.bioharness import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
@@ -14,8 +14,6 @@ from biosensor_gateway.devices.zephyr.simulator.recording import (
     read_timing,
     split,
 )
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
-from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import (
     REQUESTS,
     WAVEFORMS,
@@ -26,6 +24,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     response,
     waveform,
 )
+from biosensor_gateway.devices.zephyr.simulator.zephyr import Inputs, SyntheticSource
 from biosensor_gateway.simulation.wearer import Wearer
 from tests.rigs.set_clock import SetClock
 

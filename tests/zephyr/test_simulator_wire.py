@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr.simulator.vitals import general, summary_v2
 from biosensor_gateway.devices.zephyr.simulator.wire import (
     REQUESTS,
     DeviceStamp,
@@ -19,7 +18,9 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     RequestReader,
     event,
     frame,
+    general,
     response,
+    summary_v2,
     waveform,
 )
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from biosensor_gateway.devices.zephyr.driver.emitter import BeatDetector, PacketTrack, Placed
 from biosensor_gateway.devices.zephyr.driver.messages import Header, RrIntervals
-from biosensor_gateway.devices.zephyr.driver.tracking import BeatDetector, PacketTrack, Placed
 
 SAMPLES, PERIOD_S = 63, 0.004
 DURATION_S = SAMPLES * PERIOD_S

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from pylsl import local_clock
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
-from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.bioharness import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.wire import DeviceStamp, Packet
+from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from biosensor_gateway.simulation.world import World
 from tests.faults.agent import AgentProcess
 from tests.faults.expectations import source, unit_of

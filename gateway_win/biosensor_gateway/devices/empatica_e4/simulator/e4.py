@@ -13,10 +13,9 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Unpack
 
-from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
-from biosensor_gateway.devices.empatica_e4.simulator.radio_link import Timing
 from biosensor_gateway.devices.empatica_e4.simulator.server import Server
-from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+from biosensor_gateway.devices.empatica_e4.simulator.wire import NumberFormat
+from biosensor_gateway.devices.empatica_e4.simulator.wristband import Timing, Wristband
 from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
 from biosensor_gateway.simulation.expected import Expected, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind

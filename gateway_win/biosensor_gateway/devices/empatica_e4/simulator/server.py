@@ -10,11 +10,18 @@ from itertools import cycle
 
 import numpy as np
 
-from biosensor_gateway.devices.empatica_e4.simulator.client import Client, Hear
-from biosensor_gateway.devices.empatica_e4.simulator.conversation import Commands, Manners
-from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
-from biosensor_gateway.devices.empatica_e4.simulator.wire import Packet, Sample
-from biosensor_gateway.devices.empatica_e4.simulator.wall_clock import WallClock
+from biosensor_gateway.devices.empatica_e4.simulator.conversation import (
+    Client,
+    Commands,
+    Hear,
+    Manners,
+)
+from biosensor_gateway.devices.empatica_e4.simulator.wire import (
+    NumberFormat,
+    Packet,
+    Sample,
+    WallClock,
+)
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 from biosensor_gateway.simulation.tcp_port import TcpPort
 from biosensor_gateway.system.clock import Clock

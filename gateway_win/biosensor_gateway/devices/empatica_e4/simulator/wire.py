@@ -2,12 +2,60 @@
 
 from __future__ import annotations
 
+import time
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from typing import NamedTuple
 
-from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
+import numpy as np
+
+from biosensor_gateway.system.clock import Clock
+
+_VALUE_DIGITS = 7
+_STAMP_DIGITS = 15
+
+
+@dataclass(frozen=True, slots=True)
+class NumberFormat:
+    """The marks of a locale.
+
+    Parameters
+    ----------
+    decimal_mark
+        ``,`` or ``.``.
+    minus_sign
+        ``-``, or U+2212 as some locales have it.
+    digits
+        From nought to nine.
+    """
+
+    decimal_mark: str = ","
+    minus_sign: str = "-"
+    digits: str = "0123456789"
+
+    def value(self, number: float) -> str:
+        """Write a measured value: single precision, G7."""
+        return self._localised(f"{as_sent(number):.{_VALUE_DIGITS}g}")
+
+    def stamp(self, unix_s: float) -> str:
+        """Write a time: double precision, G15, which is steps of 10 us."""
+        return self._localised(f"{unix_s:.{_STAMP_DIGITS}g}")
+
+    def with_other_mark(self) -> NumberFormat:
+        """Return the format of a locale with the other decimal mark."""
+        return replace(self, decimal_mark="." if self.decimal_mark == "," else ",")
+
+    def _localised(self, text: str) -> str:
+        marked = text.upper().replace(".", self.decimal_mark).replace("-", self.minus_sign)
+        return marked.translate(str.maketrans("0123456789", self.digits))
+
+
+def as_sent(number: float) -> float:
+    """Round a value to what `NumberFormat.value` can say; never -0."""
+    return float(f"{float(np.float32(number)):.{_VALUE_DIGITS}g}") + 0.0
+
 
 COUNTS_PER_G = 64
 
@@ -110,3 +158,54 @@ class Packet:
     def subscription(self) -> str:
         """Word that clients subscribe to."""
         return self.samples[0].stream.subscription
+
+
+class WallClock:
+    """Unix time on the server's PC.
+
+    Parameters
+    ----------
+    lsl
+        The true time, on the LSL clock.
+    """
+
+    def __init__(self, lsl: Clock) -> None:
+        self.lsl = lsl
+        self._ahead_s = time.time() - lsl()
+
+    def at(self, lsl_s: float) -> float:
+        """Return the unix time at an LSL time."""
+        return lsl_s + self._ahead_s
+
+    def jump(self, seconds: float) -> None:
+        """Set the clock forward or back."""
+        self._ahead_s += seconds
+
+
+class Stamps:
+    """Stamps of one radio link.
+
+    The first packet's arrival, plus a sample's number by the nominal rate. Samples
+    that do not arrive have no number, so what follows them is stamped too early.
+    """
+
+    def __init__(self, clock: WallClock) -> None:
+        self._clock = clock
+        self._reference_s: float | None = None
+        self._numbers: Counter[str] = Counter()
+
+    def stamp(self, sample: Sample, arrives_s: float) -> float:
+        """Return the stamp of a sample that arrives now; each may be asked once."""
+        if self._reference_s is None:
+            self._reference_s = self._clock.at(arrives_s)
+        rate_hz = sample.stream.rate_hz
+        if rate_hz is None:
+            return self._reference_s + sample.after_s
+        number = self._numbers[sample.stream.word]
+        self._numbers[sample.stream.word] += 1
+        return self._reference_s + number / rate_hz
+
+    def jump(self, seconds: float) -> None:
+        """Move the reference with the clock."""
+        if self._reference_s is not None:
+            self._reference_s += seconds

@@ -14,7 +14,6 @@ from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.driver.frames import HXM
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Message,
     Reply,
@@ -23,6 +22,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     Unknown,
 )
 from biosensor_gateway.devices.zephyr.driver.protocol import (
+    HXM,
     LIFESIGN,
     Request,
     ZephyrProtocol,

@@ -9,17 +9,10 @@ from __future__ import annotations
 import datetime as dt
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 
-from biosensor_gateway.devices.zephyr.driver import fields
-from biosensor_gateway.devices.zephyr.driver.fields import read_bits, read_fields
-from biosensor_gateway.devices.zephyr.driver.frames import (
-    Frame,
-    FrameParser,
-    MessageId,
-    Terminator,
-    request,
-)
+from biosensor_gateway.devices.zephyr.driver import messages
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
     Event,
@@ -27,13 +20,161 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     Header,
     Lifesign,
     Message,
+    MessageId,
     Reply,
     RrIntervals,
     Status,
     Summary,
     Unknown,
     Waveform,
+    read_bits,
+    read_fields,
 )
+
+STX = 0x02
+MAX_PAYLOAD = 128
+_OVERHEAD = 5
+# Larger input is taken in slices, so the buffer stays small whatever arrives.
+_SLICE = 1024
+
+
+class Terminator(IntEnum):
+    """Last byte of a frame; old firmware ends periodic packets with ACK too."""
+
+    ETX = 0x03
+    ACK = 0x06
+    NAK = 0x15
+
+
+_TERMINATORS = {int(end): end for end in Terminator}
+
+
+HXM = 0x26
+"""What a Zephyr HxM sends once a second: a strap that knows no request."""
+
+PAYLOAD_SIZES: dict[int, range] = {
+    MessageId.GENERAL: range(53, 54),
+    MessageId.BREATHING: range(32, 33),
+    MessageId.ECG: range(88, 89),
+    MessageId.LIFESIGN: range(1),
+    MessageId.RR: range(45, 46),
+    MessageId.ACCELERATION: range(84, 85),
+    MessageId.ACCELERATION_100MG: range(84, 85),
+    MessageId.SUMMARY: range(71, 72),
+    MessageId.EVENT: range(11, 32),
+}
+_ANY_SIZE = range(MAX_PAYLOAD + 1)
+
+
+def _crc_table() -> bytes:
+    table = bytearray(256)
+    for index in range(256):
+        crc = index
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8C if crc & 1 else 0)
+        table[index] = crc
+    return bytes(table)
+
+
+_CRC = _crc_table()
+
+
+def crc8(payload: bytes) -> int:
+    """CRC-8 of a payload; 0 for an empty one."""
+    crc = 0
+    for byte in payload:
+        crc = _CRC[crc ^ byte]
+    return crc
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame whose length, CRC and end were right."""
+
+    message_id: int
+    payload: bytes
+    terminator: Terminator
+
+
+def request(message_id: int, payload: bytes = b"") -> bytes:
+    """Bytes of a request from the host."""
+    return bytes((STX, message_id, len(payload), *payload, crc8(payload), Terminator.ETX))
+
+
+class FrameParser:
+    """Cuts a byte stream into frames; bytes that belong to none are dropped and counted.
+
+    On a rejected frame one byte is dropped and the search goes on behind it,
+    because 02 is a legal byte inside a payload.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.dropped_bytes = 0
+
+    @property
+    def buffered(self) -> int:
+        """Number of bytes held back as the possible start of a frame."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take the next bytes, in pieces of any size; return the frames that they complete."""
+        frames: list[Frame] = []
+        for start in range(0, len(data), _SLICE):
+            self._buffer += data[start : start + _SLICE]
+            self._scan(frames)
+        return frames
+
+    def give_up(self) -> list[Frame]:
+        """Stop waiting for the rest of a frame; return what was hidden behind its first byte."""
+        frames: list[Frame] = []
+        while self._buffer:
+            del self._buffer[0]
+            self.dropped_bytes += 1
+            self._scan(frames)
+        return frames
+
+    def _scan(self, frames: list[Frame]) -> None:
+        buffer = self._buffer
+        position, end = 0, len(buffer)
+        while position < end:
+            start = buffer.find(STX, position)
+            if start != position:
+                start = end if start < 0 else start
+                self.dropped_bytes += start - position
+                position = start
+                continue
+            size = self._frame_size(position)
+            if size is None:
+                break
+            found = self._frame(position, size) if size else None
+            if found is None:
+                self.dropped_bytes += 1
+                position += 1
+            else:
+                frames.append(found)
+                position += size
+        del buffer[:position]
+
+    def _frame_size(self, start: int) -> int | None:
+        """Size of the frame at *start*: 0 if there can be none, None if more bytes must come."""
+        buffer = self._buffer
+        if len(buffer) - start < 3:
+            return None
+        payload_size = buffer[start + 2]
+        if payload_size not in PAYLOAD_SIZES.get(buffer[start + 1], _ANY_SIZE):
+            return 0
+        size = payload_size + _OVERHEAD
+        return size if len(buffer) - start >= size else None
+
+    def _frame(self, start: int, size: int) -> Frame | None:
+        end = start + size
+        terminator = _TERMINATORS.get(self._buffer[end - 1])
+        payload = bytes(self._buffer[start + 3 : end - 2])
+        if terminator is None or crc8(payload) != self._buffer[end - 2]:
+            return None
+        return Frame(self._buffer[start + 1], payload, terminator)
+
 
 ECG_PERIOD_S = 0.004
 BREATHING_PERIOD_S = 0.056
@@ -173,7 +314,7 @@ def _rr(frame: Frame) -> RrIntervals:
 
 def _summary(frame: Frame) -> Summary | Unknown:
     payload, version = frame.payload, frame.payload[9]
-    layout = fields.SUMMARY_LAYOUTS.get(version)
+    layout = messages.SUMMARY_LAYOUTS.get(version)
     if layout is None:
         return Unknown(frame.message_id)
     table, rog_at, status_at = layout
@@ -191,14 +332,16 @@ def _summary(frame: Frame) -> Summary | Unknown:
 
 
 def _summary_extra(payload: bytes) -> dict[str, dict[str, int | float]]:
-    end = fields.GPS_OFFSET + fields.GPS_SIZE
-    gps: dict[str, int | float] = dict(read_bits(payload[fields.GPS_OFFSET : end], fields.GPS))
-    gps["speed"] = struct.unpack_from("<H", payload, fields.SPEED_OFFSET)[0] & 0x3FFF
-    bits = read_bits(payload[fields.MOVEMENT_OFFSET :], fields.MOVEMENT)
+    end = messages.GPS_OFFSET + messages.GPS_SIZE
+    gps: dict[str, int | float] = dict(read_bits(payload[messages.GPS_OFFSET : end], messages.GPS))
+    gps["speed"] = struct.unpack_from("<H", payload, messages.SPEED_OFFSET)[0] & 0x3FFF
+    bits = read_bits(payload[messages.MOVEMENT_OFFSET :], messages.MOVEMENT)
     if bits["peak_accel_theta"] >= 512:
         bits["peak_accel_theta"] -= 1024
     movement: dict[str, int | float] = {
-        name: value / fields.MOVEMENT_DIVISORS[name] if name in fields.MOVEMENT_DIVISORS else value
+        name: value / messages.MOVEMENT_DIVISORS[name]
+        if name in messages.MOVEMENT_DIVISORS
+        else value
         for name, value in bits.items()
     }
     return {"gps": gps, "movement": movement}
@@ -208,7 +351,7 @@ def _general(frame: Frame) -> General:
     battery, state = frame.payload[51], frame.payload[52]
     return General(
         header=_header(frame.payload),
-        numbers=read_fields(fields.GENERAL, frame.payload),
+        numbers=read_fields(messages.GENERAL, frame.payload),
         battery_percent=battery & 0x7F,
         worn=bool(state & 0x80),
         button=bool(state & 0x40),

@@ -12,8 +12,7 @@ from math import inf
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
+from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness, Outgoing
 from biosensor_gateway.devices.zephyr.simulator.wire import (
     ACK,
     ETX,
