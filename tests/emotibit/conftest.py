@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.emotibit.driver.packets import Packet
+from biosensor_gateway.devices.emotibit.driver.protocol import Packet
 from biosensor_gateway.devices.emotibit.simulator import SimulatedEmotiBit
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World

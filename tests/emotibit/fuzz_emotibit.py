@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
-from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, read
+from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, read
 from biosensor_gateway.devices.emotibit.driver.rows import Oscillator, SensorRows
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink

@@ -10,7 +10,7 @@ import pytest
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
-from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, TIMES_MS, Packet, Tag
+from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, TIMES_MS, Packet, Tag
 from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.emotibit.conftest import packet
 from tests.rigs.driver_run import NotedSink

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, TIMES_MS, Tag, read, write
+from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, TIMES_MS, Tag, read, write
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/emotibit_packets.json").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.emotibit.driver.emitter import CHANNELS, EmotiBitEmitter
-from biosensor_gateway.devices.emotibit.driver.packets import Packet, read
+from biosensor_gateway.devices.emotibit.driver.protocol import Packet, read
 from tests.emotibit.conftest import packet
 from tests.rigs.emitter_sink import EmitterSink
 

@@ -14,7 +14,7 @@ from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
 from biosensor_gateway.devices.polar_verity_sense.simulator import SimulatedPolarVeritySense
-from biosensor_gateway.devices.polar_verity_sense.simulator.device import (
+from biosensor_gateway.devices.polar_verity_sense.simulator import (
     OH1,
     OLD_VERITY_SENSE,
     POLAR_360,

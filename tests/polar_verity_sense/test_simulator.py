@@ -15,7 +15,7 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setti
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
 from biosensor_gateway.devices.polar_h10.simulator.waveforms import waveform
 from biosensor_gateway.devices.polar_verity_sense.simulator import SimulatedPolarVeritySense
-from biosensor_gateway.devices.polar_verity_sense.simulator.device import (
+from biosensor_gateway.devices.polar_verity_sense.simulator import (
     OH1,
     OLD_VERITY_SENSE,
     POLAR_360,

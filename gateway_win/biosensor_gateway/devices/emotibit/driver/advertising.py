@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag, read, write
+from biosensor_gateway.devices.emotibit.driver.protocol import Packet, Tag, read, write
 from biosensor_gateway.transports.receiving import Address
 
 ADVERTISING_PORT = 3131

@@ -32,7 +32,7 @@ from biosensor_gateway.devices.emotibit.driver.link import (
     Link,
     connect,
 )
-from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, Packet, Tag
+from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, Packet, Tag
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.early import Early

@@ -10,7 +10,7 @@ from biosensor_gateway.devices.emotibit.declaration import (
     MOTION_HZ,
     TEMPERATURE_HZ,
 )
-from biosensor_gateway.devices.emotibit.driver.packets import (
+from biosensor_gateway.devices.emotibit.driver.protocol import (
     TIMES_MS,
     InOrder,
     Ordered,

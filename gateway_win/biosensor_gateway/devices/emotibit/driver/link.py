@@ -23,7 +23,7 @@ from biosensor_gateway.devices.emotibit.driver.advertising import (
     Advertising,
     Nearby,
 )
-from biosensor_gateway.devices.emotibit.driver.packets import Read, Tag, read, write
+from biosensor_gateway.devices.emotibit.driver.protocol import Read, Tag, read, write
 from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.udp_port import UdpPort
 
