@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.brainflow.driver.frames import Frames, Rows, Told
+from biosensor_gateway.devices.brainflow.driver.emitter import Frames, Rows, Told
 
 
 def frame(kind: bytes, preset: int, content: bytes) -> bytes:

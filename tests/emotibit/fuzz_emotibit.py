@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 
-from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
+from biosensor_gateway.devices.emotibit.driver.emitter import (
+    EmotiBitEmitter,
+    Oscillator,
+    SensorRows,
+)
 from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, read
-from biosensor_gateway.devices.emotibit.driver.rows import Oscillator, SensorRows
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.emotibit.driver.rows import Oscillator, SensorRows
+from biosensor_gateway.devices.emotibit.driver.emitter import Oscillator, SensorRows
 
 READ_HZ = 75
 ROUND_S = 0.1

@@ -12,11 +12,11 @@ import pytest
 from pylsl import local_clock
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.transports import byte_links, socket_link, tcp_link
+from biosensor_gateway.transports import byte_links, socket_link
 from biosensor_gateway.transports.byte_links import RfcommLink, byte_link
 from biosensor_gateway.transports.link import ByteLink
 from biosensor_gateway.transports.serial_port import SerialLink
-from biosensor_gateway.transports.tcp_link import TcpLink
+from biosensor_gateway.transports.socket_link import TcpLink
 from biosensor_gateway.transports.threads import in_daemon_thread
 
 pytestmark = pytest.mark.nightly
@@ -177,7 +177,7 @@ async def test_commands_are_sent_at_once_and_a_dead_peer_is_noticed(
         made.append(create_connection(address, timeout))
         return made[0]
 
-    monkeypatch.setattr(tcp_link.socket, "create_connection", noted)
+    monkeypatch.setattr(socket_link.socket, "create_connection", noted)
     link = TcpLink("127.0.0.1", peer.port)
     await link.open()
     assert made[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -283,7 +283,7 @@ async def test_what_the_system_says_of_tcp_becomes_a_reason_and_an_advice(
     def refuse(*_: object) -> None:
         raise raised
 
-    monkeypatch.setattr(tcp_link.socket, "create_connection", refuse)
+    monkeypatch.setattr(socket_link.socket, "create_connection", refuse)
     error = await open_error(TcpLink("fe80::1", 5000))
     assert error.reason is reason
     assert words in str(error)
@@ -301,7 +301,7 @@ def slow_connection(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> Generator[th
         made.connect(("127.0.0.1", peer.port))
         return made
 
-    monkeypatch.setattr(tcp_link.socket, "create_connection", slow)
+    monkeypatch.setattr(socket_link.socket, "create_connection", slow)
     yield may_connect
     may_connect.set()
 

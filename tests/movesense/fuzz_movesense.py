@@ -7,18 +7,16 @@ negative number of samples is lost.
 from __future__ import annotations
 
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter, PacketSeries
-from biosensor_gateway.devices.movesense.driver.measurements import (
+from biosensor_gateway.devices.movesense.driver.protocol import (
     HEART_RATE,
     MOVEMENT,
     TEMPERATURE,
-    Measurement,
-    ecg,
-    movement,
-)
-from biosensor_gateway.devices.movesense.driver.protocol import (
     Assembler,
     Kind,
+    Measurement,
+    ecg,
     is_refused_greeting,
+    movement,
     parse_greeting,
     parse_message,
 )

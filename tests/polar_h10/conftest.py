@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
 from tests.polar_h10.steering import SteeredPolarH10

@@ -18,8 +18,8 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     PulseIntervals,
     Rejected,
     Rotation,
+    parse_frame,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import parse_frame
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
 from tests.fuzz.breaking import Fault
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink

@@ -15,7 +15,7 @@ from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Firmware, Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming

@@ -14,7 +14,7 @@ from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports import ble
 from tests.polar_h10.steering import SteeredPolarH10

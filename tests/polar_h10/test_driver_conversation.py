@@ -13,7 +13,7 @@ from biosensor_common.errors import CredentialError, ProtocolError, ProtocolReas
 from biosensor_gateway.devices.polar_h10.driver import control as control_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
 from tests.rigs.driver_run import connected, streaming

@@ -13,7 +13,7 @@ from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import CONTROL_POINT
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports import ble
 from biosensor_gateway.transports.ble import BleLink, Notification

@@ -10,7 +10,7 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming

@@ -24,8 +24,9 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rejected,
     Rotation,
     expand,
+    measurement_of,
+    parse_frame,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import measurement_of, parse_frame
 
 _FOLDER = Path(__file__).parent / "vectors"
 VECTORS: list[dict[str, Any]] = [

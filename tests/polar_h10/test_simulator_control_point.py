@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.simulator.control_point import ControlPoint
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
+from biosensor_gateway.devices.polar_h10.simulator.pmd_service import ControlPoint
 from biosensor_gateway.devices.polar_h10.simulator.products import H10
 
 FOLDER = Path(__file__).parent / "vectors"

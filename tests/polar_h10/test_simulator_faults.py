@@ -10,7 +10,7 @@ import pytest
 from bleak import BleakScanner
 
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Firmware, Quirks
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio

@@ -10,12 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.simulator import frames
+from biosensor_gateway.devices.polar_h10.simulator import pmd
 from biosensor_gateway.devices.polar_h10.simulator.device import manufacturer_data
-from biosensor_gateway.devices.polar_h10.simulator.frames import PulseInterval, block, compress
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     Measurement,
+    PulseInterval,
     Setting,
+    block,
+    compress,
     encode_features,
 )
 from biosensor_gateway.devices.polar_h10.simulator.products import H10
@@ -36,7 +38,7 @@ def integers(values: list[Any]) -> Any:
 
 
 def acc(frame_format: int) -> Encoder:
-    return lambda stamp, values: frames.acceleration(stamp, integers(values), frame_format)
+    return lambda stamp, values: pmd.acceleration(stamp, integers(values), frame_format)
 
 
 def acc_in_blocks(frame_format: int, lengths: tuple[int, ...]) -> Encoder:
@@ -44,7 +46,7 @@ def acc_in_blocks(frame_format: int, lengths: tuple[int, ...]) -> Encoder:
 
     def encode(stamp: int, values: list[Any]) -> bytes:
         samples = integers(values)
-        data = frames.acceleration(stamp, samples[:1], frame_format)
+        data = pmd.acceleration(stamp, samples[:1], frame_format)
         differences = np.diff(samples, axis=0)
         for end, length in zip(np.cumsum(lengths).tolist(), lengths, strict=True):
             data += block(differences[end - length : end])
@@ -55,11 +57,11 @@ def acc_in_blocks(frame_format: int, lengths: tuple[int, ...]) -> Encoder:
 
 def ppg_with_12_bits(stamp: int, values: list[Any]) -> bytes:
     samples = integers(values)
-    return frames.ppg(stamp, samples[:1]) + block(np.diff(samples, axis=0), 12)
+    return pmd.ppg(stamp, samples[:1]) + block(np.diff(samples, axis=0), 12)
 
 
 def ppi(stamp: int, values: list[dict[str, int]]) -> bytes:
-    return frames.pulse_intervals(
+    return pmd.pulse_intervals(
         stamp,
         [
             PulseInterval(
@@ -75,16 +77,16 @@ def ppi(stamp: int, values: list[dict[str, int]]) -> bytes:
 
 
 ENCODERS: dict[str, tuple[str, Encoder]] = {
-    "ecg_raw0_11samples": ("uv", lambda stamp, v: frames.ecg(stamp, integers(v))),
-    "ecg_raw0_73samples_full_mtu232": ("uv", lambda stamp, v: frames.ecg(stamp, integers(v))),
-    "ecg_raw0_empty": ("uv", lambda stamp, _: frames.ecg(stamp, np.empty((0, 1), np.int64))),
-    "acc_raw0_1byte_per_axis": ("mg", acc(frames.ACC_8_BIT)),
-    "acc_raw1_3samples": ("mg", acc(frames.ACC_16_BIT)),
-    "acc_raw2_3bytes_per_axis": ("mg", acc(frames.ACC_24_BIT)),
-    "acc_delta1_reference_only": ("raw", acc(frames.ACC_COMPRESSED_MG)),
-    "acc_delta1_3bit_11samples_unaligned": ("raw", acc(frames.ACC_COMPRESSED_MG)),
-    "acc_delta1_two_blocks_4bit_8bit": ("raw", acc_in_blocks(frames.ACC_COMPRESSED_MG, (3, 2))),
-    "acc_delta0_own_factor": ("raw", acc_in_blocks(frames.ACC_COMPRESSED_COUNTS, (2, 1))),
+    "ecg_raw0_11samples": ("uv", lambda stamp, v: pmd.ecg(stamp, integers(v))),
+    "ecg_raw0_73samples_full_mtu232": ("uv", lambda stamp, v: pmd.ecg(stamp, integers(v))),
+    "ecg_raw0_empty": ("uv", lambda stamp, _: pmd.ecg(stamp, np.empty((0, 1), np.int64))),
+    "acc_raw0_1byte_per_axis": ("mg", acc(pmd.ACC_8_BIT)),
+    "acc_raw1_3samples": ("mg", acc(pmd.ACC_16_BIT)),
+    "acc_raw2_3bytes_per_axis": ("mg", acc(pmd.ACC_24_BIT)),
+    "acc_delta1_reference_only": ("raw", acc(pmd.ACC_COMPRESSED_MG)),
+    "acc_delta1_3bit_11samples_unaligned": ("raw", acc(pmd.ACC_COMPRESSED_MG)),
+    "acc_delta1_two_blocks_4bit_8bit": ("raw", acc_in_blocks(pmd.ACC_COMPRESSED_MG, (3, 2))),
+    "acc_delta0_own_factor": ("raw", acc_in_blocks(pmd.ACC_COMPRESSED_COUNTS, (2, 1))),
     "ppg_delta0_12bit": ("ppg", ppg_with_12_bits),
     "ppi_raw0_two": ("ppi", ppi),
 }
@@ -154,7 +156,7 @@ def test_compression_of_22_bits_can_be_undone(samples: list[tuple[int, ...]]) ->
 
 @given(
     st.lists(st.tuples(int16, int16, int16), min_size=1, max_size=60),
-    st.sampled_from([frames.ACC_16_BIT, frames.ACC_COMPRESSED_MG]),
+    st.sampled_from([pmd.ACC_16_BIT, pmd.ACC_COMPRESSED_MG]),
     st.integers(20, 229),
 )
 def test_frames_are_split_until_they_fit(
@@ -165,7 +167,7 @@ def test_frames_are_split_until_they_fit(
         Measurement.ACC,
         {Setting.SAMPLE_RATE: 200, Setting.RANGE: 2},
         Wearer(),
-        compressed=layout == frames.ACC_COMPRESSED_MG,
+        compressed=layout == pmd.ACC_COMPRESSED_MG,
     )
     stamps = list(range(len(samples)))
     last = -1
@@ -174,7 +176,7 @@ def test_frames_are_split_until_they_fit(
         assert len(frame) <= room
         last += len(part)
         assert int.from_bytes(frame[1:9], "little") == last
-        if layout == frames.ACC_16_BIT:
+        if layout == pmd.ACC_16_BIT:
             decoded += np.frombuffer(frame[10:], "<i2").reshape(-1, 3).tolist()
         else:
             decoded += decompress(frame[10:], 3, 2)
@@ -220,7 +222,7 @@ def test_without_contact_there_is_no_heart_in_the_ecg() -> None:
 
 @given(st.integers(0, 2**32 - 1))
 def test_no_damaged_frame_can_be_decoded(seed: int) -> None:
-    for frame in frames.damaged(np.random.default_rng(seed), 7):
+    for frame in pmd.damaged(np.random.default_rng(seed), 7):
         assert len(frame) <= 20
         if len(frame) < 10:
             continue

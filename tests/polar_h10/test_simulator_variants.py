@@ -9,7 +9,7 @@ import pytest
 from bleak.exc import BleakGATTProtocolError
 
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Firmware, Quirks
 from biosensor_gateway.simulation.radio import Radio
 from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE

@@ -12,12 +12,12 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
-from biosensor_gateway.devices.polar_verity_sense.simulator import SimulatedPolarVeritySense
+from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.devices.polar_verity_sense.simulator import (
     OH1,
     OLD_VERITY_SENSE,
     POLAR_360,
+    SimulatedPolarVeritySense,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from tests.rigs.bluetooth import ON_BUMBLE

@@ -18,8 +18,11 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     parse_settings,
     start,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.frames import PulseIntervals, Rejected
-from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import parse_frame
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
+    PulseIntervals,
+    Rejected,
+    parse_frame,
+)
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors" / "polar_optical.json").read_text(encoding="utf-8")

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.simulator.control_point import ControlPoint
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
+from biosensor_gateway.devices.polar_h10.simulator.pmd_service import ControlPoint
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
 from biosensor_gateway.devices.polar_h10.simulator.waveforms import waveform
-from biosensor_gateway.devices.polar_verity_sense.simulator import SimulatedPolarVeritySense
 from biosensor_gateway.devices.polar_verity_sense.simulator import (
     OH1,
     OLD_VERITY_SENSE,
     POLAR_360,
     VERITY_SENSE,
+    SimulatedPolarVeritySense,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio

@@ -36,8 +36,7 @@ _PATTERNS = (
         "inlets", "listing", "losses", "placing", "reader", "received", "receiver",
     )),
 )  # fmt: skip
-_DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*_emitter.py",
-            f"{_AGENT}/devices/*/driver/rows.py")  # fmt: skip
+_DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*_emitter.py")
 
 
 def data_rooms() -> list[Path]:

@@ -27,8 +27,7 @@ from biosensor_gateway.simulation.async_serial import TcpSerialPort
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import byte_links
 from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink
-from biosensor_gateway.transports.socket_link import FAREWELL_S
-from biosensor_gateway.transports.tcp_link import TcpLink
+from biosensor_gateway.transports.socket_link import FAREWELL_S, TcpLink
 from biosensor_gateway.transports.traffic import Traffic
 from biosensor_gateway.transports.udp_port import Take, UdpPort
 from tests.rigs.virtual_time import clock_of_the_test

@@ -8,8 +8,7 @@ import pytest
 
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
-from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
-from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
+from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
 from biosensor_gateway.simulation.radio import Radio
 from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 

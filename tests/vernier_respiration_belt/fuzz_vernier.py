@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from biosensor_common.errors import ProtocolError
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
     BeltChannels,
     choose_channels,
 )

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
     BeltChannels,
     choose_channels,
 )

@@ -10,7 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.vernier_respiration_belt.declaration import SPEC
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Channel,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.device_clock import DeviceClock
-from biosensor_gateway.devices.vernier_respiration_belt.driver.numbering import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import (
     HELD_PACKETS,
     LOST_LIMIT_S,
     Arrived,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Channel,

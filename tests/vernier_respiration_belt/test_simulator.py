@@ -15,7 +15,7 @@ import pytest
 from bleak import BleakClient, BleakScanner
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt, wire
-from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
+from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Channel,

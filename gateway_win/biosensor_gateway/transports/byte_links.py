@@ -11,9 +11,8 @@ from urllib.parse import urlsplit
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.transports.link import ByteLink
 from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink
-from biosensor_gateway.transports.socket_link import SocketLink
+from biosensor_gateway.transports.socket_link import SocketLink, TcpLink
 from biosensor_gateway.transports.tap import byte_link_of
-from biosensor_gateway.transports.tcp_link import TcpLink
 
 _MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 _SOCKET = "socket://"

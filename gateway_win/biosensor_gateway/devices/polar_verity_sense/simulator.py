@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
+from biosensor_gateway.devices.polar_h10.simulator.device import EXPECTED as STRAP
 from biosensor_gateway.devices.polar_h10.simulator.device import SimulatedPolarH10, Usual
-from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED as STRAP
-from biosensor_gateway.devices.polar_h10.simulator.frames import (
+from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ACC_COMPRESSED_COUNTS,
     PPG_OF_TWO_DIODES,
+    Measurement,
+    Offered,
+    Setting,
 )
-from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Offered, Setting
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
 from biosensor_gateway.simulation.expected import Contact
 from biosensor_gateway.simulation.virtual_device import Filled

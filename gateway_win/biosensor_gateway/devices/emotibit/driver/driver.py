@@ -19,17 +19,15 @@ from biosensor_common.errors import (
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.emotibit.driver.advertising import (
-    ADVERTISING_PORT,
-    ANSWER_LIMIT_S,
-    Advertising,
-    Nearby,
-)
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
 from biosensor_gateway.devices.emotibit.driver.link import (
+    ADVERTISING_PORT,
+    ANSWER_LIMIT_S,
     PING_EVERY_S,
+    Advertising,
     Arrived,
     Link,
+    Nearby,
     connect,
 )
 from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, Packet, Tag

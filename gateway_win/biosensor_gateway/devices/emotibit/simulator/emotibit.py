@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from biosensor_gateway.devices.emotibit.simulator import wire
-from biosensor_gateway.devices.emotibit.simulator.host import Host
 from biosensor_gateway.devices.emotibit.simulator.rounds import (
     ROUND_S,
     ROUNDS_EFFECTS,
@@ -19,6 +18,7 @@ from biosensor_gateway.devices.emotibit.simulator.rounds import (
     Round,
     Rounds,
 )
+from biosensor_gateway.devices.emotibit.simulator.wire import Host
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance

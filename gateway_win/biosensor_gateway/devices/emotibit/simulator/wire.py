@@ -5,8 +5,12 @@ Source: EmotiBit_XPlat_Utils, ``EmotiBitPacket`` (MIT licence).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import asyncio
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
+
+from biosensor_gateway.simulation.tcp_port import break_off
 
 LONGEST_DATAGRAM = 512
 HELLO, HERE, CONNECT, PING, PONG = "HE", "HH", "EC", "PN", "PO"
@@ -49,3 +53,113 @@ def datagrams(packets: Sequence[bytes]) -> list[list[bytes]]:
             packed.append([])
         packed[-1].append(each)
     return [each for each in packed if each]
+
+
+class _Answers(asyncio.DatagramProtocol):
+    """What a host says on the channel of data."""
+
+    def __init__(self, obey: Callable[[Message], None]) -> None:
+        self._obey = obey
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """Take one packet a datagram, as the firmware does."""
+        self._obey(heard(data.split(b"\n")[0]))
+
+    def error_received(self, exc: Exception) -> None:
+        """Pass over a host that is gone."""
+
+
+class Host(asyncio.Protocol):
+    """One connection.
+
+    Parameters
+    ----------
+    here
+        Address of the device.
+    host, control_port, data_port
+        Where the host listens.
+    obey
+        Gets each packet that it sends on either channel.
+    lost
+        Called when it ends the connection.
+
+    Attributes
+    ----------
+    data_port
+        By which it shows that it is the same host.
+    pinged_s
+        When it asked last.
+    """
+
+    def __init__(
+        self,
+        here: str,
+        host: str,
+        control_port: int,
+        data_port: int,
+        obey: Callable[[Message], None],
+        lost: Callable[[], None],
+    ) -> None:
+        self._here = here
+        self._host = host
+        self._control_port = control_port
+        self.data_port = data_port
+        self.pinged_s = 0.0
+        self._obey = obey
+        self._lost = lost
+        self._control: asyncio.Transport | None = None
+        self._connecting: asyncio.Task[None] | None = None
+        self._rest = b""
+        self._data: asyncio.DatagramTransport | None = None
+
+    def connect(self, done: Callable[[], None]) -> None:
+        """Connect the control channel, and call *done*; without it there are no data."""
+
+        async def connect() -> None:
+            loop = asyncio.get_running_loop()
+            with suppress(OSError):
+                self._data, _ = await loop.create_datagram_endpoint(
+                    lambda: _Answers(self._obey), (self._here, 0)
+                )
+                await loop.create_connection(
+                    lambda: self, self._host, self._control_port, local_addr=(self._here, 0)
+                )
+                done()
+                return
+            self._lost()
+
+        self._connecting = asyncio.create_task(connect())
+
+    def send(self, datagram: bytes) -> bool:
+        """Send data; return whether there is a channel for them."""
+        if self._control is None or self._data is None:
+            return False
+        self._data.sendto(datagram, (self._host, self.data_port))
+        return True
+
+    def close(self) -> None:
+        """Let go of the host."""
+        if self._connecting is not None:
+            self._connecting.cancel()
+        if self._control is not None:
+            break_off(self._control)
+            self._control = None
+        if self._data is not None:
+            self._data.close()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the channel."""
+        assert isinstance(transport, asyncio.Transport)
+        self._control = transport
+
+    def data_received(self, data: bytes) -> None:
+        """Obey whole packets."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            self._obey(heard(line))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Note that the host has ended it."""
+        if self._control is not None:
+            self._control = None
+            self._lost()

@@ -11,7 +11,7 @@ from pydantic import Field
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
-from biosensor_gateway.devices.movesense.driver.measurements import (
+from biosensor_gateway.devices.movesense.driver.protocol import (
     HEART_RATE,
     MOVEMENT,
     TEMPERATURE,

@@ -17,13 +17,11 @@ from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
     PlacedBeat,
     StoredBeats,
 )
-from biosensor_gateway.devices.movesense.driver.measurements import (
+from biosensor_gateway.devices.movesense.driver.protocol import (
     HEART_RATE,
     TEMPERATURE,
-    Measurement,
-)
-from biosensor_gateway.devices.movesense.driver.protocol import (
     Block,
+    Measurement,
     Packet,
     in_g,
     parse_ecg,

@@ -11,15 +11,16 @@ from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.movesense.driver import protocol
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
-from biosensor_gateway.devices.movesense.driver.measurements import HELLO_REFERENCE, Measurement
 from biosensor_gateway.devices.movesense.driver.protocol import (
     COMMAND,
     DATA,
+    HELLO_REFERENCE,
     OUT_OF_SLOTS,
     TOO_MANY_REQUESTS,
     Assembler,
     Greeting,
     Kind,
+    Measurement,
     Message,
     parse_message,
 )

@@ -12,8 +12,9 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     PulseIntervals,
     RegularFrame,
     Rejected,
+    measurement_of,
+    parse_frame,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import measurement_of, parse_frame
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog

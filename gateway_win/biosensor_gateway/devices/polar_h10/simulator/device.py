@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import inf
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Unpack
@@ -11,23 +12,37 @@ from bumble.att import Attribute
 from bumble.core import UUID
 from bumble.gatt import Characteristic, Service
 
+from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED as ANY_STRAP
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     STRAP_EFFECTS,
     Strap,
     StrapDevice,
 )
-from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED
 from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PmdService
-from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import (
+    H10,
+    Firmware,
+    Product,
+    Quirks,
+)
 from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.expected import Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
+
+EXPECTED = replace(
+    ANY_STRAP,
+    impossible={},
+    # It is switched off.
+    gaps={FaultKind.RESTART: Gap.STOPPED},
+    # Each connection begins a new series, which is placed by time.
+    loss_tolerance=LossTolerance(over_break=2),
+)
 
 _LOW_BATTERY_PERCENT = 10
 # Characteristics of the file transfer service that old firmware has and PMD came beside.

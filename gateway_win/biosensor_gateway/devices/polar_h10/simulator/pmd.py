@@ -7,8 +7,13 @@ Polar's public SDK repository.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum, unique
+from itertools import cycle, islice
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 SERVICE_UUID = "FB005C80-02E7-F387-1CAD-8ACD2D8DF0C8"
 CONTROL_POINT_UUID = "FB005C81-02E7-F387-1CAD-8ACD2D8DF0C8"
@@ -140,3 +145,158 @@ def encode_features(measurements: Iterable[Measurement]) -> bytes:
     """Return what reading the control point answers, 17 bytes."""
     mask = sum(1 << measurement for measurement in set(measurements))
     return (b"\x0f" + mask.to_bytes(2, "little")).ljust(_FEATURES_BYTES, b"\0")
+
+
+HEADER_BYTES = 10
+_COMPRESSED = 0x80
+ACC_8_BIT, ACC_16_BIT, ACC_24_BIT = 0, 1, 2
+"""Formats of acceleration: so many bits an axis [mg]."""
+ACC_COMPRESSED_COUNTS, ACC_COMPRESSED_MG = 0x80, 0x81
+"""Compressed 16 bits: in counts to be scaled, in mg."""
+PPG_OF_THREE_LEDS, PPG_OF_TWO_DIODES = 0x80, 0x8D
+"""Compressed light: three LEDs and the ambient light, or one LED seen by two diodes."""
+_UNKNOWN_FORMAT = 0x3F
+
+# Compressed samples are a reference sample in full, then blocks: bits of a difference, count of
+# samples, and the differences to the sample before, least significant bit first, channel by
+# channel. Each block starts at a byte's border.
+Integers = NDArray[np.int64]
+
+_BLOCK_SAMPLES = 12
+
+
+def compress(samples: Integers, resolution: int, block_samples: int = _BLOCK_SAMPLES) -> bytes:
+    """Encode samples.
+
+    Parameters
+    ----------
+    samples : ndarray of int64, shape (n, channels)
+        At least one.
+    resolution
+        Bits of a sample.
+    block_samples
+        So many samples share one width; at most 255.
+    """
+    reference = little_endian(samples[:1], -(-resolution // 8))
+    differences = np.diff(samples, axis=0)
+    starts = range(0, len(differences), block_samples)
+    return reference + b"".join(block(differences[at : at + block_samples]) for at in starts)
+
+
+def block(differences: Integers, bits: int | None = None) -> bytes:
+    """Encode one block with so many bits a difference; as many as it needs by default."""
+    bits = _width(differences) if bits is None else bits
+    unsigned = differences.reshape(-1, 1) & ((1 << bits) - 1)
+    stream = (unsigned >> np.arange(bits)) & 1
+    payload = np.packbits(stream.astype(np.uint8).ravel(), bitorder="little")
+    return bytes((bits, len(differences))) + payload.tobytes()
+
+
+def little_endian(values: Integers, size: int) -> bytes:
+    """Write signed integers of so many bytes each."""
+    eight = np.ascontiguousarray(values, dtype="<i8").view(np.uint8).reshape(-1, 8)
+    return eight[:, :size].tobytes()
+
+
+def _width(differences: Integers) -> int:
+    """Bits that hold every difference with its sign."""
+    magnitude = np.where(differences < 0, ~differences, differences)
+    return int(magnitude.max(initial=0)).bit_length() + 1
+
+
+class PulseInterval(NamedTuple):
+    """One interval between two pulses.
+
+    Attributes
+    ----------
+    bpm
+        Heart rate [1/min].
+    interval_ms, error_ms
+        Length and its estimated error [ms].
+    moving
+        It is unreliable because the wearer moved.
+    contact
+        None if the device cannot tell.
+    """
+
+    bpm: int
+    interval_ms: int
+    error_ms: int
+    moving: bool = False
+    contact: bool | None = None
+
+
+def header(measurement: Measurement, timestamp_ns: int, frame_format: int) -> bytes:
+    """Return the first ten bytes."""
+    return struct.pack("<BQB", measurement, timestamp_ns, frame_format)
+
+
+def ecg(timestamp_ns: int, microvolts: Integers) -> bytes:
+    """ECG, format 0: 24 bits [uV], shape (n, 1)."""
+    return header(Measurement.ECG, timestamp_ns, 0) + little_endian(microvolts, 3)
+
+
+def acceleration(timestamp_ns: int, counts: Integers, frame_format: int = ACC_16_BIT) -> bytes:
+    """Acceleration in one of the formats above, shape (n, 3)."""
+    head = header(Measurement.ACC, timestamp_ns, frame_format)
+    if frame_format & _COMPRESSED:
+        return head + compress(counts, 16)
+    return head + little_endian(counts, frame_format + 1)
+
+
+def ppg(timestamp_ns: int, counts: Integers, frame_format: int = PPG_OF_THREE_LEDS) -> bytes:
+    """Photoplethysmogram in one of the formats above, shape (n, 4) or (n, 2).
+
+    Behind the values of two diodes stand bits of status, here of a sensor that has none set.
+    """
+    head = header(Measurement.PPG, timestamp_ns, frame_format)
+    if frame_format == PPG_OF_TWO_DIODES:
+        status = np.zeros((len(counts), 1), np.int64)
+        return head + compress(np.hstack((counts, status)), 24)
+    return head + compress(counts, 22)
+
+
+def angular_velocity(timestamp_ns: int, counts: Integers) -> bytes:
+    """Angular velocity, compressed, 16 bits, shape (n, 3)."""
+    return header(Measurement.GYRO, timestamp_ns, _COMPRESSED) + compress(counts, 16)
+
+
+def magnetic_field(timestamp_ns: int, counts: Integers) -> bytes:
+    """Magnetic flux density, compressed, 16 bits, shape (n, 3)."""
+    return header(Measurement.MAGNETOMETER, timestamp_ns, _COMPRESSED) + compress(counts, 16)
+
+
+def pulse_intervals(timestamp_ns: int, intervals: Sequence[PulseInterval]) -> bytes:
+    """Pulse-to-pulse intervals, format 0; the time is often 0."""
+    entries = (
+        struct.pack("<BHHB", one.bpm, one.interval_ms, one.error_ms, _flags(one))
+        for one in intervals
+    )
+    return header(Measurement.PPI, timestamp_ns, 0) + b"".join(entries)
+
+
+def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
+    """Return so many frames that cannot be decoded, each kind in turn, at most 20 bytes long."""
+    time_ns = int(rng.integers(1 << 60))
+    compressed = header(Measurement.ACC, time_ns, ACC_COMPRESSED_MG)
+    kinds = (
+        rng.bytes(int(rng.integers(HEADER_BYTES))),
+        header(Measurement.ECG, time_ns, 0) + rng.bytes(3 * 3 + 1),
+        header(Measurement.ACC, time_ns, ACC_16_BIT) + rng.bytes(6 + 2),
+        compressed + rng.bytes(5),
+        # Announces more differences than follow.
+        compressed + rng.bytes(6) + b"\x10\x20" + rng.bytes(2),
+        header(Measurement.ECG, time_ns, _UNKNOWN_FORMAT) + rng.bytes(9),
+        header(Measurement.OFFLINE_HEART_RATE, time_ns, 0) + rng.bytes(9),
+    )
+    return islice(cycle(kinds), count)
+
+
+def in_unknown_format(frame: bytes) -> bytes:
+    """Return a frame whose header names a format that no document has."""
+    return frame[: HEADER_BYTES - 1] + bytes((_UNKNOWN_FORMAT,)) + frame[HEADER_BYTES:]
+
+
+def _flags(interval: PulseInterval) -> int:
+    supported = interval.contact is not None
+    return interval.moving | bool(interval.contact) << 1 | supported << 2

@@ -15,17 +15,210 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 from biosensor_gateway.devices.ble_heart_rate.simulator.heart import BeatDetector
 from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import RR_TICKS_PER_S
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import Strap
-from biosensor_gateway.devices.polar_h10.simulator import frames, pmd
-from biosensor_gateway.devices.polar_h10.simulator.control_point import ControlPoint
-from biosensor_gateway.devices.polar_h10.simulator.frames import Integers, PulseInterval
+from biosensor_gateway.devices.polar_h10.simulator import pmd
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ATT_HEADER_BYTES,
     FULL_MTU,
+    Integers,
     Measurement,
+    Offered,
+    OpCode,
+    PulseInterval,
+    Setting,
+    Status,
+    decode_choice,
+    encode_settings,
 )
-from biosensor_gateway.devices.polar_h10.simulator.products import Product
-from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.devices.polar_h10.simulator.products import Product, Quirks
 from biosensor_gateway.devices.polar_h10.simulator.waveforms import Waveform, waveform
+
+_REPLY = 0xF0
+_STOPPED_BY_DEVICE = 0x01
+_REPLY_HEADER_BYTES = 5
+_ONLINE = 0x40
+"""Mark of a running measurement in the reply to `OpCode.GET_STATUS`."""
+_INVALID = {
+    Setting.SAMPLE_RATE: Status.INVALID_SAMPLE_RATE,
+    Setting.RESOLUTION: Status.INVALID_RESOLUTION,
+    Setting.RANGE: Status.INVALID_RANGE,
+    Setting.CHANNELS: Status.INVALID_NUMBER_OF_CHANNELS,
+}
+
+
+class _Refusal(Exception):  # noqa: N818 - a course of the conversation, not an error
+    """A command cannot be obeyed."""
+
+    def __init__(self, status: Status) -> None:
+        super().__init__(status.name)
+        self.status = status
+
+
+class ControlPoint:
+    """One device's measurements, and the conversation that switches them.
+
+    Parameters
+    ----------
+    running
+        Measurements that a former host has left on, with the first settings on offer.
+    minimum_mtu
+        A start with a smaller ATT MTU is refused with INVALID_MTU.
+    short_errors
+        Replies of failure end after the status, as some firmware has it.
+    announces_stops
+        A stop on command is followed by the packet that tells of a stop by the device.
+
+    Attributes
+    ----------
+    running
+        Measurements that are on, with their settings.
+    refuses
+        Every command fails with INVALID_STATE.
+    denied
+        Measurements of which every start fails so.
+    """
+
+    def __init__(
+        self,
+        product: Product,
+        *,
+        running: Iterable[Measurement] = (),
+        minimum_mtu: int = 0,
+        short_errors: bool = False,
+        announces_stops: bool = False,
+    ) -> None:
+        self.running = {measurement: _first_choice(product, measurement) for measurement in running}
+        self.refuses = False
+        self.denied: frozenset[Measurement] = frozenset()
+        self._product = product
+        self._minimum_mtu = max(minimum_mtu, product.minimum_mtu)
+        self._short_errors = short_errors
+        self._announces_stops = announces_stops
+
+    @property
+    def in_sdk_mode(self) -> bool:
+        """Whether the wider range of settings is on, and its own evaluation off."""
+        return Measurement.SDK_MODE in self.running
+
+    def answer(self, command: bytes, mtu: int) -> tuple[bytes, ...]:
+        """Obey or refuse one command that came over a link with this ATT MTU.
+
+        Returns
+        -------
+        tuple of bytes
+            Indications to send, in order.
+        """
+        head = bytes((_REPLY,)) + command[:2].ljust(2, b"\0")
+        try:
+            return self._obey(head, command[1:], mtu)
+        except _Refusal as refusal:
+            reply = head + bytes((refusal.status, 0))
+            return (reply[:-1] if self._short_errors else reply,)
+
+    def stop(self, measurements: Iterable[Measurement]) -> bytes:
+        """Stop measurements on the device's own account; return the packet that says so."""
+        stopped = [one for one in measurements if self.running.pop(one, None) is not None]
+        return bytes((_STOPPED_BY_DEVICE, *stopped))
+
+    def _obey(self, head: bytes, body: bytes, mtu: int) -> tuple[bytes, ...]:
+        if self.refuses:
+            raise _Refusal(Status.INVALID_STATE)
+        match head[1]:
+            case OpCode.GET_SETTINGS:
+                return _reply(head, self._settings(body, sdk_mode=self.in_sdk_mode), mtu)
+            case OpCode.START:
+                return self._start(head, body, mtu)
+            case OpCode.STOP:
+                return self._stop(head, body, mtu)
+            case OpCode.GET_STATUS:
+                states = (one | _ONLINE * (one in self.running) for one in self._product.settings)
+                return _reply(head, bytes(states), mtu)
+            case OpCode.GET_SDK_SETTINGS if self._product.sdk_settings:
+                return _reply(head, self._settings(body, sdk_mode=True), mtu)
+            case OpCode.GET_SDK_STATUS if self._product.sdk_settings:
+                return _reply(head, bytes((self.in_sdk_mode,)), mtu)
+            case OpCode.GET_SDK_SETTINGS | OpCode.GET_SDK_STATUS:
+                raise _Refusal(Status.NOT_SUPPORTED)
+            case _:
+                raise _Refusal(Status.INVALID_OP_CODE)
+
+    def _settings(self, body: bytes, *, sdk_mode: bool) -> bytes:
+        measurement = self._measurement(body)
+        if len(body) != 1:
+            raise _Refusal(Status.INVALID_LENGTH)
+        offered = self._product.offered(sdk_mode=sdk_mode)
+        if measurement not in offered:
+            raise _Refusal(Status.NOT_SUPPORTED)
+        return encode_settings(offered[measurement])
+
+    def _start(self, head: bytes, body: bytes, mtu: int) -> tuple[bytes, ...]:
+        measurement = self._measurement(body)
+        if measurement in self.running:
+            raise _Refusal(Status.ALREADY_IN_STATE)
+        if measurement in self.denied:
+            raise _Refusal(Status.INVALID_STATE)
+        if measurement is Measurement.SDK_MODE and self.running:
+            raise _Refusal(Status.INVALID_STATE)
+        offered = self._product.offered(sdk_mode=self.in_sdk_mode).get(measurement)
+        if offered is None and measurement is not Measurement.SDK_MODE:
+            raise _Refusal(Status.NOT_SUPPORTED)
+        if mtu < self._minimum_mtu:
+            raise _Refusal(Status.INVALID_MTU)
+        chosen = _choice(offered or {}, body[1:])
+        self.running[measurement] = chosen
+        return _reply(head, self._product.start_reply(measurement, chosen), mtu)
+
+    def _stop(self, head: bytes, body: bytes, mtu: int) -> tuple[bytes, ...]:
+        measurement = self._measurement(body)
+        if len(body) != 1:
+            raise _Refusal(Status.INVALID_LENGTH)
+        if measurement not in self.running:
+            raise _Refusal(Status.ALREADY_IN_STATE)
+        if measurement is Measurement.SDK_MODE and len(self.running) > 1:
+            raise _Refusal(Status.INVALID_STATE)
+        announcement = self.stop((measurement,))
+        reply = _reply(head, b"", mtu)
+        return (*reply, announcement) if self._announces_stops else reply
+
+    def _measurement(self, body: bytes) -> Measurement:
+        if not body:
+            raise _Refusal(Status.INVALID_LENGTH)
+        try:
+            measurement = Measurement(body[0])
+        except ValueError:
+            raise _Refusal(Status.INVALID_MEASUREMENT_TYPE) from None
+        if measurement not in self._product.features:
+            raise _Refusal(Status.NOT_SUPPORTED)
+        return measurement
+
+
+def _choice(offered: Offered, data: bytes) -> dict[Setting, int]:
+    try:
+        chosen = decode_choice(data)
+    except EOFError:
+        raise _Refusal(Status.INVALID_LENGTH) from None
+    except ValueError:
+        raise _Refusal(Status.INVALID_PARAMETER) from None
+    if chosen.keys() != offered.keys():
+        raise _Refusal(Status.INVALID_PARAMETER)
+    for setting, value in chosen.items():
+        if value not in offered[setting]:
+            raise _Refusal(_INVALID.get(setting, Status.INVALID_PARAMETER))
+    return chosen
+
+
+def _first_choice(product: Product, measurement: Measurement) -> dict[Setting, int]:
+    offered = product.settings.get(measurement, {})
+    return {setting: values[0] for setting, values in offered.items()}
+
+
+def _reply(head: bytes, parameters: bytes, mtu: int) -> tuple[bytes, ...]:
+    room = mtu - ATT_HEADER_BYTES - _REPLY_HEADER_BYTES
+    parts = [parameters[at : at + room] for at in range(0, len(parameters), room)] or [b""]
+    return tuple(
+        head + bytes((Status.SUCCESS, number < len(parts))) + part
+        for number, part in enumerate(parts, start=1)
+    )
+
 
 _Permissions = Attribute.Permissions
 _Properties = Characteristic.Properties
@@ -58,7 +251,7 @@ class _WaveformStream:
     strap
         Who measures.
     data
-        The characteristic that carries the frames.
+        The characteristic that carries the pmd.
     waveform
         What is measured.
     rate_hz
@@ -126,7 +319,7 @@ class _IntervalStream:
     strap
         Who measures.
     data
-        The characteristic that carries the frames.
+        The characteristic that carries the pmd.
     first_s
         Device time of the first ones [s since power-on].
     """
@@ -154,14 +347,14 @@ class _IntervalStream:
         self._detector.begin_at(self._strap.put_on_s)
         intervals = self._detector.search(until_s)
         lengths_ms = [round(1000 * one.rr / RR_TICKS_PER_S) for one in intervals]
-        per_frame = (_room(self._strap) - frames.HEADER_BYTES) // _INTERVAL_BYTES
+        per_frame = (_room(self._strap) - pmd.HEADER_BYTES) // _INTERVAL_BYTES
         for at in range(0, len(intervals), per_frame):
             part = slice(at, at + per_frame)
             entries = [
                 PulseInterval(self._detector.bpm, length, _INTERVAL_ERROR_MS, contact=True)
                 for length in lengths_ms[part]
             ]
-            if await _send(self._strap, self._data, frames.pulse_intervals(0, entries)):
+            if await _send(self._strap, self._data, pmd.pulse_intervals(0, entries)):
                 times = [one.time for one in intervals[part]]
                 values = [(each / 1000, _INTERVAL_ERROR_MS / 1000) for each in lengths_ms[part]]
                 self._strap.truth.sent("ppi", times, values)
@@ -170,7 +363,7 @@ class _IntervalStream:
 async def _send(strap: Strap, data: Characteristic[bytes], frame: bytes) -> bool:
     """Send a frame; False if nobody can know what it holds."""
     if strap.is_unreadable:
-        await strap.send(data, frames.in_unknown_format(frame))
+        await strap.send(data, pmd.in_unknown_format(frame))
         return False
     return await strap.send(data, frame)
 
@@ -244,7 +437,7 @@ class PmdService:
         self._control.refuses = refuses
 
     def babble(self, packets: float) -> None:
-        """Send so many damaged frames."""
+        """Send so many damaged pmd."""
         self._strap.run(self._send_garbage(round(packets)))
 
     def forget(self) -> None:
@@ -253,7 +446,7 @@ class PmdService:
         self._end_streams()
 
     async def _send_garbage(self, packets: int) -> None:
-        for frame in frames.damaged(self._strap.rng, packets):
+        for frame in pmd.damaged(self._strap.rng, packets):
             await self._strap.peripheral.notify(self._data, frame)
 
     def _describe_control_point(self) -> Characteristic[bytes]:

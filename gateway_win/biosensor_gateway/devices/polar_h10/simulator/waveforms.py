@@ -8,9 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from biosensor_gateway.devices.polar_h10.simulator import frames
-from biosensor_gateway.devices.polar_h10.simulator.frames import Integers
-from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
+from biosensor_gateway.devices.polar_h10.simulator import pmd
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Integers, Measurement, Setting
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
@@ -59,7 +58,7 @@ class Waveform:
 
     def planned(self, frame_bytes: int) -> int:
         """How many samples are meant to share a frame of at most so many bytes."""
-        return max(1, (frame_bytes - frames.HEADER_BYTES) // self.sample_bytes)
+        return max(1, (frame_bytes - pmd.HEADER_BYTES) // self.sample_bytes)
 
     def split(
         self, counts: Integers, stamps_ns: list[int], frame_bytes: int
@@ -92,30 +91,30 @@ def waveform(
     rate = settings[Setting.SAMPLE_RATE]
     match measurement:
         case Measurement.ECG:
-            return Waveform("ecg", rate, 3, 1.0, partial(_ecg, wearer), frames.ecg)
+            return Waveform("ecg", rate, 3, 1.0, partial(_ecg, wearer), pmd.ecg)
         case Measurement.PPG:
-            channels = 2 if product.ppg_format == frames.PPG_OF_TWO_DIODES else 4
+            channels = 2 if product.ppg_format == pmd.PPG_OF_TWO_DIODES else 4
             size = 12 // _COMPRESSION
-            frame = partial(frames.ppg, frame_format=product.ppg_format)
+            frame = partial(pmd.ppg, frame_format=product.ppg_format)
             return Waveform("ppg", rate, size, 1.0, partial(_ppg, wearer, channels), frame)
         case Measurement.GYRO:
             unit = product.unit(measurement, settings)
             counts = partial(_rotation, wearer, unit)
-            return Waveform("gyro", rate, 6 // _COMPRESSION, unit, counts, frames.angular_velocity)
+            return Waveform("gyro", rate, 6 // _COMPRESSION, unit, counts, pmd.angular_velocity)
         case Measurement.MAGNETOMETER:
             unit = product.unit(measurement, settings)
             in_microtesla = unit * _MICROTESLA_PER_GAUSS
             counts = partial(_field, wearer, unit)
             size = 6 // _COMPRESSION
-            return Waveform("mag", rate, size, in_microtesla, counts, frames.magnetic_field)
+            return Waveform("mag", rate, size, in_microtesla, counts, pmd.magnetic_field)
         case Measurement.ACC:
             unit_g = product.unit(measurement, settings)
             limit = min(_INT16_LIMIT, round(settings[Setting.RANGE] / unit_g))
-            raw = product.acc_format == frames.ACC_16_BIT and not compressed
-            layout = frames.ACC_COMPRESSED_MG if compressed else product.acc_format
+            raw = product.acc_format == pmd.ACC_16_BIT and not compressed
+            layout = pmd.ACC_COMPRESSED_MG if compressed else product.acc_format
             size = 6 if raw else 6 // _COMPRESSION
             counts = partial(_acceleration, wearer, unit_g, limit)
-            frame = partial(frames.acceleration, frame_format=layout)
+            frame = partial(pmd.acceleration, frame_format=layout)
             return Waveform("acc", rate, size, unit_g, counts, frame)
         case _:
             raise ValueError(f"{measurement.name} has no waveform")

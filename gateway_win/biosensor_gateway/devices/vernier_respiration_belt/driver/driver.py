@@ -21,14 +21,12 @@ from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
-    BeltChannels,
-    choose_channels,
-)
 from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
     REPLY_LIMIT_S,
+    BeltChannels,
     Conversation,
     Heard,
+    choose_channels,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Unknown

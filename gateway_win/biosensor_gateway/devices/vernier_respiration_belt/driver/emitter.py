@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from statistics import fmean, pstdev
+from typing import NamedTuple
 
+from biosensor_common.clocks import PacketTimeline
+from biosensor_common.device_clock import ClockState
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
-from biosensor_gateway.devices.vernier_respiration_belt.driver.numbering import (
-    Arrived,
-    Numbering,
-    Placed,
-)
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Measurement,
     MeasurementKind,
@@ -22,6 +20,221 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Status,
 )
 from biosensor_gateway.system.device_log import DeviceLog
+
+HELD_PACKETS = 5
+"""The least delayed of so many packets is hardly delayed."""
+SILENCE_S = 1.0
+SILENCE_PERIODS = 5
+PAUSE_S = 0.15
+PAUSE_PERIODS = 1.5
+"""A packet that is later than this tells of samples that are missing, whatever the counter says:
+belts were seen to pause for half a second every few seconds."""
+BACKLOG_PACE = 0.5
+"""Stored packets follow each other in less than this part of the time they were measured in."""
+EARLY_PERIODS = 0.25
+"""The clock's line may lie so much above the best packet; delays are longer than nothing."""
+LOST_LIMIT_S = 60.0
+"""A belt that is away for longer was switched off: nothing was measured, so nothing is lost."""
+
+_TRUSTED_STEPS = 3
+
+
+class Arrived(NamedTuple):
+    """A measurement that is to be placed.
+
+    Attributes
+    ----------
+    samples
+        Number of samples a channel, at least 1.
+    arrival_s
+        LSL clock, in seconds.
+    is_behind_pause
+        Whether it came later than its samples take.
+    """
+
+    measurement: Measurement
+    samples: int
+    arrival_s: float
+    is_behind_pause: bool = False
+
+
+class Placed(NamedTuple):
+    """A measurement with its place on the device's clock.
+
+    Attributes
+    ----------
+    arrival_s
+        LSL clock, in seconds.
+    last_s
+        Device time of the last sample.
+    lost
+        Estimated number of samples missing before it.
+    is_first
+        It is the first one of a start, whose place among those before it is not exact.
+    """
+
+    measurement: Measurement
+    arrival_s: float
+    last_s: float
+    lost: int
+    is_first: bool = False
+
+
+class Numbering:
+    """Counts the samples of one belt, over all its connections.
+
+    Parameters
+    ----------
+    clock
+        Gives the device clock that observes the last sample of every placed packet.
+    """
+
+    def __init__(self, clock: Callable[[], ClockState]) -> None:
+        self._clock = clock
+        self._period_s = 1.0
+        self._origin_s = 0.0
+        self._index = 0
+        self._restarted = True
+        self._counter = _PacketCounter()
+        self._suspicious = False
+        self._may_be_stored = False
+        self._arrival_s = -math.inf
+        self._held: list[Arrived] = []
+
+    def restart(self, period_s: float) -> None:
+        """Begin to count anew: the next sample is the first after a start."""
+        self._origin_s, self._index = self._time(0), 0
+        self._period_s = period_s
+        self._restarted = True
+        self._suspicious = self._may_be_stored = False
+        self._counter = _PacketCounter()
+
+    def count(self, counter: int) -> None:
+        """Note the packet counter of any packet; call it before :meth:`place`."""
+        if self._counter.jumps(counter):
+            self._suspicious = True
+
+    def suspect(self) -> None:
+        """Expect that samples are missing before the next packet."""
+        self._suspicious = True
+
+    def place(self, packet: Arrived) -> list[Placed]:
+        """Return the packets whose place is certain now, in order; none while it is unclear."""
+        pause = packet.arrival_s - self._arrival_s
+        self._arrival_s = packet.arrival_s
+        if self._restarted:
+            return [self._place_first(packet)]
+        if pause > max(SILENCE_S, SILENCE_PERIODS * self._period_s):
+            self._suspicious = self._may_be_stored = True
+        elif pause - packet.samples * self._period_s > max(PAUSE_S, PAUSE_PERIODS * self._period_s):
+            self._suspicious = True
+            packet = packet._replace(is_behind_pause=True)
+        if not self._suspicious:
+            return [self._place_next(packet)]
+        self._held.append(packet)
+        return self._place_certain()
+
+    def release(self) -> list[Placed]:
+        """Return what is held back, because no more packets come."""
+        if not self._held or _is_backlog(self._held, self._period_s):
+            return self._place_held(len(self._held))
+        return self._place_by_pauses(least=1)
+
+    def _place_first(self, packet: Arrived) -> Placed:
+        """Go on where the host's clock is: a start begins at any moment."""
+        self._restarted = False
+        earliest_s = self._time(packet.samples)
+        reached_s = self._device_time(packet.arrival_s)
+        missing_s = reached_s - earliest_s
+        lost = round(missing_s / self._period_s) if 0.0 < missing_s < LOST_LIMIT_S else 0
+        self._origin_s, self._index = max(earliest_s, reached_s), 0
+        return Placed(packet.measurement, packet.arrival_s, self._origin_s, lost, is_first=True)
+
+    def _place_next(self, packet: Arrived, lost: int = 0) -> Placed:
+        self._index += lost + packet.samples
+        return Placed(packet.measurement, packet.arrival_s, self._time(0), lost)
+
+    def _place_certain(self) -> list[Placed]:
+        """Place what is held back as far as it is clear what happened before it."""
+        placed: list[Placed] = []
+        while len(self._held) >= HELD_PACKETS:
+            if _is_backlog(self._held[:HELD_PACKETS], self._period_s):
+                # After it, it is still to be seen whether all of it came.
+                self._may_be_stored = True
+                placed += self._place_held(HELD_PACKETS)
+                continue  # nothing is dropped: they are placed
+            lost = self._missing(0, HELD_PACKETS)
+            if lost and self._may_be_stored:
+                later = self._held[HELD_PACKETS:]
+                if len(later) < HELD_PACKETS:
+                    break
+                if _is_backlog(later, self._period_s) or self._missing(HELD_PACKETS) != lost:
+                    placed += self._place_held(HELD_PACKETS)
+                    continue  # nothing is dropped: they are placed
+            placed += self._place_by_pauses()
+            self._suspicious, self._may_be_stored = bool(self._held), False
+        return placed
+
+    def _place_by_pauses(self, least: int = HELD_PACKETS) -> list[Placed]:
+        """Place what is held back from pause to pause, as far as enough came behind each."""
+        begins = [at for at, each in enumerate(self._held) if not at or each.is_behind_pause]
+        known = [at for at in begins if len(self._held) - at >= least]
+        missing = [self._missing(at) for at in known]
+        ends = [*begins[1:], len(self._held)][: len(known)]
+        placed: list[Placed] = []
+        before = 0
+        for begin, end, lost in zip(known, ends, missing, strict=True):
+            placed += self._place_held(end - begin, max(0, lost - before))
+            before = max(before, lost)
+        return placed
+
+    def _place_held(self, count: int, lost: int = 0) -> list[Placed]:
+        held, self._held = self._held[:count], self._held[count:]
+        return [self._place_next(each, 0 if at else lost) for at, each in enumerate(held)]
+
+    def _missing(self, begin: int = 0, end: int | None = None) -> int:
+        """Count the samples that fit into the least delay of some of what is held back."""
+        samples = sum(packet.samples for packet in self._held[:begin])
+        least_s = math.inf
+        for packet in self._held[begin:end]:
+            samples += packet.samples
+            late_s = self._device_time(packet.arrival_s) - self._time(samples)
+            least_s = min(least_s, late_s)
+        return max(0, math.floor(least_s / self._period_s + EARLY_PERIODS))
+
+    def _time(self, ahead: int) -> float:
+        """Device time of a sample so many after the last placed one."""
+        return self._origin_s + (self._index + ahead) * self._period_s
+
+    def _device_time(self, arrival_s: float) -> float:
+        """Device time of a sample that arrived without delay."""
+        state = self._clock()
+        if math.isnan(state.offset_s):
+            return self._time(0)
+        newest_s = self._time(0)
+        return newest_s + (arrival_s - newest_s - state.offset_s) / (1 + state.drift_ppm * 1e-6)
+
+
+def _is_backlog(held: Sequence[Arrived], period_s: float) -> bool:
+    """Whether packets came so fast that they had been stored."""
+    measured_s = sum(packet.samples for packet in held[1:]) * period_s
+    return held[-1].arrival_s - held[0].arrival_s < BACKLOG_PACE * measured_s
+
+
+class _PacketCounter:
+    """Finds jumps of the packet counter, once it has shown that it counts packets."""
+
+    def __init__(self) -> None:
+        self._numbers = PacketTimeline(256)
+        self._in_a_row = 0
+
+    def jumps(self, counter: int) -> bool:
+        is_next = self._numbers.place(counter) in (None, 1)
+        is_trusted = self._in_a_row >= _TRUSTED_STEPS
+        if not is_trusted:
+            self._in_a_row = self._in_a_row + 1 if is_next else 0
+        return is_trusted and not is_next
+
 
 QUALITY_PERIOD_S = 10.0
 

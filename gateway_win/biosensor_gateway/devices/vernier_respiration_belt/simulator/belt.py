@@ -14,8 +14,7 @@ from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
-from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
+from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.expected import Contact, Expected, LossTolerance

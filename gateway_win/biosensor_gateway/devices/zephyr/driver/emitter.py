@@ -83,6 +83,7 @@ class PacketTrack:
         self._age_s = 0.0 if stamped_at_end else self._duration_s
         self._timeline = SampleTimeline(period_s)
         self._numbers = PacketTimeline(_SEQUENCE_MODULUS)
+        # nothing is dropped: these only tell a packet that comes again
         self._stamped: deque[Header] = deque(maxlen=_REMEMBERED)
         self._next_s: float | None = None
         self._arrival_s = 0.0
@@ -98,7 +99,7 @@ class PacketTrack:
         first packet instead.
         """
         if self._came_before(header, arrival_s):
-            return None
+            return None  # nothing is dropped: the emitter reports it as left out
         stamp = header.device_s
         if stamp is None:
             stamp = self._counted_stamp(header.sequence, arrival_s)
