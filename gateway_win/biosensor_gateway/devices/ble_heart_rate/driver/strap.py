@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
-from biosensor_common.errors import ProtocolError, TransportError, TransportReason
+from biosensor_common.errors import ProtocolError
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
@@ -18,6 +17,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     SERIAL_NUMBER,
     parse_text,
 )
+from biosensor_gateway.devices.ble_session import optional_request
 from biosensor_gateway.transports.ble import BleLink, Notification
 
 BATTERY_PERIOD_S = 300.0
@@ -107,25 +107,12 @@ class Strap:
         return ""
 
     async def _read_battery(self) -> None:
-        with _optional():
+        with optional_request():
             data = await self._link.read(BATTERY_LEVEL)
             self._emitter.battery(data, self._link.clock())
 
     async def _subscribe_to_battery(self) -> bool:
-        with _optional():
+        with optional_request():
             await self._link.subscribe(BATTERY_LEVEL)
             return True
         return False
-
-
-@contextmanager
-def _optional() -> Generator[None]:
-    """Pass over what goes wrong with a request that the connection can do without."""
-    try:
-        yield
-    except ProtocolError:
-        return
-    except TransportError as error:
-        # Whether the silence lasts, the watchdog tells.
-        if error.reason is not TransportReason.SILENT:
-            raise

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 
-from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
+from biosensor_gateway.devices.ble_session import BleSession
 from biosensor_gateway.devices.movesense.driver import protocol
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
 from biosensor_gateway.devices.movesense.driver.protocol import (
@@ -26,22 +25,17 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
 )
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.dialogue import Dialogue
-from biosensor_gateway.transports.nearby import Advertisement
-
-GOODBYE_LIMIT_S = 0.45
 
 ANSWER_LIMIT_S = 5.0
 REFUSAL_LIMIT_S = 0.5
 RESTART_ADVICE = "restart the device: take it out of its strap for a minute"
 
 
-class _Conversation:
+class _Conversation(BleSession[Notification, bytes]):
     """What is said over one connection."""
 
     def __init__(self, link: BleLink) -> None:
-        self._link = link
-        self._dialogue = Dialogue(self._receive, self._send)
+        super().__init__(link, self._receive, self._send, RESTART_ADVICE)
         self._answers = True
 
     async def begin(self) -> Greeting:
@@ -54,18 +48,18 @@ class _Conversation:
         ProtocolError
             ``UNSUPPORTED`` by its firmware, ``NO_REPLY`` or ``REFUSED``.
         """
-        if not (self._link.has(COMMAND) and self._link.has(DATA)):
+        if not (self.link.has(COMMAND) and self.link.has(DATA)):
             message = (
-                f"{self._link.what} does not speak the GATT SensorData Protocol; update its "
+                f"{self.link.what} does not speak the GATT SensorData Protocol; update its "
                 "firmware to 2.3 or newer with the Movesense app"
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         # Before the first command, whose answer would be lost otherwise.
-        await self._link.subscribe(DATA)
-        self._dialogue.begin()
+        await self.link.subscribe(DATA)
+        self.dialogue.begin()
         answer = await self._ask(protocol.hello(HELLO_REFERENCE), HELLO_REFERENCE)
         if protocol.is_refused_greeting(answer.payload):
-            message = f"{self._link.what} refuses to talk ({answer.status}); {RESTART_ADVICE}"
+            message = f"{self.link.what} refuses to talk ({answer.status}); {RESTART_ADVICE}"
             raise ProtocolError(ProtocolReason.REFUSED, message)
         greeting = protocol.parse_greeting(answer.payload)
         self._answers = greeting.answers
@@ -88,53 +82,34 @@ class _Conversation:
         if self._answers:
             answer = await self._ask(command, measurement.reference)
         else:
-            answer = await self._asked(command, measurement.reference, REFUSAL_LIMIT_S)
+            answer = await self.dialogue.ask(
+                command, _answer_to(measurement.reference), REFUSAL_LIMIT_S
+            )
         return answer.status if answer is not None and answer.is_refusal else 0
 
     async def unsubscribe(self, measurement: Measurement) -> None:
         """End a measurement without waiting for an answer; raises as :meth:`subscribe` does."""
         await self._send(protocol.unsubscribe(measurement.reference))
 
-    async def stream(self, listener: Callable[[Sequence[Notification]], None]) -> None:
-        """Pass on all notifications since `begin`, of other characteristics, too.
-
-        Raises
-        ------
-        TransportError
-            ``LOST``, once everything that had arrived was passed on.
-        """
-        await self._dialogue.stream(listener)
-
-    async def close(self) -> None:
-        """Listen no more."""
-        await self._dialogue.close()
-
     async def _ask(self, command: bytes, reference: int) -> Message:
-        found = await self._asked(command, reference, ANSWER_LIMIT_S)
-        if found is None:
-            message = f"{self._link.what}: no answer to a command; {RESTART_ADVICE}"
-            raise ProtocolError(ProtocolReason.NO_REPLY, message)
-        return found
-
-    async def _asked(self, command: bytes, reference: int, limit_s: float) -> Message | None:
-        def answer(notification: Notification) -> Message | None:
-            message = _message(notification)
-            if message is None or message.reference != reference:
-                return None
-            # Where data come, the answer to the subscription is lost or on its way.
-            return message if message.kind in (Kind.ANSWER, Kind.DATA) else None
-
-        return await self._dialogue.ask(command, answer, limit_s)
+        return await self.ask(command, _answer_to(reference), ANSWER_LIMIT_S)
 
     async def _receive(self) -> Sequence[Notification]:
-        return (await self._link.next(),)
+        return (await self.link.next(),)
 
     async def _send(self, command: bytes) -> None:
-        await self._link.write(COMMAND, command)
+        await self.link.write(COMMAND, command)
 
 
-def _message(notification: Notification) -> Message | None:
-    return parse_message(notification.data) if notification.uuid == DATA else None
+def _answer_to(reference: int) -> Callable[[Notification], Message | None]:
+    def answer(notification: Notification) -> Message | None:
+        message = parse_message(notification.data) if notification.uuid == DATA else None
+        if message is None or message.reference != reference:
+            return None
+        # Where data come, the answer to the subscription is lost or on its way.
+        return message if message.kind in (Kind.ANSWER, Kind.DATA) else None
+
+    return answer
 
 
 _ADVICE = {
@@ -171,7 +146,6 @@ class MovesenseSession:
         self._assemblers: dict[int, Assembler] = {}
         self._strap = Strap(link, emitter.strap)
         self._conversation = _Conversation(link)
-        self._seen: tuple[Advertisement, float] | None = None
 
     async def open(self) -> DeviceInfo:
         """Connect, start everything, and return what the device says of itself.
@@ -181,7 +155,7 @@ class MovesenseSession:
         TransportError, ProtocolError
             The device cannot be used now.
         """
-        self._seen = await self._link.open(), self._link.clock()
+        await self._conversation.connect()
         self._emitter.reconnected()
         greeting = await self._conversation.begin()
         refusals = {each: await self._start(each) for each in self._wanted.values()}
@@ -207,12 +181,9 @@ class MovesenseSession:
         TransportError
             ``LOST`` or ``SILENT``.
         """
-        if self._seen is not None:
-            advertisement, seen_s = self._seen
-            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._strap.watch_battery())
-            tasks.create_task(self._conversation.stream(self._take))
+        await self._conversation.stream(
+            self._take, self._emitter.strap.signal_strength, self._strap.watch_battery
+        )
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Start anew what is behind silent streams, and what comes too rarely to be missed.
@@ -231,13 +202,12 @@ class MovesenseSession:
 
     async def close(self) -> None:
         """Stop everything, for a moment, and disconnect; never raises."""
-        with suppress(GatewayError, TimeoutError):
-            async with asyncio.timeout(GOODBYE_LIMIT_S):
-                for each in self._wanted.values():
-                    await self._conversation.unsubscribe(each)
-                await self._link.unsubscribe(DATA)
-        await self._conversation.close()
-        await self._link.close()
+        await self._conversation.close(self._say_goodbye)
+
+    async def _say_goodbye(self) -> None:
+        for each in self._wanted.values():
+            await self._conversation.unsubscribe(each)
+        await self._link.unsubscribe(DATA)
 
     async def _start(self, measurement: Measurement) -> int:
         """Subscribe; return the status of a refusal, 0 if there is none."""

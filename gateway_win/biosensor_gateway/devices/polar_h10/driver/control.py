@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 
-from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.ble_session import BleSession
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
     Reply,
@@ -14,16 +14,16 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.dialogue import Dialogue
 
 REPLY_TIMEOUT_S = 5.0
+_ADVICE = "take it off for a minute"
 
 
 def _unnoted(_reply: Reply) -> None:
     """Change nothing because of a reply."""
 
 
-class ControlPoint:
+class ControlPoint(BleSession[Notification, bytes]):
     """The control point of one connection.
 
     Parameters
@@ -35,8 +35,7 @@ class ControlPoint:
     def __init__(
         self, link: BleLink, receive: Callable[[], Awaitable[Sequence[Notification]]]
     ) -> None:
-        self._link = link
-        self.dialogue = Dialogue(receive, self._write)
+        super().__init__(link, receive, self._write, _ADVICE)
         self._knocking = False
         self._open = False
 
@@ -59,11 +58,11 @@ class ControlPoint:
             The device refuses; it may want to be paired.
         """
         # Before the subscription: BlueZ passes a value that is read on as a notification, too.
-        features = parse_features(await self._link.read(CONTROL_POINT))
+        features = parse_features(await self.link.read(CONTROL_POINT))
         self._knocking = True
         # Before the first command, which is refused or never answered otherwise.
-        await self._link.subscribe(CONTROL_POINT)
-        await self._link.subscribe(DATA)
+        await self.link.subscribe(CONTROL_POINT)
+        await self.link.subscribe(DATA)
         return features
 
     async def request(self, command: bytes, note: Callable[[Reply], None] = _unnoted) -> Reply:
@@ -83,23 +82,19 @@ class ControlPoint:
         ProtocolError
             ``NO_REPLY``.
         """
-        reply = await self.dialogue.ask(command, _ReplyTo(command, note).take, REPLY_TIMEOUT_S)
-        if reply is None:
-            message = f"{self._link.what}: no answer to a command; take it off for a minute"
-            raise ProtocolError(ProtocolReason.NO_REPLY, message)
-        return reply
+        return await self.ask(command, _ReplyTo(command, note).take, REPLY_TIMEOUT_S)
 
     async def send(self, command: bytes) -> None:
         """Send a command and wait for no reply; raises as `open` does."""
-        await self._link.write(CONTROL_POINT, command)
+        await self.link.write(CONTROL_POINT, command)
 
-    async def close(self) -> None:
-        """Unsubscribe; raises as `open` does."""
-        await self._link.unsubscribe(DATA)
-        await self._link.unsubscribe(CONTROL_POINT)
+    async def unsubscribe(self) -> None:
+        """Listen no more; raises as `open` does."""
+        await self.link.unsubscribe(DATA)
+        await self.link.unsubscribe(CONTROL_POINT)
 
     async def _write(self, command: bytes) -> None:
-        await self._link.write(CONTROL_POINT, command)
+        await self.link.write(CONTROL_POINT, command)
         self._open = True
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import structlog
 
-from biosensor_common.errors import GatewayError, ProtocolError, TransportError, TransportReason
+from biosensor_common.errors import GatewayError
+from biosensor_gateway.devices.ble_session import optional_request
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol import control_point
@@ -114,7 +115,7 @@ class Measurements:
         TransportError
             ``LOST``.
         """
-        with _optional():
+        with optional_request(_log.warning):
             await self.start([each.wanted for each in self.refusals.values()])
 
     def runs(self, measurement: int) -> bool:
@@ -157,7 +158,7 @@ class Measurements:
             self._note_refused(each, reply)
 
     async def _restart(self, each: _Running) -> None:
-        with _optional():
+        with optional_request(_log.warning):
             await self._control.request(control_point.stop(each.wanted.measurement))
             await self._set_going(each)
 
@@ -187,15 +188,3 @@ class Measurements:
         advice = _ADVICE.get(reply.status, "take it off for a minute")
         why = f"{reply.status_text}: {advice}"
         self.refusals[each.wanted.measurement] = Refusal(each.wanted, why, each.rate_hz)
-
-
-@contextmanager
-def _optional() -> Generator[None]:
-    """Pass over what goes wrong with a command while the connection stands."""
-    try:
-        yield
-    except ProtocolError as error:
-        _log.warning(str(error))
-    except TransportError as error:
-        if error.reason is not TransportReason.SILENT:
-            raise

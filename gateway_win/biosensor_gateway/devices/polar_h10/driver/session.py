@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import structlog
 
 from biosensor_common.errors import (
-    GatewayError,
     ProtocolError,
     ProtocolReason,
     TransportError,
@@ -29,9 +27,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.nearby import Advertisement
 
-GOODBYE_LIMIT_S = 0.45
 ASK_AGAIN_FIRST_S = 1.0
 ASK_AGAIN_CAP_S = 30.0
 """What the device refuses is asked for again, less and less often."""
@@ -75,7 +71,6 @@ class PolarSession:
         self._strap = Strap(link, emitter.strap)
         self._control = ControlPoint(link, self._receive)
         self._measurements = Measurements(self._control, emitter)
-        self._seen: tuple[Advertisement, float] | None = None
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
         """Connect, start everything, and return what the device says of itself.
@@ -90,7 +85,7 @@ class PolarSession:
         TransportError, ProtocolError
             The device cannot be used now.
         """
-        self._seen = await self._link.open(), self._link.clock()
+        await self._control.connect()
         self._control.dialogue.begin()
         if pair:
             await self._link.pair()
@@ -122,13 +117,12 @@ class PolarSession:
         TransportError
             ``LOST`` or ``SILENT``.
         """
-        if self._seen is not None:
-            advertisement, seen_s = self._seen
-            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._strap.watch_battery())
-            tasks.create_task(self._ask_again())
-            tasks.create_task(self._control.dialogue.stream(self._take))
+        await self._control.stream(
+            self._take,
+            self._emitter.strap.signal_strength,
+            self._strap.watch_battery,
+            self._ask_again,
+        )
 
     @property
     def running(self) -> frozenset[str]:
@@ -180,15 +174,14 @@ class PolarSession:
 
         A device that is left measuring does so until its battery is flat.
         """
-        with suppress(GatewayError, TimeoutError):
-            async with asyncio.timeout(GOODBYE_LIMIT_S):
-                await self._measurements.stop()
-                for command in self._plan.farewell:
-                    await self._control.send(command)
-                await self._strap.stop()
-                await self._control.close()
-        await self._control.dialogue.close()
-        await self._link.close()
+        await self._control.close(self._say_goodbye)
+
+    async def _say_goodbye(self) -> None:
+        await self._measurements.stop()
+        for command in self._plan.farewell:
+            await self._control.send(command)
+        await self._strap.stop()
+        await self._control.unsubscribe()
 
     async def _start_measurements(self, info: DeviceInfo) -> None:
         offered = await self._control.open()

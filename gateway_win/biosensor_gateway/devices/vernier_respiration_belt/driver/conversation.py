@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.ble_session import BleSession
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     COMMAND_UUID,
@@ -22,7 +23,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     fragments,
 )
 from biosensor_gateway.transports.ble import BleLink
-from biosensor_gateway.transports.dialogue import Dialogue
 
 REPLY_LIMIT_S = 5.0
 SETTLE_S = 0.1
@@ -60,43 +60,31 @@ class _Command(NamedTuple):
         return None
 
 
-class Conversation:
+class Conversation(BleSession[Heard, _Command]):
     """What is said over one connection.
 
     Parameters
     ----------
-    link
-        Opened.
     sink
         Its ``dropped_bytes`` are counted here.
     """
 
     def __init__(self, link: BleLink, sink: Sink) -> None:
-        self._link = link
+        super().__init__(link, self._receive, self._send, "press its button")
         self._sink = sink
         self._protocol = VernierProtocol()
         self._arrival_s = 0.0
-        self._dialogue = Dialogue(self._receive, self._send)
         self._counter = _FIRST_COUNTER
-        self._with_response = "write" in link.properties(COMMAND_UUID)
+        self._with_response = True
 
     async def begin(self) -> None:
         """Listen, which must come before any command."""
-        await self._link.subscribe(RESPONSE_UUID)
-        self._dialogue.begin()
+        self._with_response = "write" in self.link.properties(COMMAND_UUID)
+        await self.link.subscribe(RESPONSE_UUID)
+        self.dialogue.begin()
         await asyncio.sleep(SETTLE_S)
 
-    async def stream(self, listener: Callable[[Sequence[Heard]], None]) -> None:
-        """Pass on all messages since `begin`, replies included.
-
-        Raises
-        ------
-        TransportError
-            ``LOST``, once everything that had arrived was passed on.
-        """
-        await self._dialogue.stream(listener)
-
-    async def ask(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> Answer:
+    async def query(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> Answer:
         """Give a command and wait for its reply.
 
         Raises
@@ -107,24 +95,21 @@ class Conversation:
             ``LOST`` or ``SILENT``.
         """
         command = self._numbered(body)
-        answer = await self._dialogue.ask(command, command.answer, limit_s)
-        if answer is None:
-            message = f"{self._link.what} does not answer {_name(body)}; press its button"
-            raise ProtocolError(ProtocolReason.NO_REPLY, message)
-        return answer
+        failure = f"it does not answer {_name(body)}"
+        return await self.ask(command, command.answer, limit_s, failure)
 
     async def order(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> None:
-        """Give a command whose reply is a status; raises as :meth:`ask` does.
+        """Give a command whose reply is a status; raises as :meth:`query` does.
 
         Raises
         ------
         ProtocolError
             ``REFUSED`` as well.
         """
-        payload = (await self.ask(body, limit_s)).payload
+        payload = (await self.query(body, limit_s)).payload
         if payload and payload[0] & REFUSED:
             command, status = _name(body), f"status 0x{payload[0]:02X}"
-            message = f"{self._link.what} refuses {command} ({status}); switch it off and on"
+            message = f"{self.link.what} refuses {command} ({status}); switch it off and on"
             raise ProtocolError(ProtocolReason.REFUSED, message)
 
     async def tell(self, body: bytes) -> None:
@@ -137,20 +122,16 @@ class Conversation:
         """
         await self._send(self._numbered(body))
 
-    async def close(self) -> None:
-        """Listen no more."""
-        await self._dialogue.close()
-
     async def _send(self, command: _Command) -> None:
         for fragment in fragments(encode(command.counter, command.body)):
-            await self._link.write(COMMAND_UUID, fragment, response=self._with_response)
+            await self.link.write(COMMAND_UUID, fragment, response=self._with_response)
 
     def _numbered(self, body: bytes) -> _Command:
         self._counter = (self._counter - 1) % 256
         return _Command(self._counter, body)
 
     async def _receive(self) -> list[Heard]:
-        notification = await self._link.next()
+        notification = await self.link.next()
         if notification.uuid != RESPONSE_UUID:
             return []
         before = self._protocol.dropped_bytes

@@ -5,12 +5,10 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 
 from pydantic import Field
 
 from biosensor_common.errors import (
-    GatewayError,
     ProtocolError,
     ProtocolReason,
     TransportError,
@@ -37,7 +35,6 @@ from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 WAKING_LIMIT_S = 1.0
 RESTART_LIMIT_S = 2.0
-GOODBYE_LIMIT_S = 0.4
 STATUS_PERIOD_S = 60.0
 PATIENCE_S = 8.0
 """Notifications were seen to come together after seconds: what is on its way then would be taken
@@ -78,21 +75,19 @@ class VernierDriver:
         self._sink = sink
         self._emitter = emitter
         self._link = BleLink(choice, sink.clock)
-        self._rssi: tuple[int | None, float] = (None, 0.0)
         self._status: tuple[protocol.Status | None, float] = (None, 0.0)
-        self._conversation: Conversation | None = None
+        self._belt = Conversation(self._link, sink)
         self._channels: BeltChannels | None = None
 
     async def connect(self) -> Connected:
         """Find the belt, learn what it is and start it; see the protocol class."""
-        seen = await self._link.open()
-        self._rssi = (seen.rssi_dbm, self._link.clock())
-        belt = self._conversation = Conversation(self._link, self._sink)
+        belt = self._belt
+        await belt.connect()
         await belt.begin()
         await _wake(belt)
-        answer = await belt.ask(protocol.GET_STATUS)
+        answer = await belt.query(protocol.GET_STATUS)
         self._status = (protocol.parse_status(answer.payload), answer.arrival_s)
-        identity = protocol.parse_device_info((await belt.ask(protocol.DEVICE_INFO)).payload)
+        identity = protocol.parse_device_info((await belt.query(protocol.DEVICE_INFO)).payload)
         channels = await self._ask_channels(belt)
         self._period_us = channels.period_us(self._period_us)
         await belt.order(protocol.set_period(self._period_us))
@@ -104,24 +99,18 @@ class VernierDriver:
 
     async def stream(self) -> None:
         """Emit what is known since connecting, then all that comes."""
-        belt = self._conversation
-        if belt is None:
-            raise RuntimeError("a driver streams after it has connected")
-        self._emitter.take_rssi(*self._rssi)
         self._take_status(*self._status)
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(belt.stream(self._take))
-            tasks.create_task(self._ask_status(belt))
+        await self._belt.stream(self._take, self._emitter.take_rssi, self._ask_status)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Stop the belt and start it; see the protocol class."""
         del streams
-        belt, channels = self._conversation, self._channels
-        if belt is None or channels is None:
+        belt, channels = self._belt, self._channels
+        if channels is None:
             raise RuntimeError("a driver streams after it has connected")
         self._emitter.ended()
         try:
-            await belt.ask(protocol.STOP, RESTART_LIMIT_S)
+            await belt.query(protocol.STOP, RESTART_LIMIT_S)
             await self._start(belt, channels, RESTART_LIMIT_S)
         except ProtocolError as error:
             message = f"{self._link.what} is connected but measures nothing; press its button"
@@ -130,18 +119,16 @@ class VernierDriver:
     async def close(self) -> None:
         """Stop the belt without waiting for its replies, and disconnect."""
         self._emitter.ended()
-        if self._conversation is not None:
-            with suppress(GatewayError, TimeoutError):
-                async with asyncio.timeout(GOODBYE_LIMIT_S):
-                    await self._conversation.tell(protocol.STOP)
-                    await self._conversation.tell(protocol.DISCONNECT)
-            await self._conversation.close()
-        await self._link.close()
+        await self._belt.close(self._say_goodbye)
+
+    async def _say_goodbye(self) -> None:
+        await self._belt.tell(protocol.STOP)
+        await self._belt.tell(protocol.DISCONNECT)
 
     async def _ask_channels(self, belt: Conversation) -> BeltChannels:
-        mask = protocol.parse_mask((await belt.ask(protocol.AVAILABLE_CHANNELS)).payload)
+        mask = protocol.parse_mask((await belt.query(protocol.AVAILABLE_CHANNELS)).payload)
         answers = [
-            await belt.ask(protocol.sensor_info(number))
+            await belt.query(protocol.sensor_info(number))
             for number in protocol.channels_of(mask or 0)
         ]
         channels = [protocol.parse_channel(answer.payload) for answer in answers]
@@ -160,11 +147,11 @@ class VernierDriver:
                 self._sink.heard()
             self._emitter.take(message, arrival_s)
 
-    async def _ask_status(self, belt: Conversation) -> None:
+    async def _ask_status(self) -> None:
         while True:
             await asyncio.sleep(STATUS_PERIOD_S)
             try:
-                answer = await belt.ask(protocol.GET_STATUS)
+                answer = await self._belt.query(protocol.GET_STATUS)
             except ProtocolError as error:
                 # The measurements may go on all the same.
                 self._emitter.log.warning(str(error))
