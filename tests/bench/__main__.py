@@ -22,6 +22,7 @@ from tests.bench import (
     hundred,
     idle,
     machine,
+    many,
     one,
     page,
     page_growth,
@@ -30,7 +31,6 @@ from tests.bench import (
     report,
     restart,
     ros_to_lsl,
-    shards,
     sixteen,
     staying,
 )
@@ -41,8 +41,7 @@ from tests.bench.processes import BenchError
 MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "one": one.measure,
     "sixteen": sixteen.measure,
-    "shards": shards.measure,
-    "many": shards.measure_many,
+    "many": many.measure,
     "chunks": chunks.measure,
     "many_chunks": chunks.measure_many,
     "idle": idle.measure,

@@ -92,12 +92,6 @@ class Usage:
         """File descriptors that it has open now."""
         return sum(1 for _ in (self._folder / "fd").iterdir())
 
-    @property
-    def children(self) -> list[Usage]:
-        """What each process takes that it has started."""
-        files = (self._folder / "task").glob("*/children")
-        return [Usage(int(pid)) for file in files for pid in file.read_text().split()]
-
 
 class Process(Usage):
     """One child that talks by lines; killed at the end of its ``with`` block."""

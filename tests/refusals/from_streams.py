@@ -33,7 +33,6 @@ from lsl_to_ros.lsl.blocks import Block, Run
 from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState
-from lsl_to_ros.lsl.share import ALL
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import reporting
 from lsl_to_ros.reports.diagnostics import LEASE_S, judge
@@ -45,7 +44,6 @@ from lsl_to_ros.topics.originals import ORIGINALS, Joined
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Lane, Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicTypeError
-from lsl_to_ros.topics.register import Register
 from lsl_to_ros.topics.writers import (
     ChunkWriter,
     NumberWriter,
@@ -278,7 +276,7 @@ def routing(create_publisher: Callable[..., Any]) -> Routing:
         has_parameter=lambda _: False,
     )
     pacer = Pacer(Pace(), lambda _: None)
-    return Routing(node, "biosensors", Register(), settings, RosTime(NODE), log, pacer)
+    return Routing(node, "biosensors", settings, RosTime(NODE), log, pacer)
 
 
 def inlet_of(uid: str, rate: float = 100.0) -> Any:
@@ -381,7 +379,7 @@ def read_in_vain(patch: pytest.MonkeyPatch) -> Shown:
         count_subscribers=lambda _: 2, get_subscriptions_info_by_topic=lambda _: [reader]
     )
     other: Any = None
-    Survey(node, other, other, other, pytest.fail, ALL)._look_at_readers(read)
+    Survey(node, other, other, other, pytest.fail)._look_at_readers(read)
     return in_entry(read)
 
 

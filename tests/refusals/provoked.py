@@ -14,9 +14,8 @@ from biosensor_common.refusals import Refusals
 from biosensor_gateway.agent.status import RefusedStatus
 from lsl_to_ros.accounts.load import LoadFacts
 from lsl_to_ros.accounts.status import StreamStatus
-from lsl_to_ros.lsl.share import ALL
 from lsl_to_ros.reports.diagnostics import stream_facts, stream_status
-from lsl_to_ros.reports.processes import ProcessFacts, node_status
+from lsl_to_ros.reports.reporting import node_status
 from lsl_to_ros.reports.survey import Part, concerns_of
 from lsl_to_ros.topics.bridge import Bridge
 
@@ -55,7 +54,7 @@ def at_node(*books: Refusals, crowded_out: list[str] | None = None) -> Shown:
     """What the node's own entry says."""
     load = LoadFacts(0.1, 0.0, is_busy=False, is_late=False)
     part = Part(load, 1, 0, crowded_out or [], concerns_of(*books), [], [])
-    status = node_status([ProcessFacts(ALL, 1, part)], {}, [])
+    status = node_status(part, {}, [])
     return Shown(status.level[0], status.message)
 
 

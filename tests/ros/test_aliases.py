@@ -9,7 +9,7 @@ import pytest
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from lsl_to_ros.parameters.node import ALIASES, aliases_of, fault
-from lsl_to_ros.topics.register import renamed
+from lsl_to_ros.routing import renamed
 
 MUSE = "Muse (00:55:DA:B7:1A:2B)"
 

@@ -9,7 +9,6 @@ import pytest
 from lsl_to_ros.accounts import status
 from lsl_to_ros.accounts.load import REPORTS, SHARE_WINDOW_S, Backlog, Load, LoadFacts
 from lsl_to_ros.accounts.status import Outflow
-from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.reports.overload import overload
 
 WINDOW = round(SHARE_WINDOW_S)
@@ -56,17 +55,8 @@ def test_a_lasting_strain_says_how_much_and_what_to_do() -> None:
     said = overload(facts)
     assert "92 % of a core" in said
     assert "0.3 s" in said
-    for remedy in ("_chunk", "_stamped", "Sensor_Enable", "processes:=2", "stream_predicate"):
+    for remedy in ("_chunk", "_stamped", "Sensor_Enable", "stream_predicate"):
         assert remedy in said
-
-
-def test_one_of_several_processes_is_named_and_the_last_core_is_not_promised() -> None:
-    facts = Process().live(*[0.92] * WINDOW)
-    said = overload(facts, Share(1, 3))
-    assert said.startswith("process 1 of 3 needs 92 % of a core")
-    assert "processes:=6" in said
-    assert "processes:=16" in overload(facts, Share(0, 12))
-    assert "processes:=" not in overload(facts, Share(0, 16))
 
 
 def test_what_sways_about_a_limit_is_told_once() -> None:

@@ -20,7 +20,7 @@ from lsl_to_ros.reports.clock_pairs import unit_of
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-ARGUMENTS = ("--ros-args", "-p", "processes:=3", "-p", "use_sim_time:=true")
+ARGUMENTS = ("--ros-args", "-p", "use_sim_time:=true")
 PATIENCE_S = 30.0
 SAME_NS = 1_000_000
 
@@ -88,7 +88,7 @@ def _own_streams() -> list[pylsl.StreamInfo]:
     resolver = pylsl.ContinuousResolver()
     until_s = time.monotonic() + PATIENCE_S
     found: list[pylsl.StreamInfo] = []
-    # Those of the other processes, if they had any, would be there within this time.
+    # A second one would be there within this time.
     settled_s = time.monotonic() + 3.0
     while time.monotonic() < settled_s or (not found and time.monotonic() < until_s):
         time.sleep(0.1)

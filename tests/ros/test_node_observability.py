@@ -179,7 +179,6 @@ def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
         "clock_steps": "0",
         "stamped_topics": "no",
         "liblsl": str(pylsl.library_version()),
-        "processes": "1",
     }
     assert node.count("biosensor_msgs is not installed") == 1
     del outlets

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import count
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -154,6 +155,26 @@ def test_a_misspelt_name_is_refused(make_node: MakeNode, name: str) -> None:
     assert name.replace("__", ".") in reason
     assert "Sensor_Enable" in reason
     assert not node.has_parameter(name.replace("__", "."))
+
+
+@pytest.mark.nightly
+def test_a_parameter_that_was_removed_is_ignored_and_refused_with_what_to_do(
+    make_node: MakeNode,
+) -> None:
+    node = make_node(processes=4, Chunk_Length=7)
+    errors: list[str] = []
+    logger: Any = node.get_logger()
+    told: Any = SimpleNamespace(error=errors.append, info=logger.info)
+    node.get_logger = lambda: told
+    parameters = Parameters(node)
+    (sentence,) = errors
+    assert sentence.startswith("processes is not a parameter any more: ")
+    assert "stream_predicate" in sentence
+    assert sentence.endswith("; it is ignored")
+    assert not node.has_parameter("processes")
+    assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 7
+    assert "stream_predicate" in set_to(node, processes=2)
+    assert not node.has_parameter("processes")
 
 
 @pytest.mark.nightly

@@ -20,7 +20,7 @@ ARGUMENTS = {
     "Chunk_Length": "samples in one chunk, 1 to 100000",
     "topic_prefix": "first part of every topic, relative to the namespace",
     "stream_predicate": "LSL query: which streams this node serves, e.g. type='EEG'",
-    "processes": "processes that share the streams, each on a core of its own, 1 to 16",
+    "processes": "not taken any more: the node runs in one process, and says so",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
     "aliases": "names of sensors for streams of other programs, as in [UN-2019*=unicorn]",

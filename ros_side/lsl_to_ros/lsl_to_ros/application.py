@@ -1,18 +1,45 @@
-"""Runs the node, or one of its further processes."""
+"""The node ``lsl_to_ros``: everything from the streams to the topics."""
 
 from __future__ import annotations
 
-import socket
-import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
+from biosensor_common.lsl.sender_clocks import SenderClocks
 from lsl_to_ros import spinning
-from lsl_to_ros.command_line import FURTHER
-from lsl_to_ros.processes.first import LslToRos
-from lsl_to_ros.processes.further import FurtherProcess
+from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.limited_log import LimitedLog
+from lsl_to_ros.lsl.configuration import configure_lsl
+from lsl_to_ros.lsl.discovery import Discovery
+from lsl_to_ros.lsl.hosts import Senders
+from lsl_to_ros.lsl.readers import Pump
+from lsl_to_ros.parameters import node as node_parameters
+from lsl_to_ros.parameters.node import (
+    ALIASES,
+    BURST_PACING,
+    COMPAT,
+    DIAGNOSTICS_PERIOD,
+    KNOWN_PEERS,
+    SESSION_ID,
+    STREAM_PREDICATE,
+    TOPIC_PREFIX,
+)
+from lsl_to_ros.parameters.streams import Parameters
+from lsl_to_ros.reports.clock_pairs import CLOCK_PERIOD_S, ClockPairs
+from lsl_to_ros.reports.reporting import Reporting, stream_list
+from lsl_to_ros.reports.survey import Survey
+from lsl_to_ros.routing import Routing
+from lsl_to_ros.topics.pacing import Pace, Pacer
+
+LOOK_PERIOD_S = 0.1
+REPORT_PERIOD_S = 1.0
+# Answers that come later count, too, so a short pause costs nothing but load: at 0.1 s, 64
+# streams answer so often that it takes a tenth of a core more. liblsl's own are 0.5 and 0.75 s.
+SEARCH_PAUSE_S = 0.2
 
 
 def run() -> None:
@@ -20,11 +47,101 @@ def run() -> None:
     spinning.run("lsl_to_ros", _node)
 
 
-def _node(stopping: threading.Event) -> tuple[Node, Callable[[], None]]:
-    is_further = sys.argv[1:2] == [FURTHER]
-    node = (
-        FurtherProcess(socket.socket(fileno=int(sys.argv[2])), stopping)
-        if is_further
-        else LslToRos()
-    )
+def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:
+    node = LslToRos()
     return node, node.stop
+
+
+class LslToRos(Node):
+    """One node for all streams; see the project's docs/ros-reference.md.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is wrong that decides which streams it serves.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            "lsl_to_ros",
+            allow_undeclared_parameters=True,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        given = self.get_parameters_by_prefix("").items()
+        node_parameters.check({name: each.value for name, each in given})
+        node_parameters.declare(self, DIAGNOSTICS_PERIOD)
+        self._log = LimitedLog(self.get_logger())
+        session = node_parameters.declare(self, SESSION_ID)
+        configure_lsl(session, node_parameters.declare(self, KNOWN_PEERS), SEARCH_PAUSE_S)
+        self._ros_time = RosTime(self)
+        self._stream_parameters = Parameters(self)
+        prefix = node_parameters.declare(self, TOPIC_PREFIX)
+        predicate = node_parameters.declare(self, STREAM_PREDICATE)
+        aliases = node_parameters.aliases_of(node_parameters.declare(self, ALIASES))
+        warn = self._log.warn
+        self._pacer = Pacer(Pace(node_parameters.declare(self, BURST_PACING)), warn)
+        self._routing = Routing(
+            self,
+            prefix,
+            self._stream_parameters,
+            self._ros_time,
+            self._log,
+            self._pacer,
+            aliases,
+            is_as_original=bool(node_parameters.declare(self, COMPAT)),
+        )
+        self._discovery = Discovery(warn, predicate)
+        self._pump = Pump(lambda: self._discovery.inlets)
+        self._senders = Senders(warn, self._log.inform)
+        self._survey = Survey(self, self._routing, self._discovery, self._senders, warn)
+        self._reporting = Reporting(self, self._ros_time, warn)
+        self._stream_parameters.on_change(self._apply_parameters)
+        self._stream_parameters.on_set(self._tell_of_keys_without_stream)
+        self._sender_clocks = SenderClocks(lambda: self._discovery.inlets)
+        self._clock_pairs = ClockPairs(self, warn)
+        # By the node's own clock they would rest for as long as that is set back.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(CLOCK_PERIOD_S, self._clock_pairs.look, clock=steady)
+        self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
+        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
+        self._pacer.start()
+
+    def stop(self) -> None:
+        """Close every inlet, and publish what has come."""
+        self._clock_pairs.close()
+        self._sender_clocks.stop()
+        self._pump.stop()
+        self._discovery.stop()
+        self._pacer.stop()
+
+    def _look(self) -> None:
+        """See what streams and what subscribers there are."""
+        ready, gone = self._discovery.update()
+        if self._routing.update(ready, gone):
+            self._list_streams()
+        self._routing.count_readers()
+        self._pump.look()
+        self._survey.look()
+        if self._senders.look(self._discovery.inlets):
+            self._report()
+
+    def _report(self) -> None:
+        jump_ns = self._ros_time.refresh()
+        if jump_ns is not None:
+            self._log.warn(f"the system clock jumped by {jump_ns / 1e9:.6f} s; stamps follow")
+        self._reporting.report(self._survey.part())
+
+    def _list_streams(self) -> None:
+        self._reporting.list_streams(stream_list(self._routing.routes))
+
+    def _apply_parameters(self) -> None:
+        value = self.get_parameter
+        self._pacer.pace.per_ms = value(BURST_PACING).value
+        self._routing.apply_settings()
+        self._discovery.set_predicate(value(STREAM_PREDICATE).value)
+        self._routing.set_prefix(value(TOPIC_PREFIX).value)
+        self._list_streams()
+
+    def _tell_of_keys_without_stream(self, parameters: Sequence[Parameter]) -> None:
+        for sentence in self._stream_parameters.without_stream(parameters):
+            self._log.warn(sentence)

@@ -6,8 +6,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from textwrap import fill
 
-FURTHER = "--further"
-"""Stands first where a process of the node starts another one, with a file's number behind."""
 _BEGIN, _END = "--ros-args", "--"
 _HELP = ("-h", "--help")
 _OF_ROS = ("-p", "--param", "--params-file", "-r", "--remap")

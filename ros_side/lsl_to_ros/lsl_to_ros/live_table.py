@@ -38,7 +38,7 @@ from biosensor_common.terminal import columns, shortened
 from lsl_to_ros.accounts.lateness import ProcessorWait, Waiting
 from lsl_to_ros.accounts.rates import RateMeter
 from lsl_to_ros.log_folder import ensure_log_folder
-from lsl_to_ros.reports.processes import COMPUTER_BUSY
+from lsl_to_ros.reports.reporting import COMPUTER_BUSY
 from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 from lsl_to_ros.topics.messages import CLASSES
 

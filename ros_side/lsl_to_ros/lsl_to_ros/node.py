@@ -9,7 +9,7 @@ from importlib import import_module
 from biosensor_common import liblsl
 from biosensor_common.heap import limit_arenas
 from biosensor_common.open_files import raise_limit
-from lsl_to_ros.command_line import FURTHER, settle
+from lsl_to_ros.command_line import settle
 
 
 def main() -> None:
@@ -18,9 +18,7 @@ def main() -> None:
     limit_arenas(os.environ)
     liblsl.provide(os.environ)
     with liblsl.needed_by("lsl_to_ros"):
-        # A further process is started by the first one.
-        if sys.argv[1:2] != [FURTHER]:
-            settle("lsl_to_ros", sys.argv[1:], _usage)
+        settle("lsl_to_ros", sys.argv[1:], _usage)
         # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
         import_module("lsl_to_ros.application").run()
 

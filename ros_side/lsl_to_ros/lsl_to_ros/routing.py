@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -31,7 +32,6 @@ from lsl_to_ros.topics.originals import BESIDE, ORIGINALS, Alone, Joined, Origin
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
-from lsl_to_ros.topics.register import Names, claim_of, renamed
 from lsl_to_ros.topics.writers import StreamContext
 
 # So many topics of streams that are away stay open for their subscribers.
@@ -65,8 +65,6 @@ class Routing:
     ----------
     prefix
         First part of every topic, relative.
-    names
-        By which streams there are in all.
     aliases
         Names of sensors by those of other programs' LSL streams.
     is_as_original
@@ -82,7 +80,6 @@ class Routing:
         self,
         node: Node,
         prefix: str,
-        names: Names,
         parameters: Parameters,
         ros_time: RosTime,
         log: LimitedLog,
@@ -96,7 +93,8 @@ class Routing:
         self._joined: dict[tuple[DeviceIdentity, str], Joined] = {}
         self._publishers = TopicPublishers(node, pacer)
         self._prefix = prefix
-        self._names = names
+        # Devices that keep their names: another one's data must not appear under them.
+        self._lasting: set[DeviceIdentity] = set()
         self._parameters = parameters
         self._time = ros_time
         self._log = log
@@ -132,16 +130,16 @@ class Routing:
                 self._listen_only(inlet, inlet.header)
         has_changed = bool(ready or left)
         if has_changed:
-            routes = self._routes.items()
-            self._names.claim({uid: claim_of(route.header) for uid, route in routes})
-            self.map_topics()
+            headers = (route.header for route in self._routes.values())
+            self._lasting |= {each.identity for each in headers if _is_named_after_unit(each)}
+            self._map_topics()
         return has_changed
 
     def set_prefix(self, prefix: str) -> None:
         """Move every topic; those of absent streams are closed."""
         if prefix != self._prefix:
             self._prefix = prefix
-            self.map_topics()
+            self._map_topics()
             used = self._used_publishers()
             self._publishers.close(lambda publisher: publisher not in used)
 
@@ -167,17 +165,14 @@ class Routing:
             if is_here and route.bridge is not None and not route.inlet.is_delivering:
                 route.inlet.deliver_to(route.bridge)
 
-    def map_topics(self) -> None:
+    def _map_topics(self) -> None:
         """Give every stream its topic; a stream whose topic changes gets a new bridge."""
-        claims = self._names.claims
-        wanted = {uid: (claim.identity, claim.data_name) for uid, claim in claims.items()}
-        topics = resolve_topics(wanted, self._prefix, gone=self._names.lasting)
+        headers = {uid: route.header for uid, route in self._routes.items()}
+        wanted = {uid: (header.identity, header.data_name) for uid, header in headers.items()}
+        topics = resolve_topics(wanted, self._prefix, gone=self._lasting)
         left: set[str] = set()
         for uid, route in self._routes.items():
-            topic = topics.get(uid)
-            if topic is None:
-                # nothing is dropped: liblsl keeps it until all processes know of it
-                continue
+            topic = topics[uid]
             old, route.topic = route.topic, topic
             if old is None or old.name != topic.name:
                 left.update([old.base] if old else [])
@@ -186,10 +181,10 @@ class Routing:
 
     def _crowded(self, topics: Mapping[str, TopicName]) -> set[str]:
         """Names that several units would have; the one that had it may be absent by now."""
-        crowded = [self._names.claims[uid] for uid, topic in topics.items() if topic.conflict]
+        crowded = [self._routes[uid].header for uid, topic in topics.items() if topic.conflict]
         return {
-            naming.topic(claim.identity, claim.data_name, self._prefix).rpartition("/")[0]
-            for claim in crowded
+            naming.topic(header.identity, header.data_name, self._prefix).rpartition("/")[0]
+            for header in crowded
         }
 
     def _close_topics(self, bases: set[str]) -> None:
@@ -346,3 +341,30 @@ class Routing:
 
 def _key(header: StreamHeader) -> tuple[str, str]:
     return header.identity.sensor, header.data_name
+
+
+def renamed(header: StreamHeader, lsl_name: str, aliases: Mapping[str, str]) -> StreamHeader:
+    """Return the header of a stream under the name that the user has for it, if there is one.
+
+    Streams of agents keep their names: label and participant are set where they are.
+
+    Parameters
+    ----------
+    aliases
+        Names of sensors by those of LSL streams; in these, ``*`` is any text. The first one holds.
+    """
+    for pattern, alias in aliases.items():
+        texts = map(re.escape, pattern.split("*"))
+        if header.foreign and re.fullmatch(".*".join(texts), lsl_name, re.DOTALL):
+            return replace(header, identity=replace(header.identity, sensor=alias))
+    return header
+
+
+def _is_named_after_unit(header: StreamHeader) -> bool:
+    """Whether the name stands for one device for good.
+
+    A participant or a label names a place, where a device may be replaced, and
+    another program may give its stream a new source_id at every start.
+    """
+    identity = header.identity
+    return not (header.foreign or identity.participant or identity.label)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from itertools import count
+from itertools import count, filterfalse
 from time import monotonic
 
 import pylsl
@@ -27,7 +27,6 @@ from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.descriptions import about
 from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
 from lsl_to_ros.lsl.rivals import Rivals, Swap
-from lsl_to_ros.lsl.share import ALL, Share
 
 # An outlet that has just died is still reported by the resolver for so long.
 FORGET_AFTER_S = 5.0
@@ -92,9 +91,9 @@ class FileRoom:
 
 
 class Discovery:
-    """Keeps one inlet for each stream on the network, or of a share of them.
+    """Keeps one inlet for each stream on the network that the predicate asks for.
 
-    The agents' counts of losses are kept whatever the share: they are of all streams. Streams
+    The agents' counts of losses are kept whatever it asks for: they are of all streams. Streams
     that ``ros_to_lsl`` makes of topics are left out, unless the predicate itself asks for
     ``desc/ros``: they would go round in a circle.
 
@@ -113,12 +112,9 @@ class Discovery:
         What is left out, or not what it seems.
     """
 
-    def __init__(
-        self, warn: Callable[[str], None], predicate: str = "", share: Share = ALL
-    ) -> None:
+    def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
         self.refusals = Refusals(warn)
         self._predicate = wanted_by(predicate)
-        self._share = share
         self._resolver = resolver(self._predicate)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
@@ -179,7 +175,7 @@ class Discovery:
     def update(self) -> tuple[list[Inlet], list[Inlet]]:
         """Open inlets for new streams; return those that became ready, and those that ended."""
         gone = self._ended()
-        results = sorted(filter(self._is_for_us, self._resolver.results()), key=by_start)
+        results = sorted(filterfalse(_is_of_a_node, self._resolver.results()), key=by_start)
         found = {info.uid(): info for info in results}
         swaps = self._swaps(gone, found)
         gone += [swap.old for swap in swaps if swap.old not in gone]
@@ -235,13 +231,8 @@ class Discovery:
         return is_announced and self._is_to_be_served(inlet) is not inlet.is_served
 
     def _is_to_be_served(self, inlet: Inlet) -> bool:
-        is_wanted = inlet.matches(self._predicate) and self._share.has(inlet.info)
-        return is_wanted and (not inlet.is_from_ros or asks_for_ros(self._predicate))
-
-    def _is_for_us(self, info: pylsl.StreamInfo) -> bool:
-        if _is_of_a_node(info):
-            return False
-        return self._share.has(info) or info.type() == ContentType.COUNTERS
+        is_meant = not inlet.is_from_ros or asks_for_ros(self._predicate)
+        return is_meant and inlet.matches(self._predicate)
 
     def _admit(self, info: pylsl.StreamInfo, found: Collection[str]) -> list[Inlet]:
         """Open an inlet if it is time; return those that it replaces."""

@@ -10,7 +10,6 @@ from typing import Any, TypeGuard, cast
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
-    IntegerRange,
     ParameterDescriptor,
     ParameterType,
 )
@@ -22,7 +21,6 @@ from lsl_to_ros.lsl.liblsl import is_query
 TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
 SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
 BURST_PACING = "burst_pacing"
-PROCESSES = "processes"
 ALIASES = "aliases"
 COMPAT, SMARTLAB = "compat", "smartlab"
 DIAGNOSTICS_PERIOD = "diagnostic_updater.period"
@@ -33,7 +31,6 @@ MAX_PREFIX_CHARACTERS = 100
 MAX_DEPTH = 1_000_000
 # Measured: docs/decisions/node/pace-bursts-for-subscribers.md.
 PACING_PER_MS, MAX_PACING_PER_MS = 0.5, 1000.0
-MAX_PROCESSES = 16
 # Rates and delays are those of a second.
 PERIOD_S, MAX_PERIOD_S = 1.0, 3600.0
 PERIOD_TEXT = "seconds between two reports on /diagnostics, unless a level changes"
@@ -51,13 +48,12 @@ _QOS_VALUES = {
 class _Parameter:
     """One parameter; ``fault`` says why a value of the right type is refused."""
 
-    default: str | float | int | list[str]
+    default: str | float | list[str]
     description: str
     fault: Callable[[Any], str | None]
     read_only: bool = False
     least: float = 0.0
     most: float | None = None
-    whole: range = range(0)
 
     @property
     def descriptor(self) -> ParameterDescriptor:
@@ -66,20 +62,16 @@ class _Parameter:
             if self.most is None
             else [FloatingPointRange(from_value=self.least, to_value=self.most)]
         )
-        whole = self.whole
-        steps = [IntegerRange(from_value=whole[0], to_value=whole[-1], step=1)] if whole else []
         return ParameterDescriptor(
             description=self.description,
             read_only=self.read_only,
             type=_TYPES[type(self.default)],
             floating_point_range=limits,
-            integer_range=steps,
         )
 
 
 _TYPES: dict[type[Any], int] = {
     float: ParameterType.PARAMETER_DOUBLE,
-    int: ParameterType.PARAMETER_INTEGER,
     list: ParameterType.PARAMETER_STRING_ARRAY,
     str: ParameterType.PARAMETER_STRING,
 }
@@ -138,14 +130,6 @@ def _compat_fault(value: str) -> str | None:
     return None if value in ("", SMARTLAB) else f"must be {SMARTLAB} or empty, not {value!r}"
 
 
-def _processes_fault(value: int) -> str | None:
-    return None if 1 <= value <= MAX_PROCESSES else _no_count(value)
-
-
-def _no_count(value: object) -> str:
-    return f"must be a whole number from 1 to {MAX_PROCESSES}, not {value!r}"
-
-
 _PARAMETERS = {
     TOPIC_PREFIX: _Parameter(
         "biosensors", "first part of every topic, relative to the namespace", _prefix_fault
@@ -159,13 +143,6 @@ _PARAMETERS = {
         " subscribers, usually 5 or 10 long; 0: all at once",
         _pacing_fault,
         most=MAX_PACING_PER_MS,
-    ),
-    PROCESSES: _Parameter(
-        1,
-        "processes that share the streams, each on a core of its own",
-        _processes_fault,
-        read_only=True,
-        whole=range(1, MAX_PROCESSES + 1),
     ),
     ALIASES: _Parameter(
         [""],
@@ -213,9 +190,6 @@ def check(given: Mapping[str, object]) -> None:
         if similar and name not in _WHICH_STREAMS:
             message = f"{name} is no parameter of this node; {similar[0]} is"
             raise ConfigError(ConfigReason.UNKNOWN_KEY, message)
-    if given.get(COMPAT) and given.get(PROCESSES) not in (None, 1):
-        message = f"{COMPAT} joins streams of a device, which several {PROCESSES} have apart"
-        raise ConfigError(ConfigReason.WRONG_VALUE, f"{message}; leave one of the two out")
 
 
 def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them
@@ -254,9 +228,6 @@ def _type_fault(
 ) -> str | None:
     if isinstance(default, str):
         return None if isinstance(value, str) else f"must be text, not {value!r}"
-    if isinstance(default, int):
-        is_whole = isinstance(value, int) and not isinstance(value, bool)
-        return None if is_whole else _no_count(value)
     if isinstance(default, float):
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         return None if is_number else f"must be a number such as {default}, not {value!r}"

@@ -31,6 +31,11 @@ SENSOR_ENABLE, CHUNK_ENABLE, CHUNK_LENGTH = "Sensor_Enable", "Chunk_Enable", "Ch
 LENGTH_RANGE = range(1, 100_001)
 DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUNK_LENGTH: 128}
 
+REMOVED = {
+    "processes": "the node runs in one process; share the streams among several nodes"
+    " (stream_predicate), or read fast topics as _chunk or _stamped"
+}
+"""Parameters that the node had once, and what to do instead."""
 # Every other parameter is a misspelt one.
 _OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
 # What ``ros2 param dump`` writes of a key that nobody has set, as a file of parameters and as
@@ -231,6 +236,8 @@ def _fault(name: str, value: object) -> str | None:
 
 
 def _unknown(name: str) -> str:
+    if name in REMOVED:
+        return f"{name} is not a parameter any more: {REMOVED[name]}"
     return f"{name} is no parameter of this node; it must be or end in {', '.join(DEFAULTS)}"
 
 

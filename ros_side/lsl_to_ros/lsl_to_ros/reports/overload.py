@@ -6,24 +6,25 @@ from collections.abc import Sequence
 
 from biosensor_common import open_files
 from lsl_to_ros.accounts.load import LoadFacts
-from lsl_to_ros.lsl.share import ALL, Share
-from lsl_to_ros.parameters.node import MAX_PROCESSES, PROCESSES
 
 _MOST_NAMED = 5
+_RELIEF = (
+    "read fast topics as _chunk or _stamped, switch streams off (Sensor_Enable), or share the"
+    " streams among nodes on several computers (stream_predicate)"
+)
 
 
-def overload(load: LoadFacts, process: Share = ALL) -> str:
-    """Say what is too much for a process of the node; empty if it keeps up."""
-    who, relief = name_of(process), _relief(process.of)
+def overload(load: LoadFacts) -> str:
+    """Say what is too much for the node; empty if it keeps up."""
     share = "" if load.share is None else f"{100 * load.share:.0f} % of a core"
     if load.is_busy:
         waited = f", and data have waited {load.age_s:.1f} s in it" if load.age_s >= 0.1 else ""
-        return f"{who} needs {share}{waited}: {relief}"
+        return f"the node needs {share}{waited}: {_RELIEF}"
     if load.is_late:
         gets = f", which gets {share}" if share else ""
         return (
-            f"data have waited {load.age_s:.1f} s in {who}{gets}: other programs keep this"
-            f" computer busy; end some, or {relief}"
+            f"data have waited {load.age_s:.1f} s in the node{gets}: other programs keep this"
+            f" computer busy; end some, or {_RELIEF}"
         )
     return ""
 
@@ -34,20 +35,6 @@ def crowded_out(streams: Sequence[str]) -> str:
         return ""
     named = ", ".join(streams[:_MOST_NAMED]) + ", ..." * (len(streams) > _MOST_NAMED)
     return str(open_files.exhausted(f"{len(streams)} streams are left out ({named})"))
-
-
-def name_of(process: Share) -> str:
-    """Name a process as users are told of it; the only one is the node."""
-    return f"process {process.index} of {process.of}" if process.of > 1 else "the node"
-
-
-def _relief(processes: int) -> str:
-    more = min(2 * processes, MAX_PROCESSES)
-    on_more_cores = f"start the node with {PROCESSES}:={more}, " * (more > processes)
-    return (
-        "read fast topics as _chunk or _stamped, switch streams off (Sensor_Enable),"
-        f" {on_more_cores}or share the streams among nodes on several computers (stream_predicate)"
-    )
 
 
 def too_fast(rate: float, topics: Sequence[str], best_effort: Sequence[str]) -> str:

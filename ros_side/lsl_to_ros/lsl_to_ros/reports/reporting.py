@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from time import monotonic
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import pylsl
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from std_msgs.msg import Header
 
@@ -13,13 +14,18 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.parameters.node import COMPAT, DIAGNOSTICS_PERIOD
-from lsl_to_ros.reports.diagnostics import LEASE_S
-from lsl_to_ros.reports.processes import Concern, ProcessFacts, node_status, process_status
+from lsl_to_ros.reports.diagnostics import LEASE_S, status
+from lsl_to_ros.reports.overload import crowded_out, overload
+from lsl_to_ros.reports.survey import Concern, Part
+from lsl_to_ros.routing import Route
 from lsl_to_ros.topics.messages import HAS_STAMPED_TOPICS
 from lsl_to_ros.topics.publishers import make_publisher
 
 TOPIC = "~/streams"
 USE_SIM_TIME = "use_sim_time"
+COMPUTER_BUSY = "computer_busy"
+"""Whether other programs keep data waiting in the node, ``true`` or ``false``."""
+_MOST_NAMED = 5
 
 
 class Rhythm:
@@ -47,7 +53,7 @@ class Rhythm:
 
 
 class Reporting:
-    """Publishes both topics, for all processes of the node."""
+    """Publishes both topics."""
 
     def __init__(self, node: Node, ros_time: RosTime, warn: Callable[[str], None]) -> None:
         self._clock = node.get_clock()
@@ -70,18 +76,14 @@ class Reporting:
         self._listed = ordered
         self._streams.publish(DiagnosticArray(header=self._header(), status=ordered))
 
-    def report(self, processes: Sequence[ProcessFacts]) -> None:
-        """Publish the state of everything if it is time; the first process is this one."""
+    def report(self, part: Part) -> None:
+        """Publish the state of everything if it is time."""
         values = {
             "clock_steps": str(self._ros_time.steps),
             "stamped_topics": "yes" if HAS_STAMPED_TOPICS else "no",
             COMPAT: self._node.get_parameter(COMPAT).value,
         }
-        statuses = [node_status(processes, values, self._concerns())]
-        if len(processes) > 1:
-            statuses += [process_status(each) for each in processes]
-        statuses += [entry for each in processes for entry in each.statuses]
-        statuses += merged(entry for each in processes for entry in each.devices)
+        statuses = [node_status(part, values, self._concerns()), *part.statuses, *part.devices]
         if self._rhythm.is_due(statuses):
             self._diagnostics.publish(DiagnosticArray(header=self._header(), status=statuses))
 
@@ -106,26 +108,70 @@ class Reporting:
         return Header(stamp=self._clock.now().to_msg())
 
 
-def merged(statuses: Iterable[DiagnosticStatus]) -> list[DiagnosticStatus]:
-    """Return one entry for each name: the values of all, and the worst level with its reason.
+def node_status(
+    part: Part, values: Mapping[str, str], concerns: Sequence[Concern]
+) -> DiagnosticStatus:
+    """Describe the node.
 
-    The streams of a device may be in several processes, and each of these tells of it what its
-    own streams say.
+    Parameters
+    ----------
+    values, concerns
+        What concerns the node as a whole, and what is wrong with it.
     """
-    by_name: dict[str, DiagnosticStatus] = {}
-    for status in statuses:
-        other = by_name.get(status.name)
-        by_name[status.name] = status if other is None else _joined(other, status)
-    return list(by_name.values())
+    load = part.load
+    facts = {
+        "cpu_percent": "" if load.share is None else f"{100 * load.share:.0f}",
+        "queue_age_s": f"{load.age_s:.3f}",
+        COMPUTER_BUSY: str(load.is_late).lower(),
+        "streams": str(part.streams),
+        "streams_refused": str(part.refused),
+        "streams_left_out": str(len(part.crowded_out)),
+        **values,
+        "liblsl": str(pylsl.library_version()),
+    }
+    level, reasons = _judge(part)
+    level = max([level, *(bytes([each.level]) for each in concerns)])
+    reasons = [*reasons, *(each.text for each in concerns)]
+    return status("node", level, "; ".join(reasons) or f"{part.streams} streams", facts)
 
 
-def _joined(first: DiagnosticStatus, second: DiagnosticStatus) -> DiagnosticStatus:
-    worse = second if second.level > first.level else first
-    values = {value.key: value for value in (*first.values, *second.values)}
+def _judge(part: Part) -> tuple[bytes, list[str]]:
+    told = (overload(part.load), crowded_out(part.crowded_out))
+    reasons = [each for each in told if each]
+    level = max([int(bool(reasons)), *(each.level for each in part.concerns)])
+    named = [each.text for each in part.concerns[:_MOST_NAMED]]
+    more = [f"and {len(part.concerns) - len(named)} more"] * (len(part.concerns) > len(named))
+    return bytes([level]), [*reasons, *named, *more]
+
+
+def stream_list(routes: Iterable[Route]) -> list[DiagnosticStatus]:
+    """Return a status a stream, named by its raw topic, its facts as values."""
+    return [_entry(route) for route in routes if route.bridge is not None]
+
+
+def _entry(route: Route) -> DiagnosticStatus:
+    assert route.bridge is not None
+    header, core = route.header, route.inlet.core
+    publishers = route.bridge.outputs.publishers
+    values = {
+        "lsl_name": core.name,
+        "lsl_type": core.content_type,
+        "source_id": core.source_id,
+        "uid": route.inlet.uid,
+        "host": core.hostname,
+        "rate": f"{header.rate:g}",
+        "format": header.format.value,
+        "labels": ", ".join(header.labels),
+        "units": ", ".join(header.units),
+        "participant": header.identity.participant,
+        "label": header.identity.label,
+        "foreign": str(header.foreign).lower(),
+        **{f"topic {publisher.name}": publisher.type_name for publisher in publishers},
+    }
     return DiagnosticStatus(
-        level=worse.level,
-        name=first.name,
-        message=worse.message,
-        hardware_id=first.hardware_id or second.hardware_id,
-        values=list(values.values()),
+        level=DiagnosticStatus.OK,
+        name=publishers[0].name,
+        message=f"{core.name} of {core.hostname}",
+        hardware_id=header.identity.unit,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )

@@ -1,4 +1,4 @@
-"""Looks at the streams of one process, for ``/diagnostics``."""
+"""Looks at the streams and their devices, for ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.load import Load, LoadFacts
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
-from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.parameters.node import COMPAT, SMARTLAB
 from lsl_to_ros.reports.diagnostics import LEASE_S, status, stream_facts, stream_status
 from lsl_to_ros.reports.overload import overload
@@ -40,7 +39,7 @@ class Concern(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What one process has to report.
+    """What there is to report.
 
     Attributes
     ----------
@@ -51,7 +50,7 @@ class Part:
     concerns
         What was left out or guessed and has no entry of its own.
     statuses, devices
-        Of its streams, and of their devices as far as these streams tell.
+        Of the streams, and of their devices as far as these streams tell.
     """
 
     load: LoadFacts
@@ -64,13 +63,7 @@ class Part:
 
 
 class Survey:
-    """Looks at everything in this process.
-
-    Parameters
-    ----------
-    share
-        The streams that are its own.
-    """
+    """Looks at everything that the node has."""
 
     def __init__(
         self,
@@ -79,14 +72,12 @@ class Survey:
         discovery: Discovery,
         senders: Senders,
         warn: Callable[[str], None],
-        share: Share,
     ) -> None:
         self._node = node
         self._routing = routing
         self._discovery = discovery
         self._senders = senders
         self._warn = warn
-        self._share = share
         self._load = Load()
         self._doubled: dict[str, float] = {}
         self._has_said_doubled = False
@@ -196,7 +187,7 @@ class Survey:
         was_busy, was_late = self._overloads
         load = self._load.look()
         if (load.is_busy and not was_busy) or (load.is_late and not was_late):
-            self._warn(overload(load, self._share))
+            self._warn(overload(load))
         self._overloads = load.is_busy, load.is_late
         return load
 

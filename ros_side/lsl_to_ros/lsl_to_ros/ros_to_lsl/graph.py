@@ -73,8 +73,7 @@ class Graph:
     """One look at the topics of the network.
 
     Nodes of ``lsl_to_ros`` are known by the list of streams that each of them publishes as
-    ``~/streams``, whatever they are called; further processes of one are called ``_NAME_1``,
-    ``_NAME_2`` and so on.
+    ``~/streams``, whatever they are called.
 
     Attributes
     ----------
@@ -120,12 +119,8 @@ class Graph:
                         yield name
 
     def _is_gateway(self, publisher: TopicEndpointInfo) -> bool:
-        namespace, name = publisher.node_namespace, publisher.node_name
-        first = name.removeprefix("_").rpartition("_")[0] if name.startswith("_") else name
-        return bool(
-            {full_name(namespace, name), full_name(namespace, first)}
-            & (self._gateways | {self._own})
-        )
+        name = full_name(publisher.node_namespace, publisher.node_name)
+        return name == self._own or name in self._gateways
 
 
 def full_name(namespace: str, name: str) -> str:

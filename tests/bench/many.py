@@ -1,4 +1,4 @@
-"""One process of the node and two, with more and more streams: loss, latency, CPU, memory."""
+"""The node with more and more streams: loss, latency, CPU, memory."""
 
 from __future__ import annotations
 
@@ -17,86 +17,65 @@ from tests.bench.receivers import Receivers
 from tests.bench.ros_receiver import Wish
 from tests.bench.rounds import in_rounds
 from tests.bench.samples import Passage, passage, topic_of
-from tests.bench.senders import BLOCK, BLOCK_STREAMS_PER_PROCESS, STREAMS_PER_PROCESS, Senders
+from tests.bench.senders import BLOCK, BLOCK_STREAMS_PER_PROCESS, Senders
 
-STREAMS = (8, 16, 32)
-MANY = (64, 128)
-PROCESSES = (1, 2)
+STREAMS = (64, 128)
 _LOST = Target(0)
 _SUBSCRIBERS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One round with so many streams and processes.
+    """One round with so many streams.
 
     Attributes
     ----------
     cpu_s
-        CPU time of each process of the node.
+        CPU time of the node.
     seconds
         From the first sample to the last.
-    memory_mb
-        Of all processes together.
     late_p99_ms
         How long after its due time a sample was pushed.
     """
 
     passage: Passage
-    cpu_s: Sequence[float]
+    cpu_s: float
     seconds: float
     memory_mb: float
     late_p99_ms: float
 
     @property
     def us_a_sample(self) -> float:
-        """CPU time of all processes, which says something on a busy machine, too."""
-        return 1e6 * sum(self.cpu_s) / self.passage.sent
+        """CPU time of the node, which says something on a busy machine, too."""
+        return 1e6 * self.cpu_s / self.passage.sent
 
 
 def measure(effort: Effort) -> Measurement:
-    """Measure both in turn, with every number of streams."""
-    return _measured("the node on one process and on two, every sample read", STREAMS, 1, effort)
-
-
-def measure_many(effort: Effort) -> Measurement:
-    """Measure more streams, with samples in blocks."""
-    title = f"the node on one process and on two, {BLOCK} samples sent at once"
-    return _measured(title, MANY, BLOCK, effort)
-
-
-def _measured(title: str, numbers: Sequence[int], block: int, effort: Effort) -> Measurement:
-    legs = {
-        f"{streams} streams, {processes} process{'es' * (processes > 1)}": partial(
-            _leg, streams, processes, block
-        )
-        for streams in numbers
-        for processes in PROCESSES
-    }
+    """Measure each number of streams in turn, with samples in blocks."""
+    legs = {f"{streams} streams": partial(_leg, streams) for streams in STREAMS}
     rounds = in_rounds(legs, effort.rounds, effort.sixteen_s, effort.settle_s)
     figures = [figure for name, each in rounds.items() for figure in _figures(name, each)]
     details = {name: [asdict(leg) for leg in each] for name, each in rounds.items()}
+    title = f"many streams, every sample read, {BLOCK} sent at once"
     return Measurement(title, figures, details)
 
 
-def _leg(streams: int, count: int, block: int, seconds: float, settle_s: float) -> Leg:
+def _leg(streams: int, seconds: float, settle_s: float) -> Leg:
     ports = ports_for(streams)
     with tempfile.TemporaryDirectory() as name, Processes(Path(name), ports) as processes:
-        node = processes.start_node("--ros-args", "-p", f"processes:={count}")
+        node = processes.start_node()
         # What the senders take is not left for the node.
-        per_process = STREAMS_PER_PROCESS if block == 1 else BLOCK_STREAMS_PER_PROCESS
-        senders = Senders(processes, streams, per_process=per_process, frugal=True, block=block)
+        per_process = BLOCK_STREAMS_PER_PROCESS
+        senders = Senders(processes, streams, per_process=per_process, frugal=True, block=BLOCK)
         wish = Wish([topic_of(each) for each in senders.names], senders.count(seconds), "")
         receivers = Receivers(processes, wish, _SUBSCRIBERS)
         senders.expect_up()
         receivers.expect_all()
         time.sleep(settle_s)
-        family = [node, *node.children]
-        before, begin_s = [each.cpu_s for each in family], time.monotonic()
+        before, begin_s = node.cpu_s, time.monotonic()
         sent = senders.send(seconds)
         took_s = time.monotonic() - begin_s
-        cpu_s = [each.cpu_s - begun for each, begun in zip(family, before, strict=True)]
-        memory_mb = sum(each.memory_mb for each in family)
+        cpu_s, memory_mb = node.cpu_s - before, node.memory_mb
         arrived, repeated = receivers.finish()
         node.stop()
         senders.finish()
@@ -109,8 +88,7 @@ def _figures(title: str, legs: Sequence[Leg]) -> list[Figure]:
     repeated = sum(leg.passage.repeated for leg in legs)
     p50 = statistics.median(leg.passage.p50_ms for leg in legs)
     p99 = statistics.median(leg.passage.p99_ms for leg in legs)
-    cpu = statistics.median(100 * sum(leg.cpu_s) / leg.seconds for leg in legs)
-    busiest = statistics.median(100 * max(leg.cpu_s) / sum(leg.cpu_s) for leg in legs)
+    cpu = statistics.median(100 * leg.cpu_s / leg.seconds for leg in legs)
     us = statistics.median(leg.us_a_sample for leg in legs)
     memory_mb = max(leg.memory_mb for leg in legs)
     late = max(leg.late_p99_ms for leg in legs)
@@ -118,7 +96,7 @@ def _figures(title: str, legs: Sequence[Leg]) -> list[Figure]:
         Figure(f"{title}: lost", lost, "", _LOST, f"of {sent}, {repeated} repeated"),
         Figure("p50", p50, "ms"),
         Figure("p99", p99, "ms", note=f"pushed {late:.2f} ms late (p99)"),
-        Figure("CPU", cpu, "%", note=f"{busiest:.0f} % of it by the busiest process"),
+        Figure("CPU", cpu, "%"),
         Figure("CPU a sample", us, "µs"),
         Figure("memory", memory_mb, "MB", note="resident"),
     ]

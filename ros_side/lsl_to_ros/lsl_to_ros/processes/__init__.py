@@ -1,1 +1,0 @@
-"""The processes of the node, which share the streams."""
