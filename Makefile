@@ -14,7 +14,7 @@
 # make changelog [VERSION=]  the fragments of changelog.d joined into CHANGELOG.md; shown without a version
 # make bench, make format, make lock
 SHELL := /bin/sh
-PYTHON_FILES := common examples gateway_win hatch_build.py installer ros_side tests typings
+PYTHON_FILES := benchmarks common examples gateway_win hatch_build.py installer ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
 ENGINE := docker
@@ -67,7 +67,7 @@ check: venv-dev
 	$(DOCS_SITE)
 
 bench: venv-dev
-	$(RUN) tests.bench
+	$(RUN) benchmarks
 
 format: venv-dev
 	$(RUN) ruff check --fix --quiet $(PYTHON_FILES)

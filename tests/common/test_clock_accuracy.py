@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from tests.bench.clock_accuracy import RATES_HZ, STAMP_TARGETS, WAYS, run
+from benchmarks.clock_accuracy import RATES_HZ, STAMP_TARGETS, WAYS, run
 from tests.rigs import clock_simulation as simulation
 
 SEEDS = 3

@@ -1,6 +1,6 @@
 """Cortex's messages, for the speed of decoders."""
 
-from tests.bench.tape import Taped
+from benchmarks.tape import Taped
 
 TAPED = Taped(
     functions=("biosensor_gateway.devices.emotiv_insight.driver.cortex:parse",),

@@ -1,6 +1,6 @@
 """Lines of the server, for the speed of decoders."""
 
-from tests.bench.tape import Taped
+from benchmarks.tape import Taped
 
 TAPED = Taped(
     decoder="biosensor_gateway.devices.empatica_e4.driver.protocol:E4Protocol",

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import long_recording
 from biosensor_gateway.recording.export.formats import FORMATS
 from biosensor_gateway.recording.xdf.recording import read_recording
 from installer.wine.prefix import windows_path
-from tests.bench import long_recording
 from tests.rigs.windows.pc import WindowsPc
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]

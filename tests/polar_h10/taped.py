@@ -1,6 +1,6 @@
 """PMD frames and heart rates, for the speed of decoders."""
 
-from tests.bench.tape import Taped
+from benchmarks.tape import Taped
 
 TAPED = Taped(
     functions=(

@@ -1,6 +1,6 @@
 """Packets and replies, for the speed of decoders."""
 
-from tests.bench.tape import Taped
+from benchmarks.tape import Taped
 
 TAPED = Taped(
     decoder="biosensor_gateway.devices.shimmer.driver.protocol:ShimmerProtocol",

@@ -1,6 +1,6 @@
 """Packets, for the speed of decoders."""
 
-from tests.bench.tape import Taped
+from benchmarks.tape import Taped
 
 TAPED = Taped(
     decoder="biosensor_gateway.devices.vernier_respiration_belt.driver.protocol:VernierProtocol",

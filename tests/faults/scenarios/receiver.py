@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pylsl
 
-from tests.bench.child import Orders, say
+from benchmarks.child import Orders, say
 from tests.faults.recorder import Recorded, Recorder
 
 _POLL_S = 0.1

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.bench import churn, staying
-from tests.bench.effort import FULL, Effort
-from tests.bench.figures import Measurement
+from benchmarks import churn, staying
+from benchmarks.effort import FULL, Effort
+from benchmarks.figures import Measurement
 from tests.faults.scenarios.figures import Record
 
 _TWO_HOURS_S = 7200.0

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from benchmarks.processes import Processes
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.registry import declaration
-from tests.bench.processes import Processes
 from tests.faults.agent import fresh_status
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.ledger import TruthLedger

@@ -19,8 +19,8 @@ import numpy as np
 import pylsl
 import pytest
 
-from tests.bench.processes import Process
-from tests.bench.slope import fit
+from benchmarks.processes import Process
+from benchmarks.slope import fit
 from tests.faults.agent import fresh_status
 from tests.faults.expectations import SENSORS, is_by_agent, numeric_streams, source, steady_streams
 from tests.faults.scenarios.figures import Record
