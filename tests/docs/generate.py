@@ -14,7 +14,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.docs import catalogue, fault_picture, sender_table, sensor_table, worked_with
+from tests.docs import (
+    catalogue,
+    fault_picture,
+    findings_table,
+    sender_table,
+    sensor_table,
+    worked_with,
+)
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = ROOT / "docs" / "decisions"
@@ -76,6 +83,7 @@ PARTS = (
     Part("README.md", "sensors", sensor_table.sensors),
     Part("docs/topics.md", "topics", sensor_table.topics),
     Part("docs/ros-reference.md", "senders", sender_table.senders),
+    Part("docs/recording-troubleshooting.md", "findings", findings_table.findings),
     Part("docs/sensors/README.md", "pages", catalogue.pages),
     Part("docs/sensors/README.md", "verified", catalogue.verified),
     Part("docs/sensors/catalogue.md", "catalogue", catalogue.catalogue),

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.recording.contents.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf.measuring import summarise_offsets
+from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 
 def _offsets(
@@ -74,3 +75,28 @@ def test_a_computer_that_was_started_anew_has_a_line_of_its_own(before_offset: b
     stamps = np.array([18.0 if before_offset else 30.0])
     moved = clock.to_recorder(stamps, 10 if before_offset else 12)
     assert moved[0] == pytest.approx(stamps[0] + 5100.0)
+
+
+@pytest.mark.parametrize("step_s", [0.06, 0.6, -0.6])
+def test_a_clock_that_was_set_by_less_than_a_second_has_two_lines(step_s: float) -> None:
+    noise = np.random.default_rng(3).normal(0, 100e-6, 40)
+    offsets = _offsets(100.0, 40, 3.0, 20.0, noise)
+    offsets[20:] = [(time_s + step_s, offset - step_s) for time_s, offset in offsets[20:]]
+    clock = SenderClock(offsets)
+    assert clock.restarts == 1
+    before, after = (
+        clock.to_recorder(np.array([110.0]), 3),
+        clock.to_recorder(np.array([290.0]), 39),
+    )
+    assert before[0] == pytest.approx(113.0, abs=1e-3)
+    assert after[0] == pytest.approx(293.0 - step_s, abs=5e-3)
+    told = summarise_offsets(offsets)
+    assert told.resets == 1
+    assert told.scatter_s is not None
+    assert told.scatter_s < 1e-3
+
+
+def test_the_last_offset_of_an_outlet_that_goes_is_no_reset() -> None:
+    offsets = _offsets(5000.0, 6, 0.0, 0.0, np.zeros(6))
+    told = summarise_offsets([*offsets, (805030.0, -775000.0)])
+    assert (told.resets, told.drift_ppm, told.scatter_s) == (0, 0.0, 0.0)

@@ -11,9 +11,10 @@ import pytest
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.recording.contents.choice import Wish
-from biosensor_gateway.recording.export.bids.study import ADDED, Study, recordings_in
+from biosensor_gateway.recording.export.bids.study import ADDED, Study
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.export.several import recordings_in
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.container import RecordingError
 from tests.recording_export.bids_shapes import h10

@@ -9,10 +9,10 @@ import pytest
 
 from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.contents.sender_clock import EXTRAPOLATED_S, SenderClock
 from biosensor_gateway.recording.export.exporter import Missing
 from biosensor_gateway.recording.replay import words
 from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.xdf.sender_clock import EXTRAPOLATED_S, SenderClock
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S
 from tests.xdf import xdf_file as made

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -34,7 +33,6 @@ from biosensor_gateway.recording.export.exporting import Task, Watch, export
 from biosensor_gateway.recording.export.formats import FORMATS
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.participants import Whose
-from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.judging import judge
@@ -110,10 +108,8 @@ def export_recording(
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     wish = Wish(streams or (), begin, end, participant, without)
     # Brings what writes a data set.
-    from biosensor_gateway.recording.export.bids.study import (
-        is_dataset,
-        recordings_in,
-    )
+    from biosensor_gateway.recording.export.bids.study import is_dataset
+    from biosensor_gateway.recording.export.several import recordings_in
 
     wanted = Task(to, wish, clock, output, task, session, whose)
     if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
@@ -134,44 +130,28 @@ def export_recording(
 
 
 def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> bool:
-    """Export one after the other; what is wrong with one keeps no other from being written."""
-    from biosensor_gateway.recording.export.bids.study import Study
+    """Export one after the other, and say what became of each."""
+    # Brings what writes a data set.
+    from biosensor_gateway.recording.export.several import Exported, export_several
 
-    study = None
-    if task.output is not None and "bids" in task.formats:
-        if len(task.formats) > 1:
-            message = "a data set holds bids alone; export to other formats by a command of its own"
-            raise ConfigError(ConfigReason.WRONG_VALUE, message)
-        study = Study(task.output)
-    outcomes: list[Outcome] = []
-    failed: list[tuple[Path, str]] = []
-    for recording in recordings:
-
-        def export_to(place: Path | None, recording: Path = recording) -> Outcome:
-            with _bars() as watch:
-                return export(recording, replace(task, output=place), watch)
-
-        try:
-            outcome = export_to(task.output) if study is None else study.add(recording, export_to)
-        except (RecordingError, ConfigError) as error:
-            failed.append((recording, str(error)))
-            outcome = None
-            if not print_json:
-                typer.echo(wrapped(str(error), columns(sys.stderr), 2), err=True)
+    results: list[Exported] = []
+    for each in export_several(recordings, task, lambda _: _bars()):
+        results.append(each)
+        if print_json:
+            continue
+        if each.error:
+            typer.echo(wrapped(each.error, columns(sys.stderr), 2), err=True)
+        elif each.outcome is None:
+            say(f"{each.recording} was added before")
         else:
-            if outcome is None and not print_json:
-                say(f"{recording} was added before")
-        if outcome is not None:
-            outcomes.append(outcome)
-            if not print_json:
-                say(f"{recording}:")
-                _say_outcome(outcome)
+            say(f"{each.recording}:")
+            _say_outcome(each.outcome)
+    failed = [(each.recording, each.error) for each in results if each.error]
     if print_json:
-        typer.echo(printing.all_as_json(outcomes, failed))
+        typer.echo(printing.all_as_json((each.outcome for each in results if each.outcome), failed))
     else:
-        done = len(recordings) - len(failed)
-        say(f"{done} of {len(recordings)} recordings are written")
-    return not failed and all(each.is_certain for each in outcomes)
+        say(f"{len(results) - len(failed)} of {len(recordings)} recordings are written")
+    return all(each.is_certain for each in results)
 
 
 def _say_outcome(outcome: Outcome) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.contents.sender_clock import SenderClock
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.recording.xdf.samples import Texts
+from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 OFFSETS_EVERY_S = 5.0
 """As often as LabRecorder measures clocks."""

@@ -14,10 +14,10 @@ from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.recording.contents.index import IndexedStream, Place
-from biosensor_gateway.recording.contents.sender_clock import SenderClock
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import clock_error
 from biosensor_gateway.recording.xdf.samples import Texts
+from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.findings import About, Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.report import Measured
 
@@ -31,7 +31,8 @@ def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], lis
         readings, unreadable = parse_readings(counters.stream.texts, counters.stream.stamps)
         if unreadable:
             text = f"{unreadable} of its samples cannot be read"
-            findings.append(Finding(Level.ERROR, "counters", header.name, text))
+            found = Finding(Level.ERROR, "counters", header.name, text, About.OURSELVES)
+            findings.append(found)
         for source_id, run in readings.items():
             places = _places(streams, source_id, header.hostname)
             for at in places:

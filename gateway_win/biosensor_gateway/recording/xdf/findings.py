@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from enum import StrEnum, unique
 
 
@@ -18,6 +19,18 @@ class Level(StrEnum):
     ERROR = "error"
     WARNING = "warning"
     NOTE = "note"
+
+
+@unique
+class About(StrEnum):
+    """What a finding is about, in the order in which findings are told."""
+
+    PERSONS = "persons"
+    """Data of persons, and the recording as a whole."""
+    OTHERS = "others"
+    """Streams of other programs."""
+    OURSELVES = "ourselves"
+    """What the agent and the node record of themselves: counters and events."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,3 +49,18 @@ class Finding:
     code: str
     stream: str
     text: str
+    about: About = About.PERSONS
+
+    def of(self, about: About) -> Finding:
+        """Return the same about something; what we record of ourselves spoils nobody's data."""
+        milder = _MILDER if about is About.OURSELVES else {}
+        return replace(self, about=about, level=milder.get(self.level, self.level))
+
+
+_MILDER = {Level.ERROR: Level.WARNING, Level.WARNING: Level.NOTE}
+
+
+def in_order(findings: Iterable[Finding]) -> list[Finding]:
+    """Sort by what they are about, and then the worst first; else the order stays."""
+    subjects, levels = list(About), list(Level)
+    return sorted(findings, key=lambda each: (subjects.index(each.about), levels.index(each.level)))

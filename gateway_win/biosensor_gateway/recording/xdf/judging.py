@@ -13,16 +13,18 @@ from biosensor_gateway.recording.xdf.agent_rules import compare_with_agent
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.event_rules import judge_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.findings import About, Finding, Level, in_order
+from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import measure
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Measured, Report, extent
 from biosensor_gateway.recording.xdf.stream_rules import judge_stream
 
 _MOST_DAMAGES = 10
-_SEVERITY = list(Level)
 # The fastest messages in a lab's network take no longer: what is later may be the clock.
 MAX_EDGE_S = 0.02
+# It is seen in the agent's counters, and tells of its sensors' streams.
+_OF_PERSONS = frozenset({"held-up"})
 _IN_ORDER = ("synchronised", "unknown", "")
 
 
@@ -44,14 +46,24 @@ def judge(
         *judge_devices(streams, length, without),
         *judge_robot_clocks(streams),
         *findings,
-        *(finding for each in streams for finding in judge_stream(each, length)),
+        *(
+            finding if finding.code in _OF_PERSONS else finding.of(about(each.stream.header))
+            for each in streams
+            for finding in judge_stream(each, length)
+        ),
     ]
     if not _has_footers(recording):
         # Said once for the whole file.
         findings = [finding for finding in findings if finding.code != "no-footer"]
-    # Sorting is stable: within a level the file comes first, then its streams in order.
-    findings.sort(key=lambda finding: _SEVERITY.index(finding.level))
-    return Report(recording, tuple(streams), length, tuple(findings))
+    return Report(recording, tuple(streams), length, tuple(in_order(findings)))
+
+
+def about(header: RecordedHeader) -> About:
+    """Return what a finding about a stream is about."""
+    if not header.is_ours:
+        return About.OTHERS
+    is_own = header.is_counters or header.is_events or header.is_events_of_node
+    return About.OURSELVES if is_own else About.PERSONS
 
 
 def _damaged(recording: Recording) -> Iterator[Finding]:

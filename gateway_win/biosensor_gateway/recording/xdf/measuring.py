@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, Cuts, Pace, find_pace
 from biosensor_gateway.recording.xdf.recording import RecordedStream
+from biosensor_gateway.recording.xdf.sender_clock import Offset, runs_of
 
 # Two samples whose stamps are further apart than this many periods are not neighbours.
 GAP_PERIODS = 1.5
@@ -63,9 +64,12 @@ class ClockOffsets:
     Attributes
     ----------
     drift_ppm
-        Slope of a straight line through the offsets; None if there are fewer than two.
+        Slope of a straight line through the offsets, between resets if there are any; None if
+        there are fewer than two.
     scatter_s
         How far the offsets stray from that line at most.
+    resets
+        How often the clock began anew or was set.
     """
 
     count: int = 0
@@ -73,6 +77,7 @@ class ClockOffsets:
     highest_s: float | None = None
     drift_ppm: float | None = None
     scatter_s: float | None = None
+    resets: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,19 +251,38 @@ def _rate_between_gaps(
     return steps / time_s if time_s > 0 and steps > 0 else None
 
 
-def summarise_offsets(offsets: Sequence[tuple[float, float]]) -> ClockOffsets:
-    """Work out range and drift of (time, offset) pairs in s."""
-    if not offsets:
-        return ClockOffsets()
-    times, values = np.array(offsets).T
-    lowest, highest = float(values.min()), float(values.max())
+def summarise_offsets(offsets: Sequence[Offset]) -> ClockOffsets:
+    """Work out range and drift of (time, offset) pairs in s, for each run of the clock alone.
+
+    The single last one of an outlet that was just going tells nothing.
+    """
+    runs = [run for _, run in runs_of(offsets)]
+    if len(runs) > 1 and len(runs[-1]) == 1:
+        del runs[-1]
+    if not runs:
+        return ClockOffsets(len(offsets))
+    longest = max(runs, key=lambda run: run[-1][0] - run[0][0])
+    strayed = [found for run in runs if (found := _drift_and_scatter(run)) is not None]
+    told = _drift_and_scatter(longest)
+    values = [offset for run in runs for _, offset in run]
+    return ClockOffsets(
+        len(offsets),
+        min(values),
+        max(values),
+        None if told is None else told[0],
+        max((scatter for _, scatter in strayed), default=None),
+        len(runs) - 1,
+    )
+
+
+def _drift_and_scatter(run: Sequence[Offset]) -> tuple[float, float] | None:
+    times, values = np.array(run).T
     centred = times - times.mean()
     spread = float(centred @ centred)
     if spread == 0:
-        return ClockOffsets(len(offsets), lowest, highest)
+        return None
     slope = float(centred @ (values - values.mean())) / spread
-    scatter = float(np.abs(values - values.mean() - slope * centred).max())
-    return ClockOffsets(len(offsets), lowest, highest, slope * 1e6, scatter)
+    return slope * 1e6, float(np.abs(values - values.mean() - slope * centred).max())
 
 
 def clock_error(

@@ -7,12 +7,20 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from itertools import groupby
 from typing import Any, cast
 
-from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
+from biosensor_gateway.recording.xdf.findings import About, Finding, Level
 from biosensor_gateway.recording.xdf.report import Measured, Report
 
 _GAPS_SHOWN = 5
+PAGE = "docs/recording-troubleshooting.md"
+_HEADINGS = {
+    About.PERSONS: "",
+    About.OTHERS: "of other programs' streams:",
+    About.OURSELVES: "of what agent and node record of themselves:",
+}
 
 
 def as_json(report: Report) -> str:
@@ -27,9 +35,15 @@ def as_json(report: Report) -> str:
         "can_be_salvaged": report.can_be_salvaged,
         "damages": [asdict(damage) for damage in recording.damages],
         "streams": [_stream_as_json(each, report) for each in report.streams],
-        "findings": [asdict(finding) for finding in report.findings],
+        "findings": [_finding_as_json(finding) for finding in report.findings],
     }
     return json.dumps(finite(content), indent=2, allow_nan=False)
+
+
+def _finding_as_json(finding: Finding) -> dict[str, object]:
+    explained = EXPLANATIONS.get(finding.code)
+    more = {"means": explained.means, "to_do": explained.to_do} if explained else {}
+    return {**asdict(finding), **more}
 
 
 def finite(content: object) -> object:
@@ -94,12 +108,16 @@ def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
 def as_text(report: Report) -> str:
     """Return the report as lines for a person."""
     lines = [line for each in report.streams for line in _stream_lines(each, report)]
-    lines += [
-        f"{finding.level}: {printable(finding.stream) + ': ' if finding.stream else ''}"
-        f"{printable(finding.text)}"
-        for finding in report.findings
-    ]
+    for about, findings in groupby(report.findings, key=lambda each: each.about):
+        lines += [heading] if (heading := _HEADINGS[about]) else []
+        lines += [
+            f"{finding.level}: {printable(finding.stream) + ': ' if finding.stream else ''}"
+            f"{printable(finding.text)}"
+            for finding in findings
+        ]
     lines.append(_summary(report))
+    if report.findings:
+        lines.append(f"what each of these means, and what to do: {PAGE}")
     if report.can_be_salvaged:
         lines.append(
             "to write what can be read to another file: "
@@ -162,7 +180,7 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
 
 def _sample_facts(measured: Measured) -> Iterator[str]:
     stream, figures = measured.stream, measured.figures
-    yield f"{stream.sample_count} samples"
+    yield "1 sample" if stream.sample_count == 1 else f"{stream.sample_count} samples"
     if figures.rate_hz is not None:
         yield f"{figures.rate_hz:.4g} Hz measured"
     if stream.footer is None:
@@ -179,7 +197,5 @@ def _offset_facts(measured: Measured) -> str:
         return "no clock offsets"
     drift = offsets.drift_ppm
     drift_text = "" if drift is None or not math.isfinite(drift) else f", drift {drift:.2g} ppm"
-    return (
-        f"{offsets.count} clock offsets, {offsets.lowest_s * 1e3:.3f} to "
-        f"{offsets.highest_s * 1e3:.3f} ms{drift_text}"
-    )
+    count = "1 clock offset" if offsets.count == 1 else f"{offsets.count} clock offsets"
+    return f"{count}, {offsets.lowest_s * 1e3:.3f} to {offsets.highest_s * 1e3:.3f} ms{drift_text}"

@@ -81,7 +81,7 @@ def _comes_when_it_comes(header: RecordedHeader) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What is to be said about a recording; `findings` has the worst first."""
+    """What is to be said about a recording; `findings` are sorted by what they are about."""
 
     recording: Recording
     streams: tuple[Measured, ...]

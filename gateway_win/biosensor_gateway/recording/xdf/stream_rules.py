@@ -174,6 +174,10 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
             text = "no clock offsets, so its stamps fit no stream of another computer"
             yield Level.WARNING, "no-offsets", text
         return
+    if offsets.resets:
+        times = "once" if offsets.resets == 1 else f"{offsets.resets} times"
+        text = f"its sender's clock began anew or was set {times}; stamps are right on either side"
+        yield Level.WARNING, "clock-reset", text
     if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
         text = f"its clock offsets scatter by {offsets.scatter_s * 1e3:.0f} ms: a slow network"
         yield Level.WARNING, "offset-scatter", text

@@ -8,7 +8,7 @@ from enum import StrEnum, unique
 from pathlib import Path
 
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.findings import Finding, Level, in_order
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.report import Report
@@ -49,7 +49,7 @@ class Verdict:
     length_s
         From the first sample of any stream to the last.
     findings
-        The worst first; of a green recording only notes.
+        By what they are about, and then the worst first; of a green recording only notes.
     can_be_salvaged
         Whether it is cut or damaged, and samples can be read nevertheless.
     """
@@ -86,8 +86,7 @@ def check(
     """
     report = judge(read_recording(file), expected, without)
     findings = [*report.findings, *(Finding(Level.WARNING, "told", "", each) for each in told)]
-    findings.sort(key=lambda each: list(Level).index(each.level))
-    return verdict(replace(report, findings=tuple(findings)))
+    return verdict(replace(report, findings=tuple(in_order(findings))))
 
 
 def verdict(report: Report) -> Verdict:

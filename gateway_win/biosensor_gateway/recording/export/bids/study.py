@@ -12,7 +12,7 @@ import filecmp
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
@@ -184,40 +184,6 @@ class Study:
         lines = [line(_ADDED_COLUMNS), *map(line, cells)]
         (self._root / ADDED).parent.mkdir(exist_ok=True)
         _replace(self._root / ADDED, "".join([*lines, line([name, digest])]))
-
-
-def recordings_in(places: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the recordings that are named or in folders that are named, and those left out.
-
-    Left out of a folder is a recording that was salvaged: the salvaged one is taken.
-
-    Raises
-    ------
-    ConfigError
-        ``NOT_FOUND``, if a folder holds none.
-    """
-    found: list[Path] = []
-    left_out: list[Path] = []
-    for place in places:
-        if not place.is_dir():
-            found.append(place)
-            continue
-        inside = sorted(each for each in place.rglob("*") if _is_recording(each))
-        if not inside:
-            raise ConfigError(ConfigReason.NOT_FOUND, f"there is no recording (.xdf) in {place}")
-        names = {*inside}
-        for each in inside:
-            (left_out if _salvaged(each) in names else found).append(each)
-    return list(dict.fromkeys(found)), left_out
-
-
-def _is_recording(path: Path) -> bool:
-    name = path.name.lower()
-    return name.endswith((".xdf", ".xdf.gz", ".xdfz")) and path.is_file()
-
-
-def _salvaged(path: Path) -> Path:
-    return path.with_name(f"{path.name.split('.xdf')[0]}_salvaged.xdf")
 
 
 def _data_of(made: Path) -> Iterator[Path]:

@@ -4,9 +4,9 @@ The recorder measures every few seconds how the clock of a stream's computer sta
 own. A straight line through these offsets is what EEGLAB's and pyxdf's loaders use, too, as
 the `XDF specification <https://github.com/sccn/xdf/wiki/Specifications>`_ asks for. Here it is
 a robust one (Huber's weights, by iterated least squares), because a network that is busy for a
-moment makes single offsets wrong. Where the computer was started anew its clock begins anew:
-a line of its own follows. Stamps that are far from all measurements, such as unix time, get the
-offset and no drift.
+moment makes single offsets wrong. Where the computer was started anew or its clock was
+set, a line of its own follows. Stamps that are far from all measurements, such as unix time, get
+the offset and no drift.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from biosensor_common.device_clock import READING_LIMIT_S
 
 JUMP_S = 1.0
 """An offset that changes by more between two measurements belongs to a clock begun anew."""
+_LEAST_STEP_S, _USUAL_CHANGES, _BESIDE = 0.05, 10, 5
+"""A clock was set where offsets change by so much, and so many times more than usual; as many on
+either side tell whether it stayed so."""
 LEAST_FOR_DRIFT = 3
 """Fewer offsets say nothing about drift; their median holds for all times."""
 EXTRAPOLATED_S = 600.0
@@ -33,6 +37,10 @@ _HUBER = 1.345
 # The standard deviation of normal errors by their median amount.
 _PER_MEDIAN = 1.4826
 _LEAST_SCALE_S = 1e-9
+
+
+Offset = tuple[float, float]
+"""LSL time on the stream's clock, and what to add to it to get the recorder's, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +85,7 @@ class SenderClock:
     """
 
     def __init__(self, offsets: Sequence[tuple[float, float]]) -> None:
-        self._lines = [_fit(begin, run) for begin, run in _runs(offsets)]
+        self._lines = [_fit(begin, run) for begin, run in runs_of(offsets)]
 
     @property
     def is_known(self) -> bool:
@@ -130,9 +138,7 @@ class SenderClock:
         return min(near, key=lambda line: line.away(stamp))
 
 
-def _runs(
-    offsets: Sequence[tuple[float, float]],
-) -> list[tuple[int, Sequence[tuple[float, float]]]]:
+def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[Offset]]]:
     """Divide offsets where the clock began anew; each run has its place among all of the file.
 
     What no clock can read was damaged, and is passed over.
@@ -146,8 +152,34 @@ def _runs(
         or abs(offset - known[number - 1][2]) > JUMP_S
     ]
     ends = [*begins[1:], len(known)] if known else []
-    runs = [known[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    runs = [
+        known[first:last]
+        for begin, end in zip(begins, ends, strict=True)
+        for first, last in pairwise([begin, *_steps(known, begin, end), end])
+    ]
     return [(run[0][0], [(time_s, offset) for _, time_s, offset in run]) for run in runs]
+
+
+def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> list[int]:
+    """Find where a clock was set by less than `JUMP_S`, and stayed so.
+
+    A network that is busy for a moment makes an offset wrong, and the next ones right again.
+    """
+    offsets = np.array([offset for _, _, offset in known[begin:end]])
+    changes = np.abs(np.diff(offsets))
+    if len(changes) < 2 * _BESIDE:
+        return []
+    least_s = max(_LEAST_STEP_S, _USUAL_CHANGES * float(np.median(changes)))
+    found: list[int] = []
+    for at in (np.flatnonzero(changes > least_s) + 1).tolist():
+        before = offsets[max(found, default=0) : at][-_BESIDE:]
+        after = offsets[at : at + _BESIDE]
+        if min(len(before), len(after)) < _BESIDE:
+            continue
+        step_s = abs(float(np.median(after) - np.median(before)))
+        if step_s > least_s and max(np.ptp(before), np.ptp(after)) < step_s / _USUAL_CHANGES:
+            found.append(at)
+    return [begin + at for at in found]
 
 
 def _is_reading(value: float) -> bool:
