@@ -1,11 +1,15 @@
-"""Finds programs of the system by their full path, never in the current folder."""
+"""Finds programs of the system by their full path, never in the current folder, and asks them."""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+TIME_LIMIT_S = 5.0
+"""For what is asked of a program."""
 
 if sys.platform == "win32":
     import ctypes
@@ -53,3 +57,34 @@ def full_path(name: str) -> str | None:
         if os.path.isfile(program) and os.access(program, os.X_OK):  # noqa: PTH113
             return str(program)
     return None
+
+
+def output_of(*command: str) -> str | None:
+    """Return what a program says, whatever its exit code; None if it is not there or hangs."""
+    ended = _ended(*command)
+    return None if ended is None else ended.stdout
+
+
+def succeeds(*command: str) -> bool | None:
+    """Return whether a program ends with exit code 0; None if it is not there or hangs."""
+    ended = _ended(*command)
+    return None if ended is None else ended.returncode == 0
+
+
+def _ended(*command: str) -> subprocess.CompletedProcess[str] | None:
+    path = full_path(command[0])
+    if path is None:
+        return None
+    try:
+        return subprocess.run(
+            [path, *command[1:]],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            errors="replace",
+            timeout=TIME_LIMIT_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.doctor import programs
-from biosensor_common.system_programs import full_path
+from biosensor_common.system_programs import full_path, output_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PRODUCT = ("common", "gateway_win", "ros_side/lsl_to_ros/lsl_to_ros")
@@ -38,10 +37,10 @@ def test_what_lies_in_the_current_folder_is_not_started(
     monkeypatch.chdir(here)
     monkeypatch.setenv("PATH", entry)
     assert full_path("timedatectl") is None
-    assert programs.output_of("timedatectl") is None
+    assert output_of("timedatectl") is None
     monkeypatch.setenv("PATH", os.pathsep.join([entry, str(right.parent)]))
     assert full_path("timedatectl") == str(right)
-    assert programs.output_of("timedatectl") == "right\n"
+    assert output_of("timedatectl") == "right\n"
 
 
 def test_what_is_no_program_is_not_taken_for_one(

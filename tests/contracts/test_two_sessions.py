@@ -18,7 +18,6 @@ OURS, OTHERS = "group-a", "group-b"
 LIMIT_S = 120.0
 _SESSION = re.compile(r"(?m)^SessionID = (.*)$")
 MODULES = {
-    "doctor/probe.py",
     "doctor/survey.py",
     "features/live.py",
     "lsl/discovery.py",

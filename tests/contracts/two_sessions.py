@@ -19,7 +19,7 @@ from contextlib import suppress
 
 import pylsl
 
-from biosensor_common.doctor import probe, survey
+from biosensor_common.doctor import survey
 from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
@@ -121,7 +121,7 @@ def _replay() -> None:
 
 
 def _probe() -> None:
-    probe._find({"config": "", "source_id": "PPG-ecg", "timeout_s": 1.0})
+    survey._find({"config": "", "source_id": "PPG-ecg", "timeout_s": 1.0})
 
 
 def _again(look: Callable[[], object]) -> Callable[[], None]:
@@ -157,7 +157,7 @@ def _run_resolvers() -> None:
     own = sys.argv[2]
     pylsl.ContinuousResolver = _Watched
     pylsl.resolve_bypred = _watched_resolve
-    probe._configure = probe.answer = _ignore
+    survey._configure = survey.answer = _ignore
     threads = [threading.Thread(target=run, name=case, daemon=True) for case, run in CASES.items()]
     for thread in threads:
         thread.start()

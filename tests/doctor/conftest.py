@@ -15,12 +15,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from biosensor_common.doctor.children import PROBE_COMMAND
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.runner import run_checks
+from biosensor_common.doctor.check import AGENT, Finding, Level, checks_of
+from biosensor_common.doctor.probe import PROBE_COMMAND
+from biosensor_common.doctor.report import run_checks
 from biosensor_gateway.cli import doctor as commands
 from biosensor_gateway.doctor.context import Context, read_context
-from biosensor_gateway.doctor.table import CHECKS
 from tests.doctor.outlets import Offered, arguments, running
 from tests.rigs.kept_logging import kept_logging
 
@@ -53,7 +52,7 @@ def context(configured: Callable[[str], Context]) -> Context:
 @pytest.fixture(scope="session")
 def examine() -> Examine:
     def run(context: Context, name: str) -> list[Finding]:
-        report = run_checks([each for each in CHECKS if each.name == name], context)
+        report = run_checks([each for each in checks_of(AGENT) if each.name == name], context)
         for finding in report.findings:
             assert finding.check == name
             assert not finding.what.startswith("the check"), finding.what

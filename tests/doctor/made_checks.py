@@ -15,6 +15,6 @@ class Made(Check):
 
 
 def made(name: str, examine: Examine, limit_s: float = 30.0) -> Check:
-    check = Made(name, Category.PROGRAM, name, limit_s=limit_s)
+    check = Made(name, Category.PROGRAM, name, "", limit_s)
     check.examine = examine
     return check

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor import runner
-from biosensor_gateway.doctor.table import CHECKS
+from biosensor_common.doctor import report
+from biosensor_common.doctor.check import AGENT, checks_of
 from tests.rigs.stopwatch import Stopwatch
+
+CHECKS = checks_of(AGENT)
 
 if TYPE_CHECKING:
     from tests.doctor.conftest import Outcome
@@ -82,8 +84,7 @@ def test_the_agent_does_not_load_it() -> None:
 @pytest.mark.nightly
 def test_the_command_s_help_loads_nothing_heavy() -> None:
     code = (
-        "import sys, biosensor_gateway.doctor.table, biosensor_common.doctor.runner, "
-        "biosensor_common.doctor.probe; "
+        "import sys, biosensor_common.doctor.report, biosensor_common.doctor.probe; "
         "heavy = {'pylsl', 'bleak', 'psutil', 'numpy', 'rclpy'}; print(heavy & {*sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -107,4 +108,4 @@ def test_the_output_suits_a_western_console(tmp_path: Path) -> None:
 
 
 def test_the_runner_knows_no_check() -> None:
-    assert "CHECKS" not in vars(runner)
+    assert "CHECKS" not in vars(report)

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from biosensor_common.doctor import firewall_rules, programs
-from biosensor_common.doctor.checks import clock, open_files
-from biosensor_common.doctor.finding import Level
-from biosensor_common.doctor.lsl_api_file import Ports
-from biosensor_gateway.doctor.checks import power, windows_firewall
-from biosensor_gateway.doctor.checks.windows_firewall import Network
+from biosensor_common import system_programs
+from biosensor_common.doctor import computer, firewall, windows_firewall
+from biosensor_common.doctor.check import Level
+from biosensor_common.doctor.windows_firewall import Network
+from biosensor_common.lsl.api_file import Ports
+from biosensor_gateway.doctor import power
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 
@@ -48,10 +48,10 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 def test_programs_that_are_not_there_or_hang(
     install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert programs.output_of("no-such-program") is None
+    assert system_programs.output_of("no-such-program") is None
     install("slow", "exec sleep 60")
-    monkeypatch.setattr(programs, "TIME_LIMIT_S", 0.2)
-    assert programs.succeeds("slow") is None
+    monkeypatch.setattr(system_programs, "TIME_LIMIT_S", 0.2)
+    assert system_programs.succeeds("slow") is None
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_programs_that_are_not_there_or_hang(
 def test_the_limit_of_open_files_is_judged_by_the_streams_that_fit(
     limit: int | None, streams: int, level: Level, words: str
 ) -> None:
-    finding = open_files.judge(limit, streams)
+    finding = computer.judge_limit(limit, streams)
     assert finding.level is level
     assert words in finding.what
     assert level is Level.OK or "then start it again" in finding.fix
@@ -85,8 +85,8 @@ def test_a_firewall_of_linux_is_named_with_its_command(
     install("systemctl", f'[ "$1 $2" = "is-active {name}" ]')
     (found,) = examine(context, "linux_firewall")
     assert (found.level, found.what) == (Level.NOTE, f"the firewall {name} is on")
-    ways = firewall_rules.every(PORTS)
-    command = firewall_rules.ufw(ways) if name == "ufw" else firewall_rules.firewalld(ways)
+    ways = firewall.every(PORTS)
+    command = firewall.ufw(ways) if name == "ufw" else firewall.firewalld(ways)
     assert found.fix == command
 
 
@@ -125,9 +125,9 @@ def test_a_computer_whose_sleep_is_masked_stays_awake(
     def output_of(name: str, *_: str) -> str | None:
         return answers.get(name)
 
-    monkeypatch.setattr(programs, "output_of", output_of)
+    monkeypatch.setattr(system_programs, "output_of", output_of)
     monkeypatch.setattr(sys, "platform", "linux")
-    found = [each.what for each in power.examine(context)]
+    found = [each.what for each in power.power(context)]
     assert any("this computer goes to sleep" in each for each in found) is goes
     assert any("nothing is known to send" in each for each in found) is not goes
 
@@ -143,8 +143,8 @@ def test_a_computer_that_knows_no_batteries_is_judged(
         return None
 
     monkeypatch.setattr(psutil, "sensors_battery", sensors_battery)
-    monkeypatch.setattr(programs, "output_of", output_of)
-    assert not any("battery" in each.what for each in power.examine(context))
+    monkeypatch.setattr(system_programs, "output_of", output_of)
+    assert not any("battery" in each.what for each in power.power(context))
 
 
 def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
@@ -177,17 +177,17 @@ def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
     ],
 )
 def test_what_keeps_the_clock(running: list[str], shown: str, level: Level) -> None:
-    assert [each.level for each in clock.judge(running, shown)] == [level]
+    assert [each.level for each in computer.judge_clock(running, shown)] == [level]
 
 
 def test_programs_that_set_the_clock_against_each_other() -> None:
     synchronised = "NTP=yes\nNTPSynchronized=yes\n"
     for running in (["chronyd", "systemd-timesyn"], ["chronyd", "phc2sys", "ptp4l"]):
-        quarrel, kept = clock.judge(running, synchronised)
+        quarrel, kept = computer.judge_clock(running, synchronised)
         assert (quarrel.level, kept.level) == (Level.WARNING, Level.OK)
         assert quarrel.fix.startswith("keep one of them")
     # timemaster lets phc2sys speak to chronyd only.
-    (kept,) = clock.judge(["chronyd", "phc2sys", "ptp4l", "timemaster"], synchronised)
+    (kept,) = computer.judge_clock(["chronyd", "phc2sys", "ptp4l", "timemaster"], synchronised)
     assert kept.level is Level.OK
 
 
@@ -211,7 +211,7 @@ def test_programs_that_set_the_clock_against_each_other() -> None:
     ],
 )
 def test_what_chrony_says(said: str, source: str, offset_s: float, bound_s: float) -> None:
-    tracking = clock.tracking(said)
+    tracking = computer.tracking(said)
     assert tracking is not None
     assert tracking.source == source
     assert (tracking.offset_s, tracking.bound_s) == pytest.approx((offset_s, bound_s))
@@ -220,19 +220,19 @@ def test_what_chrony_says(said: str, source: str, offset_s: float, bound_s: floa
 @pytest.mark.parametrize(
     ("tracking", "level", "part"),
     [
-        (clock.Tracking("192.168.1.1", -0.00025, 0.00175), Level.OK, "-0.250 ms off"),
-        (clock.Tracking("192.168.1.1", 0.001, 0.2), Level.NOTE, "200.000 ms at most"),
-        (clock.Tracking("", 0.0, 1.5), Level.NOTE, "not synchronised"),
+        (computer.Tracking("192.168.1.1", -0.00025, 0.00175), Level.OK, "-0.250 ms off"),
+        (computer.Tracking("192.168.1.1", 0.001, 0.2), Level.NOTE, "200.000 ms at most"),
+        (computer.Tracking("", 0.0, 1.5), Level.NOTE, "not synchronised"),
     ],
 )
-def test_how_far_chrony_is_off(tracking: clock.Tracking, level: Level, part: str) -> None:
-    (found,) = clock.judge(["chronyd"], "NTP=yes\nNTPSynchronized=yes\n", tracking)
+def test_how_far_chrony_is_off(tracking: computer.Tracking, level: Level, part: str) -> None:
+    (found,) = computer.judge_clock(["chronyd"], "NTP=yes\nNTPSynchronized=yes\n", tracking)
     assert (found.level, part in found.what) == (level, True)
 
 
 @pytest.mark.parametrize("said", ["", "506 Cannot talk to daemon\n", "a,b,c"])
 def test_a_chrony_that_does_not_answer(said: str) -> None:
-    assert clock.tracking(said) is None
+    assert computer.tracking(said) is None
 
 
 @pytest.mark.nightly
@@ -259,12 +259,12 @@ def test_the_latest_network_of_windows() -> None:
 
 
 def test_the_rule_for_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    ports = firewall_rules.windows(PORTS)
+    ports = firewall.windows(PORTS)
     assert "protocol=UDP localport=16571,16572-16827" in ports
     assert "protocol=TCP localport=16572-16827" in ports
     monkeypatch.setattr("sys.frozen", True, raising=False)
     monkeypatch.setattr("sys.executable", r"C:\Program Files\Biosensor Gateway\x.exe")
-    assert r'program="C:\Program Files\Biosensor Gateway\x.exe"' in firewall_rules.windows(PORTS)
+    assert r'program="C:\Program Files\Biosensor Gateway\x.exe"' in firewall.windows(PORTS)
 
 
 @pytest.mark.nightly

@@ -11,15 +11,11 @@ from contextlib import ExitStack
 
 import pytest
 
-from biosensor_common.doctor.children import Probe
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.runner import run_checks
-from biosensor_gateway.doctor.table import CHECKS as AGENT_CHECKS
-from lsl_to_ros.doctor.checks import dds
-from lsl_to_ros.doctor.dds_environment import judge
-from lsl_to_ros.doctor.guide import GUIDE
-from lsl_to_ros.doctor.table import CHECKS, ROS_CHECKS
+from biosensor_common.doctor.check import AGENT, NODE, Context, Finding, Level, checks_of
+from biosensor_common.doctor.probe import Probe
+from biosensor_common.doctor.report import run_checks
+from lsl_to_ros.doctor import GUIDE, dds
+from lsl_to_ros.doctor.dds import judge_environment as judge
 from tests.doctor.conftest import above_ok, only
 
 PROBE = (sys.executable, "-m", "lsl_to_ros.doctor.graph_probe")
@@ -48,7 +44,7 @@ def stay() -> Generator[Stay]:
 
 
 def examined() -> list[Finding]:
-    checks = [check._replace(limit_s=60.0) for check in ROS_CHECKS]
+    checks = [check._replace(limit_s=60.0) for check in checks_of(NODE) if check.name == "dds"]
     findings = list(run_checks(checks, Context(guide=GUIDE)).findings)
     assert not [each for each in findings if each.what.startswith("the check")]
     return findings
@@ -171,12 +167,12 @@ def test_a_computer_without_ros_is_not_judged(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.nightly
 def test_the_agent_s_doctor_has_it_where_ros_is() -> None:
-    assert set(ROS_CHECKS) < set(AGENT_CHECKS)
+    assert "dds" in [check.name for check in checks_of(AGENT)]
     for missing in ("rclpy", "lsl_to_ros"):
         code = (
             f"import sys; sys.modules[{missing!r}] = None\n"
-            "from biosensor_gateway.doctor.table import CHECKS\n"
-            "print([check.name for check in CHECKS if check.name == 'dds'])"
+            "from biosensor_common.doctor.check import AGENT, checks_of\n"
+            "print([check.name for check in checks_of(AGENT) if check.name == 'dds'])"
         )
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -202,4 +198,4 @@ def test_the_node_s_remedies_are_those_of_its_computer() -> None:
     remedies += [GUIDE.install, GUIDE.install_pylsl, *GUIDE.libraries.values()]
     remedies.append(GUIDE.alone.format(check="dds"))
     assert not [each for each in remedies if "biosensor-gateway" in each]
-    assert [each.name for each in CHECKS if "biosensor_gateway" in each.package] == []
+    assert [each.name for each in checks_of(NODE) if "biosensor_gateway" in each.module] == []

@@ -18,12 +18,11 @@ import keyring
 import pytest
 from keyring.backends import fail
 
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.check import Level
 from biosensor_gateway.devices.emotiv_insight.simulator import Licence
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.doctor import device_kinds
-from biosensor_gateway.doctor.checks import bluetooth, services
+from biosensor_gateway.doctor import devices as checks
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
@@ -70,7 +69,7 @@ def free_port() -> int:
 def test_bluetooth_that_is_on(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bluetooth, "LISTEN_S", 1.5)
+    monkeypatch.setattr(checks, "LISTEN_S", 1.5)
     radio = Radio(world)
     with virtual_bluetooth(radio), SimulatedPolarH10(world, radio):
         (found,) = examine(configured(POLAR), "bluetooth")
@@ -81,21 +80,21 @@ def test_bluetooth_that_is_on(
 def test_on_windows_it_says_what_was_not_seen_with_a_real_device(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bluetooth, "LISTEN_S", 1.5)
+    monkeypatch.setattr(checks, "LISTEN_S", 1.5)
     monkeypatch.setattr(ble_pairing, "PLATFORM", "win32")
     radio = Radio(world)
     with virtual_bluetooth(radio), SimulatedPolarH10(world, radio):
         on_air, unseen = examine(configured(POLAR), "bluetooth")
         assert len(examine(configured(""), "bluetooth")) == 1
     assert (on_air.level, unseen.level) == (Level.OK, Level.OK)
-    assert unseen.what == bluetooth.UNSEEN_ON_WINDOWS
+    assert unseen.what == checks.UNSEEN_ON_WINDOWS
 
 
 @pytest.mark.nightly
 def test_silence_where_a_device_is_needed_is_a_note(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bluetooth, "LISTEN_S", 0.3)
+    monkeypatch.setattr(checks, "LISTEN_S", 0.3)
     with virtual_bluetooth(Radio(world)):
         (found,) = above_ok(examine(configured(POLAR), "bluetooth"))
         assert found.level is Level.NOTE
@@ -170,7 +169,7 @@ def _as_nobody(path: Path) -> str:
     code = (
         # What is imported later, that user may not read.
         "import getpass, grp, os, pwd; from pathlib import Path; "
-        "from biosensor_gateway.doctor.checks.serial import device_file; "
+        "from biosensor_gateway.doctor.devices import device_file; "
         f"os.setgroups([]); os.setgid({nobody.pw_gid}); os.setuid({nobody.pw_uid}); "
         f"found = device_file(Path({str(path)!r}), 'zephyr'); "
         "print(found.level, found.what, found.fix, sep='|')"
@@ -291,7 +290,7 @@ def test_labrecorder_s_remote_control(examine: Examine, context: Context, free_p
     assert [each.level for each in examine(away, "services")] == [Level.NOTE]
     with socket.create_server(("127.0.0.1", free_port)):
         assert [each.level for each in examine(away, "services")] == [Level.OK]
-    assert services.lab_recorder(free_port).level is Level.NOTE
+    assert checks.lab_recorder(free_port).level is Level.NOTE
 
 
 def test_devices_are_sorted_by_how_they_are_reached(configured: Configured) -> None:
@@ -306,9 +305,9 @@ def test_devices_are_sorted_by_how_they_are_reached(configured: Configured) -> N
         )
     )
     devices = configured(text).enabled
-    assert [each.sensor for each in device_kinds.by_bluetooth_le(devices)] == ["polar_h10"]
-    assert device_kinds.serial_ports(devices) == {"COM7": "zephyr"}
-    assert [(each.host, each.port) for each in device_kinds.services(devices)] == [
+    assert [each.sensor for each in checks.by_bluetooth_le(devices)] == ["polar_h10"]
+    assert checks.serial_ports_of(devices) == {"COM7": "zephyr"}
+    assert [(each.host, each.port) for each in checks.services_of(devices)] == [
         ("10.0.0.5", 7001),
         ("127.0.0.1", 28000),
         ("localhost", 443),

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor import children, lsl_text
-from biosensor_common.doctor.checks import discovery
-from biosensor_common.doctor.children import PROBE_COMMAND, Probe, ProbeError
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor import probe as probes
+from biosensor_common.doctor import streams
+from biosensor_common.doctor.check import Level
+from biosensor_common.doctor.probe import PROBE_COMMAND, Probe, ProbeError
+from biosensor_common.lsl import api_file
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 
@@ -59,7 +60,7 @@ def test_a_frozen_program_is_its_own_other_process(
     examine: Examine, context: Context, session: str, frozen: Path
 ) -> None:
     del session
-    assert children.probe_command() == [str(frozen), PROBE_COMMAND]
+    assert probes.probe_command() == [str(frozen), PROBE_COMMAND]
     assert only(examine(context, "discovery"), "found here by unicast").level is Level.OK
 
 
@@ -70,15 +71,15 @@ def test_a_stream_that_is_not_found_is_an_error_with_the_ports(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     lsl_file(CONFIG)
-    real = discovery.by_unicast
+    real = streams.by_unicast
     away = {("ports", "BasePort"): "61000", ("ports", "PortRange"): "2"}
 
     # Who looks for it elsewhere does not find it, as behind a firewall.
     def elsewhere(config: str) -> str:
-        return lsl_text.changed(real(config), away)
+        return api_file.changed(real(config), away)
 
-    monkeypatch.setattr(discovery, "by_unicast", elsewhere)
-    monkeypatch.setattr(discovery, "SEARCH_S", 1.0)
+    monkeypatch.setattr(streams, "by_unicast", elsewhere)
+    monkeypatch.setattr(streams, "OWN_SEARCH_S", 1.0)
     found = only(examine(context, "discovery"), "not even found")
     assert found.level is Level.ERROR
     for part in ("16571/udp", "16572:16827/tcp", "--add-port=16572-16827/udp"):
@@ -90,7 +91,7 @@ def test_a_process_that_ends_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
         probe.answer()
     assert "KeyError" in str(failed.value)
     command = [sys.executable, "-c", "import time; time.sleep(60)"]
-    monkeypatch.setattr(children, "probe_command", lambda: command)
+    monkeypatch.setattr(probes, "probe_command", lambda: command)
     with Probe("find", 0.5, config=CONFIG) as probe, pytest.raises(ProbeError):
         probe.answer()
 

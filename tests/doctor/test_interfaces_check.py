@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor.checks import host_name, interfaces
-from biosensor_common.doctor.checks.interfaces import Interface
-from biosensor_common.doctor.finding import Finding, Level
+from biosensor_common.doctor import computer, network
+from biosensor_common.doctor.check import Finding, Level
+from biosensor_common.doctor.network import Interface
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 
@@ -30,8 +30,8 @@ def show(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) ->
     """Examine a computer that has these adapters, and multicast goes by that address."""
 
     def examined(*adapters: Interface, way: str = "") -> list[Finding]:
-        monkeypatch.setattr(interfaces, "interfaces", lambda: list(adapters))
-        monkeypatch.setattr(interfaces, "route", lambda: way)
+        monkeypatch.setattr(network, "adapters", lambda: list(adapters))
+        monkeypatch.setattr(network, "route", lambda: way)
         return examine(context, "interfaces")
 
     return examined
@@ -40,7 +40,7 @@ def show(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.nightly
 def test_this_computer_is_described(examine: Examine, context: Context) -> None:
     assert examine(context, "interfaces")
-    assert "127.0.0.1" in [each for one in interfaces.interfaces() for each in one.addresses]
+    assert "127.0.0.1" in [each for one in network.adapters() for each in one.addresses]
 
 
 @pytest.mark.nightly
@@ -118,4 +118,4 @@ def test_real_adapters_are(name: str) -> None:
     [("lab-pc", Level.OK), ("Lab PC", Level.WARNING), ("m\u00fcller", Level.WARNING)],
 )
 def test_names_of_computers(name: str, level: Level) -> None:
-    assert host_name.judge(name).level is level
+    assert computer.judge_name(name).level is level

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.check import Level
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor.children import Probe
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.check import Level
+from biosensor_common.doctor.probe import Probe
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import POLAR, ZEPHYR, above_ok, only
 from tests.doctor.outlets import Offered

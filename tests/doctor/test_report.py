@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.report import as_json, as_text
-from biosensor_common.doctor.runner import Report
-from biosensor_gateway.doctor.table import CHECKS
+from biosensor_common.doctor.check import AGENT, Finding, Level, checks_of
+from biosensor_common.doctor.report import Report, as_json, as_text
+
+CHECKS = checks_of(AGENT)
 
 FINDINGS = (
     Finding(Level.OK, "all well", check="versions"),

@@ -17,12 +17,21 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.doctor.check import Category, Check, Examine
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Finding, error, note, ok, warning
-from biosensor_common.doctor.table import COMMON_CHECKS
+from biosensor_common.doctor.check import (
+    AGENT,
+    CHECKS,
+    Category,
+    Check,
+    Context,
+    Examine,
+    Finding,
+    checks_of,
+    error,
+    note,
+    ok,
+    warning,
+)
 from lsl_to_ros.doctor import ros2_doctor
-from lsl_to_ros.doctor.table import CHECKS, ROS_CHECKS
 from tests.doctor.made_checks import made
 
 ROOT = Path(__file__).parents[2]
@@ -109,11 +118,11 @@ def test_warnings_fail_only_where_they_are_included(
 @pytest.mark.nightly
 def test_a_check_that_fails_stops_no_other(api: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = error("broken", "it matters", "mend it")
-    gone = "biosensor_common.doctor.checks.no_such_module"
+    gone = "biosensor_common.doctor.no_such_module"
     have(
         monkeypatch,
         made("raises", raising),
-        Check("no_such_module", Category.ROS, ""),
+        Check("no_such_module", Category.ROS, "", gone),
         made("last", giving(bad)),
     )
     outcome, shown = said(api)
@@ -161,7 +170,8 @@ def test_the_real_checks_run_in_it(api: Any, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_node_s_table_is_the_common_one_and_its_own() -> None:
-    assert set(CHECKS) == {*COMMON_CHECKS, *ROS_CHECKS}
+    assert set(ros2_doctor.CHECKS) == {each for each in CHECKS if each.program != AGENT}
+    assert set(ros2_doctor.CHECKS) < set(checks_of(AGENT))
 
 
 @pytest.mark.nightly

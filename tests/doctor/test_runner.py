@@ -9,13 +9,23 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_common.doctor import runner
-from biosensor_common.doctor.check import Category, Check
-from biosensor_common.doctor.finding import Finding, Level, error, note, ok
-from biosensor_common.doctor.runner import Report, run_checks
+from biosensor_common.doctor import report as runner
+from biosensor_common.doctor.check import (
+    AGENT,
+    Category,
+    Check,
+    Finding,
+    Level,
+    checks_of,
+    error,
+    note,
+    ok,
+)
+from biosensor_common.doctor.report import Report, run_checks
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.table import CHECKS
 from tests.doctor.made_checks import made
+
+CHECKS = checks_of(AGENT)
 
 
 def run(*checks: Check) -> Report:
@@ -68,7 +78,7 @@ def test_a_check_that_raises_is_a_finding(problem: BaseException) -> None:
 
 @pytest.mark.nightly
 def test_a_check_that_cannot_be_imported_is_a_finding() -> None:
-    report = run(Check("no_such_module", Category.PROGRAM, ""), made("good", good))
+    report = run(Check("no_such_module", Category.PROGRAM, "", "biosensor_common.no_such_module"), made("good", good))
     failed, there = report.findings
     assert "ModuleNotFoundError" in failed.what
     assert there.level is Level.OK

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.check import Level
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context, read_context
 from tests.doctor.conftest import POLAR, above_ok, only

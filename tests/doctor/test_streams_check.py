@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from biosensor_common.doctor import stream_rules
-from biosensor_common.doctor.checks import streams
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.surveyed_stream import SurveyedStream
+from biosensor_common.doctor import streams
+from biosensor_common.doctor.check import Finding, Level
+from biosensor_common.doctor.streams import SurveyedStream
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
@@ -31,7 +30,7 @@ GOOD = SurveyedStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 
 
 
 def judged(*seen: SurveyedStream) -> list[Finding]:
-    return above_ok(list(stream_rules.judge(seen)))
+    return above_ok(list(streams.judge(seen)))
 
 
 @pytest.mark.nightly
@@ -98,7 +97,7 @@ def test_a_source_id_is_in_another_session_too(
 
 def test_each_source_id_of_another_session_is_an_error() -> None:
     theirs = replace(GOOD, session="b", name="theirs")
-    found = list(stream_rules.judge_elsewhere([theirs, replace(theirs, source_id="id-2")]))
+    found = list(streams.judge_elsewhere([theirs, replace(theirs, source_id="id-2")]))
     assert [each.level for each in found] == [Level.ERROR] * 2
     assert found[0].what == (
         "another LSL session has the source_id id-1, too: theirs on lab-pc in session 'b'"

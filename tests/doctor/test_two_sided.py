@@ -12,8 +12,7 @@ from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.check import Context, Level
 from biosensor_common.doctor.two_sided import asking, handshake
 from biosensor_common.doctor.two_sided.answering import MAX_TRIES, Answerer
 from biosensor_common.doctor.two_sided.channel import MAX_GREETING, MAX_LINE, Channel

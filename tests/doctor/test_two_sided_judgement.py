@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.lsl_api_file import Ports
-from biosensor_common.doctor.runner import Report
+from biosensor_common.doctor.check import Finding, Level
+from biosensor_common.doctor.report import Report
 from biosensor_common.doctor.two_sided.facts import (
     AGENT,
     NODE,
@@ -25,6 +24,7 @@ from biosensor_common.doctor.two_sided.facts import (
 )
 from biosensor_common.doctor.two_sided.judgement import judge
 from biosensor_common.doctor.two_sided.report import CHECK, as_text
+from biosensor_common.lsl.api_file import Ports
 from tests.doctor.conftest import only
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import pylsl
 import pytest
 from pylsl.lib import lib
 
-from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.check import Level
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import pytest
 
-from biosensor_common.doctor.finding import Level
-from biosensor_common.doctor.lsl_api_file import Ports
-from biosensor_gateway.doctor.checks.windows_firewall import Network, judge_rules
-from biosensor_gateway.doctor.firewall_policy import (
+from biosensor_common.doctor.check import Level
+from biosensor_common.doctor.windows_firewall import (
+    Network,
     Protocol,
     Rule,
     Treatment,
+    judge_rules,
     merged,
     read_rule,
 )
+from biosensor_common.lsl.api_file import Ports
 
 PORTS = Ports(16571, 16572, 16603)
 EXE = r"C:\Program Files\Biosensor Gateway\biosensor-gateway.exe"

@@ -1,17 +1,156 @@
-"""A check, and the category it belongs to."""
+"""What a check is, for whom it looks, and what it finds; and the one list of all checks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum, unique
+from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from biosensor_common.doctor.finding import Finding
+from biosensor_common.errors import ConfigError
+from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 
-Examine = Callable[[Any], Iterable[Finding]]
+AGENT, NODE = "agent", "node"
+
+Examine = Callable[[Any], Iterable["Finding"]]
 """Takes the context of the program that it is a check of."""
+
+
+@unique
+class Level(StrEnum):
+    """How bad a finding is."""
+
+    OK = "ok"
+    """Looked at, and right."""
+    NOTE = "note"
+    """Good to know before a study."""
+    WARNING = "warning"
+    """It works, but something will go wrong in a case that is named."""
+    ERROR = "error"
+    """It does not work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that a check looked at: what is the case, why it matters, and what to do.
+
+    The fix is an exact command or click. The name of the check is filled in when it is run.
+
+    Raises
+    ------
+    ValueError
+        If something that is not right comes without a reason or a remedy.
+    """
+
+    level: Level
+    what: str
+    why: str = ""
+    fix: str = ""
+    check: str = ""
+
+    def __post_init__(self) -> None:
+        if self.level is not Level.OK and not (self.why and self.fix):
+            raise ValueError(f"{self.what!r}: say why it matters and how to mend it")
+
+
+def ok(what: str) -> Finding:
+    """Return what is right."""
+    return Finding(Level.OK, what)
+
+
+def note(what: str, why: str, fix: str) -> Finding:
+    """Return what is good to know."""
+    return Finding(Level.NOTE, what, why, fix)
+
+
+def warning(what: str, why: str, fix: str) -> Finding:
+    """Return what will go wrong in a case that is named."""
+    return Finding(Level.WARNING, what, why, fix)
+
+
+def error(what: str, why: str, fix: str) -> Finding:
+    """Return what does not work."""
+    return Finding(Level.ERROR, what, why, fix)
+
+
+@dataclass(frozen=True, slots=True)
+class Guide:
+    """The words of one program; the remedies are exact commands or clicks.
+
+    Attributes
+    ----------
+    program
+        What a sentence calls it: ``"the agent"``.
+    package, distribution
+        Name by which it is imported, and by which it is installed.
+    libraries
+        Import names of what else it cannot run without, with the way to install each.
+    ask_itself
+        Have LSL programs of this computer ask this computer directly.
+    ask_others
+        Have LSL programs ask another computer directly; ``{peer}`` stands for an address
+        of this one.
+    correct_file
+        Bring a ``lsl_api.cfg`` that is there already in line with the program.
+    edit
+        Change the settings of the program.
+    alone
+        Run one check, ``{check}``, and report it if it fails.
+    """
+
+    program: str
+    package: str
+    distribution: str
+    install: str
+    install_pylsl: str
+    libraries: Mapping[str, str]
+    ask_itself: str
+    ask_others: str
+    correct_file: str
+    edit: str
+    alone: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Context:
+    """The program on whose behalf this computer is examined.
+
+    Attributes
+    ----------
+    overrides
+        What its settings put over the user's own LSL configuration.
+    """
+
+    guide: Guide
+    overrides: LslOverrides = field(default_factory=LslOverrides)
+
+    @property
+    def lsl_file(self) -> Path | None:
+        """The user's own LSL configuration that LSL programs started here would read."""
+        return user_config_file(os.environ, Path.home(), Path.cwd())
+
+    @property
+    def config(self) -> str:
+        """The LSL configuration of the program, without the user's file if that is damaged."""
+        try:
+            return effective_config(self.lsl_file, self.overrides)
+        except ConfigError:
+            return effective_config(None, self.overrides)
+
+    @property
+    def streams_to_open(self) -> int:
+        """How many streams the program is going to open here."""
+        return 0
+
+    @property
+    def offered(self) -> frozenset[str]:
+        """The source_ids of the streams that the program says it has open here."""
+        return frozenset()
 
 
 @unique
@@ -27,37 +166,92 @@ class Category(StrEnum):
 
 
 class Check(NamedTuple):
-    """One check.
+    """One check: its name for ``--only``, and what it looks at, for the help.
 
     Attributes
     ----------
-    name
-        Name for ``--only``, and of its module.
-    title
-        What it looks at, for the help.
-    package
-        Where its module is.
+    module
+        Which has a function of the same name; it is imported when the check is run.
     limit_s
         How long it may take.
+    program
+        The only one that has it; empty for all.
     """
 
     name: str
     category: Category
     title: str
-    package: str = "biosensor_common.doctor.checks"
+    module: str
     limit_s: float = 10.0
+    program: str = ""
 
     def load(self) -> Examine:
         """Import the check."""
-        module = import_module(f"{self.package}.{self.name}")
-        return cast("Examine", module.examine)
+        return cast("Examine", getattr(import_module(self.module), self.name))
 
     def mark(self, finding: Finding) -> Finding:
         """Return a finding as one of this check."""
         return replace(finding, check=self.name)
 
 
-def by_category(*checks: Check) -> tuple[Check, ...]:
-    """Return the checks in the order in which their findings are shown."""
-    order = list(Category)
-    return tuple(sorted(checks, key=lambda check: order.index(check.category)))
+_COMMON = "biosensor_common.doctor"
+_COMPUTER, _NETWORK, _STREAMS = (f"{_COMMON}.{name}" for name in ("computer", "network", "streams"))
+_LSL_SETTINGS, _FIREWALL = f"{_COMMON}.lsl_settings", f"{_COMMON}.firewall"
+_AGENTS = partial(Check, program=AGENT)
+_AGENT = "biosensor_gateway.doctor"
+_DEVICES = f"{_AGENT}.devices"
+CHECKS = (
+    Check("versions", Category.PROGRAM, "versions and places of the programs involved", _COMPUTER),
+    _AGENTS(
+        "settings",
+        Category.PROGRAM,
+        "settings file, state folder, running agent",
+        f"{_AGENT}.context",
+    ),
+    Check("lsl_config", Category.LSL, "the lsl_api.cfg in force and what it says", _LSL_SETTINGS),
+    Check("discovery", Category.LSL, "a stream of this computer is found here", _STREAMS, 14.0),
+    Check("streams", Category.LSL, "all streams in the network", _STREAMS, 15.0),
+    Check(
+        "dds",
+        Category.ROS,
+        "ROS nodes find each other, and the node lsl_to_ros is there once",
+        "lsl_to_ros.doctor.dds",
+        15.0,
+        NODE,
+    ),
+    Check("interfaces", Category.NETWORK, "network adapters and the way of multicast", _NETWORK),
+    Check("ports", Category.NETWORK, "the ports of LSL", _NETWORK),
+    Check("linux_firewall", Category.NETWORK, "ufw and firewalld", _FIREWALL),
+    Check("host_name", Category.NETWORK, "the name of this computer", _COMPUTER),
+    _AGENTS(
+        "windows_firewall",
+        Category.NETWORK,
+        "the firewall of Windows",
+        f"{_COMMON}.windows_firewall",
+    ),
+    _AGENTS("bluetooth", Category.DEVICES, "the Bluetooth adapter", _DEVICES, 14.0),
+    _AGENTS("serial", Category.DEVICES, "serial ports of the settings", _DEVICES),
+    _AGENTS(
+        "services", Category.DEVICES, "vendors' services, their secrets, LabRecorder", _DEVICES
+    ),
+    _AGENTS("licences", Category.DEVICES, "licences of the vendors' services", _DEVICES, 14.0),
+    Check(
+        "open_files",
+        Category.COMPUTER,
+        "how many files, and so streams, a program may open",
+        _COMPUTER,
+    ),
+    Check("clock", Category.COMPUTER, "what keeps the clock right", _COMPUTER),
+    _AGENTS(
+        "power", Category.COMPUTER, "sleep, battery, power saving of Bluetooth", f"{_AGENT}.power"
+    ),
+)
+"""All there are, in the order in which they are shown."""
+
+
+def checks_of(program: str) -> tuple[Check, ...]:
+    """Return the checks that a program has; the agent has the node's where that is installed."""
+    own = {"", program}
+    if program == AGENT and all(map(find_spec, ("rclpy", "lsl_to_ros"))):
+        own.add(NODE)
+    return tuple(check for check in CHECKS if check.program in own)

@@ -1,60 +1,185 @@
-"""Checks what keeps the time of day right: NTP (chrony and others) or PTP (linuxptp).
-
-LSL's own clock does not depend on it; file dates, the log and the stamps of ROS do.
-"""
+"""Checks the computer: programs and their versions, its name, its limits, its clock."""
 
 from __future__ import annotations
 
+import platform
+import re
+import socket
 import sys
 from collections.abc import Collection, Iterator
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import NamedTuple
 
-from biosensor_common.doctor import programs
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Finding, note, ok, warning
+from biosensor_common import liblsl, system_programs
+from biosensor_common import open_files as files
+from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
 
+_OLDEST_LIBLSL = 117
+# Between two of what liblsl tells of its build; a branch has slashes of its own.
+_DETAIL = re.compile(r"/(?=\w+:)")
+_PLAIN = re.compile(r"[A-Za-z0-9._-]+")
+ENOUGH = 100
+"""Streams of about a dozen devices."""
 MAX_ERROR_S = 0.05
 """A clock that may be further off than this is no clock for stamps of two computers."""
 _NTP = ("chronyd", "ntpd", "ntpsec", "openntpd", "systemd-timesyncd")
 _PTP, _TO_SYSTEM, _MASTER = "ptp4l", "phc2sys", "timemaster"
 # The kernel keeps 15 characters of a name.
 _KERNEL_NAME = 15
-_WHY = (
+_WHY_TIME = (
     "Stamps of ROS messages, logs and file dates of two computers drift apart. Streams within LSL "
     "are not affected: it measures clock offsets itself."
 )
 _WINDOWS_SERVICE = "w32time"
 
 
-class Tracking(NamedTuple):
-    """What chrony says of itself.
+def versions(context: Context) -> Iterator[Finding]:
+    """Say what runs here."""
+    guide = context.guide
+    yield ok(f"{platform.platform()}, {platform.machine()}")
+    yield _program(guide)
+    yield ok(f"Python {platform.python_version()}, {sys.executable}")
+    yield from _lsl(guide)
+    for name, install in guide.libraries.items():
+        yield _library(name, install, guide)
 
-    Attributes
-    ----------
-    source
-        What it follows; empty for nothing.
-    offset_s
-        How far the clock is off, by its estimate.
-    bound_s
-        How far it can be off at most: offset, root dispersion and half the root delay.
-    """
+
+def _program(guide: Guide) -> Finding:
+    # The folder of the package; a frozen program's is beside its exe.
+    place = Path(import_module(guide.package).__file__ or "").parent
+    try:
+        return ok(f"{guide.distribution} {version(guide.distribution)}, {place}")
+    except PackageNotFoundError:
+        return warning(
+            f"{guide.distribution} is not installed; it runs from {place}",
+            "Its version is unknown, and so are the versions of what it needs.",
+            guide.install,
+        )
+
+
+def _lsl(guide: Guide) -> Iterator[Finding]:
+    try:
+        # Without its library, importing it fails.
+        import pylsl
+        from pylsl.lib import lib
+    except (ImportError, OSError, RuntimeError) as problem:
+        yield error(
+            f"pylsl cannot be used: {_first_line(problem)}",
+            "Without the Lab Streaming Layer's library (liblsl) there are no streams.",
+            liblsl.remedy(guide.install_pylsl),
+        )
+        return
+    yield ok(f"pylsl {version('pylsl')}, {Path(pylsl.__file__).parent}")
+    number = pylsl.library_version()
+    # One word of 120 letters would be broken anywhere.
+    details = _DETAIL.sub(", ", pylsl.library_info())
+    what = f"liblsl {number // 100}.{number % 100} ({details}), {lib._name}"  # noqa: SLF001 - ctypes has no other name for it
+    if number >= _OLDEST_LIBLSL and hasattr(lib, "lsl_set_config_content"):
+        yield ok(what)
+        return
+    yield error(
+        f"{what} is too old",
+        "Its configuration is passed on in a way that it knows since 1.17.7.",
+        "remove the old library or the variable PYLSL_LIB that names it, then: "
+        + guide.install_pylsl,
+    )
+
+
+def _library(name: str, install: str, guide: Guide) -> Finding:
+    try:
+        module = import_module(name)
+    except Exception as problem:  # noqa: BLE001 - parts of the system may be missing to it
+        return error(
+            f"{name} cannot be used: {_first_line(problem)}",
+            f"{guide.program.capitalize()} cannot start without it.",
+            install,
+        )
+    return ok(f"{name} {_version(name)}, {Path(module.__file__ or '').parent}")
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "of an unknown version"
+
+
+def _first_line(problem: BaseException) -> str:
+    lines = str(problem).splitlines()
+    return lines[0] if lines else type(problem).__name__
+
+
+def host_name(_context: Context) -> Iterator[Finding]:
+    """Look for characters that LSL programs stumble over."""
+    yield judge_name(socket.gethostname())
+
+
+def judge_name(name: str) -> Finding:
+    """Judge a name."""
+    if _PLAIN.fullmatch(name):
+        return ok(f"this computer is called {name}")
+    return warning(
+        f"this computer is called {name!r}",
+        "LabRecorder cannot require streams of a computer with a blank in its name, and letters "
+        "outside ASCII stop some LSL programs.",
+        "Settings > System > About > Rename this PC"
+        if sys.platform == "win32"
+        else "sudo hostnamectl set-hostname NAME, with letters, digits and '-' only",
+    )
+
+
+def open_files(context: Context) -> Iterator[Finding]:
+    """Ask the system; this program has raised its own limit already, as the others do."""
+    yield judge_limit(files.limit(), context.streams_to_open)
+
+
+def judge_limit(limit: int | None, streams: int) -> Finding:
+    """Judge how many files a program may open (None: no limit) by the streams to open."""
+    if limit is None:
+        return ok("the system does not limit how many files a program opens")
+    sent, received = (files.fitting(limit, each) for each in (files.OUTLET, files.INLET))
+    what = (
+        f"a program may open {limit} files, which is enough to send {sent} streams, or to "
+        f"receive {received}"
+    )
+    if streams > sent:
+        why = "Devices whose streams do not fit are left out."
+        return error(f"{what}; the streams of the settings are {streams}", why, files.fix())
+    if sent < ENOUGH:
+        why = "Streams that do not fit are left out, of the agent and of the node."
+        return note(what, why, files.fix())
+    return ok(what)
+
+
+class Tracking(NamedTuple):
+    """What chrony says of itself."""
 
     source: str
+    """What it follows; empty for nothing."""
     offset_s: float
+    """How far the clock is off, by its estimate."""
     bound_s: float
+    """How far it can be off at most: offset, root dispersion and half the root delay."""
 
 
-def examine(_context: Context) -> Iterator[Finding]:
-    """Ask the system."""
+def clock(_context: Context) -> Iterator[Finding]:
+    """Ask what keeps the time of day right: NTP (chrony and others) or PTP (linuxptp).
+
+    LSL's own clock does not depend on it; file dates, the log and the stamps of ROS do.
+    """
     if sys.platform == "linux":
-        said = programs.output_of("timedatectl", "show", "-p", "NTP", "-p", "NTPSynchronized")
-        tracked = programs.output_of("chronyc", "-n", "-c", "tracking")
-        yield from judge(_running(), said or "", tracking(tracked or ""))
+        said = system_programs.output_of(
+            "timedatectl", "show", "-p", "NTP", "-p", "NTPSynchronized"
+        )
+        tracked = system_programs.output_of("chronyc", "-n", "-c", "tracking")
+        yield from judge_clock(_running_programs(), said or "", tracking(tracked or ""))
     elif sys.platform == "win32":
         yield _windows()
 
 
-def judge(
+def judge_clock(
     running: Collection[str], timedatectl: str, chrony: Tracking | None = None
 ) -> Iterator[Finding]:
     """Judge the programs that run, what timedatectl shows and what chrony says."""
@@ -65,7 +190,7 @@ def judge(
     if not there and shown.get("NTP") != "yes":
         yield note(
             "nothing keeps this computer's time of day right",
-            _WHY,
+            _WHY_TIME,
             "sudo timedatectl set-ntp true\nor install chrony: sudo apt install chrony",
         )
         return
@@ -115,7 +240,7 @@ def _chrony(said: Tracking) -> Finding:
         return ok(what)
     return note(
         what,
-        "Stamps of ROS messages of two computers can differ by that much. " + _WHY,
+        "Stamps of ROS messages of two computers can differ by that much. " + _WHY_TIME,
         "have the computers of the lab follow one server in the lab: server ADDRESS iburst in "
         "/etc/chrony/chrony.conf, then: sudo systemctl restart chrony",
     )
@@ -125,7 +250,7 @@ def _adapter_only() -> Finding:
     return note(
         "ptp4l runs, but phc2sys does not, and the time of day is not synchronised",
         "With time stamps of the hardware, ptp4l sets the clock of the network adapter only. "
-        + _WHY,
+        + _WHY_TIME,
         "sudo phc2sys -a -r (as a service: sudo systemctl enable --now phc2sys@eth0)",
     )
 
@@ -133,25 +258,25 @@ def _adapter_only() -> Finding:
 def _not_synchronised(name: str) -> Finding:
     return note(
         f"{name} runs, but the time of day is not synchronised",
-        _WHY,
+        _WHY_TIME,
         "connect this computer to its time server, then: timedatectl timesync-status, or "
         "chronyc tracking",
     )
 
 
-def _running() -> set[str]:
+def _running_programs() -> set[str]:
     import psutil
 
     return {str(each.info["name"]) for each in psutil.process_iter(["name"])}
 
 
 def _windows() -> Finding:
-    said = programs.output_of("sc", "query", _WINDOWS_SERVICE) or ""
+    said = system_programs.output_of("sc", "query", _WINDOWS_SERVICE) or ""
     # Number and constant are the same in every language of Windows.
     if "4  RUNNING" in said:
         return ok("the Windows time service runs")
     return note(
         "the Windows time service does not run at the moment",
-        _WHY,
+        _WHY_TIME,
         "Settings > Time & language > Date & time > Set time automatically, Sync now",
     )

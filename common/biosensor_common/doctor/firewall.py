@@ -1,12 +1,15 @@
-"""Builds the commands that let LSL through the firewall of this or another computer."""
+"""Says what lets LSL through the firewall of this or another computer, and which ones are on."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_common import system_programs
+from biosensor_common.doctor.check import Context, Finding, note, ok
+from biosensor_common.lsl import api_file
+from biosensor_common.lsl.api_file import Ports
 
 WINDOWS_RULE = "Biosensor Gateway"
 """Name of the rule that the installer can add."""
@@ -28,6 +31,13 @@ class Way(NamedTuple):
         if self.first == self.last:
             return str(self.first)
         return f"{self.first}{hyphen}{self.last}"
+
+
+def listed(ways: Sequence[Way]) -> str:
+    """Return ports as a sentence has them: ``UDP 16571, 16572 to 16827 and TCP 5 to 9``."""
+    return " and ".join(
+        f"{protocol.upper()} {ports}" for protocol, ports in _by_protocol(ways, ", ", " to ")
+    )
 
 
 def every(ports: Ports) -> tuple[Way, ...]:
@@ -98,8 +108,67 @@ def _where(who: str) -> str:
     return f"remoteip={who} profile=private,domain"
 
 
-def _by_protocol(ways: Sequence[Way], between: str) -> list[tuple[str, str]]:
+def _by_protocol(ways: Sequence[Way], between: str, hyphen: str = "-") -> list[tuple[str, str]]:
     found: dict[str, list[str]] = {}
     for each in ways:
-        found.setdefault(each.protocol, []).append(each.range("-"))
+        found.setdefault(each.protocol, []).append(each.range(hyphen))
     return [(protocol, between.join(ranges)) for protocol, ranges in found.items()]
+
+
+BY_FIREWALL: dict[str, Callable[[Sequence[Way]], str]] = {
+    "ufw": ufw,
+    "firewalld": firewalld,
+    "nftables": nftables,
+}
+"""What opens ports, by the names of services of Linux."""
+# Both are made of nftables themselves.
+_FRONT_ENDS = ("ufw", "firewalld")
+
+
+def active_firewalls() -> tuple[str, ...]:
+    """Return which of `BY_FIREWALL` are on here, as far as systemd knows."""
+    if sys.platform != "linux":
+        return ()
+    ask = system_programs.succeeds
+    return tuple(name for name in BY_FIREWALL if ask("systemctl", "is-active", name))
+
+
+def opening_on(system: str, firewalls: Sequence[str], ways: Sequence[Way], who: str) -> str:
+    """Return what lets *who* in at ports of a computer, one command a line.
+
+    Parameters
+    ----------
+    system
+        Of that computer, as ``sys.platform`` has it.
+    firewalls
+        Which of `BY_FIREWALL` are on there, as far as it knows.
+    """
+    if system == "win32":
+        return (
+            f"as administrator: {netsh(ways, who)}\n"
+            "a rule that blocks wins over these; it is named by: biosensor-gateway doctor --only "
+            "windows_firewall"
+        )
+    if system == "darwin":
+        return MAC
+    if system == "linux":
+        chosen = [name for name in _FRONT_ENDS if name in firewalls] or firewalls or BY_FIREWALL
+        return "\n".join(f"with {name}: {BY_FIREWALL[name](ways)}" for name in chosen)
+    return f"have its firewall let in {listed(ways)}"
+
+
+def linux_firewall(context: Context) -> Iterator[Finding]:
+    """Ask systemd for ufw and firewalld; only the administrator can read their rules."""
+    if sys.platform != "linux":
+        return
+    ports = api_file.ports(context.config)
+    active = [name for name in active_firewalls() if name in _FRONT_ENDS]
+    for name in active:
+        yield note(
+            f"the firewall {name} is on",
+            "Other computers see the streams of this one only if it lets them in: UDP "
+            f"{ports.discovery}, and UDP and TCP {ports.first} to {ports.last}.",
+            BY_FIREWALL[name](every(ports)),
+        )
+    if not active:
+        yield ok("neither ufw nor firewalld is on, as far as systemd knows")

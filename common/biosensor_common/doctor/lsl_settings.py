@@ -7,17 +7,16 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
-from biosensor_common.doctor import lsl_text
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Finding, error, note, ok, warning
-from biosensor_common.doctor.lsl_api_file import LslApiFile
+from biosensor_common.doctor.check import Context, Finding, error, note, ok, warning
 from biosensor_common.errors import ConfigError
+from biosensor_common.lsl import api_file
+from biosensor_common.lsl.api_file import LSL_PORT_RANGE, LslApiFile
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_SESSION, config_places, is_there
 
 _SAME_SESSION = "LSL programs see only streams of their own session."
 
 
-def examine(context: Context) -> Iterator[Finding]:
+def lsl_config(context: Context) -> Iterator[Finding]:
     """Look at the user's file, then at what the program makes of it."""
     file = context.lsl_file
     yield from _places(file)
@@ -93,11 +92,11 @@ def _session(context: Context, own: LslApiFile) -> Iterator[Finding]:
 
 def _in_force(context: Context) -> Finding:
     config = context.config
-    ports = lsl_text.ports(config)
+    ports = api_file.ports(config)
     values = {
-        "session": lsl_text.value(config, "lab", "SessionID") or LSL_SESSION,
-        "known peers": lsl_text.value(config, "lab", "KnownPeers") or "none",
-        "scope": lsl_text.value(config, "multicast", "ResolveScope") or "site",
+        "session": api_file.session(config),
+        "known peers": api_file.value(config, "lab", "KnownPeers") or "none",
+        "scope": api_file.value(config, "multicast", "ResolveScope") or "site",
         "ports": f"UDP {ports.discovery}, UDP and TCP {ports.first} to {ports.last}",
     }
     said = "; ".join(f"{name} {text}" for name, text in values.items())
@@ -105,8 +104,7 @@ def _in_force(context: Context) -> Finding:
 
 
 def _peers(context: Context) -> Iterator[Finding]:
-    text = lsl_text.value(context.config, "lab", "KnownPeers").strip("{}")
-    for peer in (each.strip() for each in text.split(",") if each.strip()):
+    for peer in api_file.known_peers(context.config):
         try:
             socket.getaddrinfo(peer, None)
         except (OSError, UnicodeError):
@@ -121,7 +119,7 @@ def _range(context: Context, own: LslApiFile) -> Iterator[Finding]:
     ports = own.ports
     count = ports.last - ports.first + 1
     # Without an entry, what it says of itself is one port.
-    count = lsl_text.LSL_PORT_RANGE if count == 1 else count
+    count = LSL_PORT_RANGE if count == 1 else count
     wanted = context.overrides.port_range or DEFAULT_PORT_RANGE
     if own.known_peers and count < wanted:
         yield note(

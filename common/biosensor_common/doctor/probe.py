@@ -1,75 +1,151 @@
-"""The other process of a check: LSL with a configuration of its own.
+"""Another process for a check: LSL, or ROS, with a configuration of its own.
 
-This module is also imported by the program that asks, so pylsl is not imported with it.
+A library may block for long, take one configuration for the life of a process, or end the
+process that it is in. So whatever is asked of it is asked in a process of its own. The
+request is one line of JSON on stdin, the answer one line on stdout::
+
+    {"role": "find", "config": "[lab]...", "source_id": "doctor-5f", "timeout_s": 4}
+    {"found": true}
+
+The process ends by itself after ``life_s`` at the latest, and reads stdin no further: on
+Windows, libraries that are loaded wait for whoever reads from it.
+
+`Probe` is the side that asks, `serve` the other one: for LSL `biosensor_common.doctor.survey`.
 """
 
 from __future__ import annotations
 
-import time
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
 
-from biosensor_common.doctor.serving import Request, answer, serve
-from biosensor_common.lsl.predicates import equals
+from biosensor_common.child import wait_or_kill
 
-_PERIOD_S = 0.1
-
-
-def main() -> None:
-    """Do what stdin says."""
-    serve({"offer": _offer, "find": _find, "survey": _survey, "list": _list, "meet": _meet})
-
-
-def _configure(request: Request) -> None:
-    import pylsl
-
-    pylsl.set_config_content(request["config"])
-
-
-def _offer(request: Request) -> None:
-    """Have an outlet, and send with it, until this process is ended."""
-    import pylsl
-
-    _configure(request)
-    source_id = request["source_id"]
-    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(source_id, "Doctor", 1, 0.0, "float32", source_id))
-    answer({"open": True})
-    while True:
-        outlet.push_sample([0.0])
-        time.sleep(_PERIOD_S)
+Request = Mapping[str, Any]
+PROBE_COMMAND = "doctor-probe"
+"""Hidden command of the frozen program, which is its own Python."""
+_LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
 
 
-def _find(request: Request) -> None:
-    """Look for a stream."""
-    import pylsl
-
-    _configure(request)
-    wanted = equals("source_id", request["source_id"])
-    found = pylsl.resolve_bypred(wanted, 1, request["timeout_s"])
-    answer({"found": bool(found)})
+class ProbeError(Exception):
+    """The other process did not answer; says what it said last."""
 
 
-def _survey(request: Request) -> None:
-    """Look at all streams."""
-    _configure(request)
-    from biosensor_common.doctor.survey import survey
-
-    answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
-
-
-def _list(request: Request) -> None:
-    """List all streams, and listen to none."""
-    _configure(request)
-    from biosensor_common.doctor.survey import list_streams
-
-    answer(list_streams(request["search_s"]))
+def probe_command() -> list[str]:
+    """Command line of the other process for LSL, from source or frozen."""
+    if getattr(sys, "frozen", False):
+        return [sys.executable, PROBE_COMMAND]
+    return [sys.executable, "-P", "-m", "biosensor_common.doctor.survey"]
 
 
-def _meet(request: Request) -> None:
-    """Look for a stream and receive it."""
-    _configure(request)
-    from biosensor_common.doctor.survey import meet
+class Probe:
+    """The other process; a context manager.
 
-    answer(meet(request["source_id"], request["search_s"], request["listen_s"]))
+    Parameters
+    ----------
+    role
+        What it does.
+    limit_s
+        How long it may live.
+    command
+        What it runs; `biosensor_common.doctor.survey` unless something else is said.
+    request
+        What the role needs; for LSL ``config`` first of all.
+    """
+
+    def __init__(
+        self, role: str, limit_s: float, *, command: Sequence[str] = (), **request: object
+    ) -> None:
+        self.process = subprocess.Popen(
+            command or probe_command(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="ascii",
+            errors="replace",
+        )
+        self._log: deque[str] = deque(maxlen=_LOG_LINES)
+        self._logger = threading.Thread(target=self._keep_log, daemon=True)
+        self._logger.start()
+        self._limit = threading.Timer(limit_s, self.process.kill)
+        self._limit.daemon = True
+        self._limit.start()
+        self._request = json.dumps({"role": role, "life_s": limit_s, **request})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._limit.cancel()
+        self._end()
+        for pipe in (self.process.stdin, self.process.stdout):
+            # What could not be written any more is of no use.
+            with contextlib.suppress(OSError):
+                if pipe is not None:
+                    pipe.close()
+
+    def answer(self) -> dict[str, Any]:
+        """Pass on the request and wait for the answer.
+
+        Raises
+        ------
+        ProbeError
+            The process ended, or was ended because its time was over.
+        """
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        try:
+            self.process.stdin.write(self._request + "\n")
+            self.process.stdin.flush()
+            # pylsl prints remarks of its own.
+            while line := self.process.stdout.readline():
+                if line.startswith("{"):
+                    return json.loads(line)
+        except (OSError, ValueError):
+            pass
+        raise ProbeError(f"a second process gave no answer{self._last_words()}")
+
+    def _end(self) -> None:
+        # What takes its leave from a network does so now.
+        self.process.terminate()
+        wait_or_kill(self.process, _END_PATIENCE_S)
+
+    def _keep_log(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as lines:
+            self._log.extend(lines)
+
+    def _last_words(self) -> str:
+        self._logger.join(_LOG_PATIENCE_S)
+        lines = [line.strip() for line in list(self._log) if line.strip()]
+        return f": {lines[-1]}" if lines else ""
 
 
-if __name__ == "__main__":
-    main()
+def serve(roles: Mapping[str, Callable[[Request], None]]) -> None:
+    """Do what stdin says, and end the process."""
+    request: dict[str, Any] = json.loads(sys.stdin.readline())
+    life = threading.Timer(request["life_s"], os._exit, args=(1,))
+    life.daemon = True
+    life.start()
+    roles[request["role"]](request)
+    # Threads of libraries that wait for the network would hold up the end.
+    os._exit(0)
+
+
+def answer(content: object) -> None:
+    """Send the answer."""
+    sys.stdout.write(json.dumps(content) + "\n")
+    sys.stdout.flush()

@@ -1,20 +1,24 @@
-"""Prints findings as text for a person and as JSON for a script."""
+"""Runs checks side by side, and shows what they found: as text for people, JSON for scripts."""
 
 from __future__ import annotations
 
 import json
+import threading
+import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from biosensor_common.doctor.check import Category
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.runner import Report
+from biosensor_common.doctor.check import Category, Check, Context, Finding, Level, warning
 from biosensor_common.terminal import wrapped
 
 FORMAT_VERSION = 1
+"""Of the JSON."""
 
+_UNKNOWN = "What it would have found is unknown."
+_ON_A_BUSY_COMPUTER = 3
+"""So many times as long is waited where several checks are late: then they hold each other up."""
 _MARKS = {
     Level.OK: "[ok]     ",
     Level.NOTE: "[note]   ",
@@ -22,6 +26,79 @@ _MARKS = {
     Level.ERROR: "[ERROR]  ",
 }
 _INDENT = " " * 12
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """All findings, in the order of the checks that were run, and how long that took."""
+
+    checks: tuple[Check, ...]
+    findings: tuple[Finding, ...]
+    seconds: float
+
+    @property
+    def is_good(self) -> bool:
+        """Whether there are no errors."""
+        return all(finding.level is not Level.ERROR for finding in self.findings)
+
+    @property
+    def counts(self) -> dict[Level, int]:
+        """How many findings there are of each level."""
+        counted = Counter(finding.level for finding in self.findings)
+        return {level: counted[level] for level in Level}
+
+
+def run_checks(checks: Sequence[Check], context: Context) -> Report:
+    """Run checks at once, each for as long as it may take.
+
+    A check that raises, or has not ended in time, has a finding that says so, behind what it
+    has found until then. One that hangs goes on in a daemon thread until the program ends.
+    """
+    begun = time.monotonic()
+    running = [_Running(check, context) for check in checks]
+    late = [each for each in running if not each.has_ended(begun)]
+    if len(late) > 1:
+        for each in late:
+            each.has_ended(begun, _ON_A_BUSY_COMPUTER)
+    findings = [finding for each in running for finding in each.result()]
+    return Report(tuple(checks), tuple(findings), time.monotonic() - begun)
+
+
+class _Running:
+    """A check in its thread."""
+
+    def __init__(self, check: Check, context: Context) -> None:
+        self._check = check
+        self._alone = context.guide.alone.format(check=check.name)
+        self._findings: list[Finding] = []
+        self._waited_s = 0.0
+        self._thread = threading.Thread(
+            target=self._run, args=(context,), name=f"doctor-{check.name}", daemon=True
+        )
+        self._thread.start()
+
+    def has_ended(self, begun: float, times_as_long: int = 1) -> bool:
+        """Wait until the check ends or its time is over; return whether it has ended."""
+        self._waited_s = times_as_long * self._check.limit_s
+        self._thread.join(max(0.0, begun + self._waited_s - time.monotonic()))
+        return not self._thread.is_alive()
+
+    def result(self) -> list[Finding]:
+        """Return what the check has found by now."""
+        is_late = self._thread.is_alive()
+        found = self._findings.copy()
+        if is_late:
+            what = f"the check did not end within {self._waited_s:g} s"
+            found.append(warning(what, _UNKNOWN, self._alone))
+        return [self._check.mark(each) for each in found]
+
+    def _run(self, context: Context) -> None:
+        try:
+            for finding in self._check.load()(context):
+                self._findings.append(finding)
+        except BaseException as problem:  # noqa: BLE001 - a check may fail in any way, also by sys.exit
+            what = f"the check failed: {type(problem).__name__}: {problem}"
+            self._findings.append(warning(what, _UNKNOWN, self._alone))
 
 
 def as_json(report: Report) -> str:
@@ -37,7 +114,7 @@ def content(report: Report) -> dict[str, Any]:
         "good": report.is_good,
         "seconds": round(report.seconds, 3),
         "checks": [check.name for check in report.checks],
-        "counts": {level.value: count for level, count in _counts(report).items()},
+        "counts": {level.value: count for level, count in report.counts.items()},
         "findings": [
             asdict(finding) | {"category": categories[finding.check]} for finding in report.findings
         ],
@@ -73,7 +150,7 @@ def _finding_lines(finding: Finding) -> Iterator[str]:
 
 
 def _summary(report: Report) -> str:
-    counts = _counts(report)
+    counts = report.counts
     parts = [
         f"{counts[level]} {level.value}{'' if counts[level] == 1 else 's'}"
         for level in (Level.ERROR, Level.WARNING, Level.NOTE)
@@ -81,11 +158,6 @@ def _summary(report: Report) -> str:
     ]
     checks = "1 check" if len(report.checks) == 1 else f"{len(report.checks)} checks"
     return f"{checks} in {report.seconds:.1f} s: {', '.join(parts) or 'no problem found'}"
-
-
-def _counts(report: Report) -> dict[Level, int]:
-    counted = Counter(finding.level for finding in report.findings)
-    return {level: counted[level] for level in Level}
 
 
 def printable(text: str) -> str:

@@ -1,16 +1,31 @@
-"""Judges whether streams can be found, told apart, recorded and aligned."""
+"""Checks that streams can be found, told apart, recorded and aligned: the own and all others."""
 
 from __future__ import annotations
 
 import re
+import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 
-from biosensor_common.doctor.finding import Finding, error, note, ok, warning
-from biosensor_common.doctor.lsl_text import LSL_PORT_RANGE
-from biosensor_common.doctor.surveyed_stream import SurveyedStream
+from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
+from biosensor_common.doctor.firewall import opening
+from biosensor_common.doctor.probe import Probe
+from biosensor_common.lsl import api_file
+from biosensor_common.lsl.api_file import LOOPBACK, LSL_PORT_RANGE, PEERS
+from biosensor_common.lsl.sender_clocks import LIMIT_S
 from biosensor_common.lsl_config import LSL_BASE_PORT
 
+OWN_SEARCH_S = 4.0
+_LIMIT_S = 12.0
+# The groups of LSL's scope "site" that IPv4 has.
+_GROUPS = "{255.255.255.255, 224.0.0.183, 239.255.172.215}"
+# Where nobody is asked, so that one way does not help the other.
+_AWAY_PORT = "61440"
+SEARCH_S, LISTEN_S = 3.0, LIMIT_S
+"""A sender's clock is asked for anew every 2 s, and the first answers may be late."""
+_LISTENING_ENDS_S, _ENDS_S = 8.0, 18.0
 MAX_STAMP_ERROR_S = 30.0
 """A stamp further off is not on the LSL clock at all (Unix time, the device's time)."""
 MAX_ROUND_TRIP_S = 0.1
@@ -18,6 +33,175 @@ _SHOWN = 5
 # pylsl makes it of Python's hash, which is another one at every start.
 _GENERATED_ID = re.compile(r"-?\d{15,20}")
 _BY_AUTHOR = "ask the author of that program; in pylsl it is StreamInfo(..., source_id='...')"
+
+
+@dataclass(slots=True)
+class SurveyedStream:
+    """One stream as this computer sees it.
+
+    Attributes
+    ----------
+    ports
+        Of its data and of its service.
+    offset_s
+        What its clock must be corrected by, in s; None if that could not be measured.
+    round_trip_s
+        Of the best measurement.
+    stamp_error_s
+        Corrected stamp of a fresh sample minus the time of its arrival, in s; None if no
+        sample came.
+    data_port
+        TCP port of its data over IPv4; 0 if it has none.
+    """
+
+    name: str
+    source_id: str
+    uid: str
+    host: str
+    format: str
+    ports: list[int] = field(default_factory=list[int])
+    offset_s: float | None = None
+    round_trip_s: float | None = None
+    stamp_error_s: float | None = None
+    data_port: int = 0
+    session: str = ""
+
+
+def discovery(context: Context) -> Iterator[Finding]:
+    """Offer a stream, and look for it by multicast and by unicast.
+
+    Both ways are tried apart from each other: LSL programs of the same computer also find
+    each other by a question to their ports, so that a stream that is found says nothing of
+    multicast unless that is made impossible.
+    """
+    config = context.config
+    alone = api_file.keeps_to_itself(config)
+    with ThreadPoolExecutor(2) as pool:
+        multicast = None if alone else pool.submit(_is_found, config, by_multicast(config))
+        unicast = pool.submit(_is_found, config, by_unicast(config))
+        yield _unicast(unicast.result(), config)
+        if multicast is None:
+            yield note(
+                "multicast was not tried: ResolveScope is machine in your lsl_api.cfg",
+                "LSL looks for streams on this computer only, and is found by it only.",
+                "if other computers take part, remove ResolveScope from the file that the check "
+                "lsl_config names",
+            )
+        else:
+            yield _multicast(multicast.result(), config, context.guide)
+
+
+def by_multicast(config: str) -> str:
+    """Return a configuration that finds streams by multicast only."""
+    override = api_file.value(config, "multicast", "AddressesOverride")
+    changed = {
+        ("ports", "BasePort"): _AWAY_PORT,
+        ("ports", "PortRange"): "1",
+        ("lab", "KnownPeers"): "{}",
+        ("multicast", "AddressesOverride"): override or _GROUPS,
+    }
+    return api_file.changed(config, changed)
+
+
+def by_unicast(config: str, peer: str = LOOPBACK) -> str:
+    """Return a configuration that finds streams of one computer by unicast only."""
+    changed = {
+        ("ports", "MulticastPort"): _AWAY_PORT,
+        ("lab", "KnownPeers"): f"{{{peer}}}",
+        ("multicast", "ResolveScope"): "machine",
+        ("multicast", "AddressesOverride"): "{}",
+    }
+    return api_file.changed(config, changed)
+
+
+def _is_found(offering: str, finding: str) -> bool:
+    name = f"doctor-{uuid.uuid4().hex}"
+    # In a session of its own, nobody records it.
+    session = {("lab", "SessionID"): name}
+    with (
+        Probe(
+            "offer", _LIMIT_S, config=api_file.changed(offering, session), source_id=name
+        ) as outlet,
+        Probe(
+            "find",
+            _LIMIT_S,
+            config=api_file.changed(finding, session),
+            source_id=name,
+            timeout_s=OWN_SEARCH_S,
+        ) as finder,
+    ):
+        outlet.answer()
+        return bool(finder.answer()["found"])
+
+
+def _unicast(found: bool, config: str) -> Finding:
+    if found:
+        return ok("a stream of this computer is found here by unicast (KnownPeers)")
+    return error(
+        "a stream of this computer is not even found here when it is asked for directly",
+        "Programs of this computer, LabRecorder too, see no streams: a firewall or another "
+        "security program stands between them.",
+        opening(api_file.ports(config)),
+    )
+
+
+def _multicast(found: bool, config: str, guide: Guide) -> Finding:
+    if found:
+        return ok("a stream of this computer is found here by multicast")
+    return warning(
+        "a stream of this computer is not found here by multicast",
+        "LSL programs find streams by multicast unless they are told which computers to ask; "
+        "LabRecorder then misses streams of this computer or all those of others.",
+        f"{guide.ask_itself}\nfor other computers, {guide.ask_others.format(peer='ADDRESS')}\n"
+        "or let multicast through: the check interfaces says whether there is a way for it; if a "
+        f"firewall is in the way:\n{opening(api_file.ports(config))}",
+    )
+
+
+def streams(context: Context) -> Iterator[Finding]:
+    """Look for streams as the program does, and judge them."""
+    seen, elsewhere = _survey(context)
+    if not seen:
+        yield ok("no LSL stream is there at the moment")
+    yield from judge(seen)
+    yield from judge_elsewhere(elsewhere)
+    yield from _unseen(context, seen)
+
+
+def find(context: Context) -> list[SurveyedStream]:
+    """Return the streams of the program's session; this computer is asked directly, too."""
+    return _survey(context)[0]
+
+
+def _survey(context: Context) -> tuple[list[SurveyedStream], list[SurveyedStream]]:
+    """Return the streams of the session, and those of others that have a source_id of these."""
+    config = context.config
+    names = dict.fromkeys((*api_file.known_peers(config), LOOPBACK))
+    asking = api_file.changed(config, {PEERS: "{" + ", ".join(names) + "}"})
+    with Probe(
+        "survey",
+        _ENDS_S,
+        config=asking,
+        search_s=SEARCH_S,
+        listen_s=LISTEN_S,
+        listen_until_s=_LISTENING_ENDS_S,
+    ) as probe:
+        found = probe.answer()
+    ours, others = ([SurveyedStream(**e) for e in found[key]] for key in ("streams", "elsewhere"))
+    return ours, others
+
+
+def _unseen(context: Context, seen: Sequence[SurveyedStream]) -> Iterator[Finding]:
+    """Miss what the program says that it streams."""
+    offered, guide = context.offered, context.guide
+    missing = sorted(offered - {each.source_id for each in seen})
+    if missing:
+        yield error(
+            f"{guide.program} offers {len(offered)} streams, and {len(missing)} of them are not "
+            f"found here: {listed(missing)}",
+            "LabRecorder and the node do not find them either.",
+            "mend what the checks lsl_config, discovery and ports find",
+        )
 
 
 def judge(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:

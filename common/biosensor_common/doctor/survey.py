@@ -1,4 +1,7 @@
-"""Looks for all streams on the network, in a process of its own."""
+"""The other process of a check: LSL with a configuration of its own, see `probe`.
+
+Offers a stream, looks for one or for all of them, and listens to them.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ import pylsl
 from pylsl.lib import lib
 
 from biosensor_common.description_xml import read_xml
-from biosensor_common.doctor.surveyed_stream import SurveyedStream
+from biosensor_common.doctor.probe import Request, answer, serve
+from biosensor_common.doctor.streams import SurveyedStream
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import unopened_inlet
 from biosensor_common.lsl.network import search
@@ -22,6 +26,7 @@ from biosensor_common.lsl.predicates import IN_ANY_SESSION, equals
 
 MAX_EXAMINED = 256
 """So many streams are listened to; all are listed."""
+_PERIOD_S = 0.1
 _THREADS = 64
 _MAX_HEADER = 100_000
 _DATA_PORT = "v4data_port"
@@ -35,6 +40,52 @@ _FORMATS = {
     pylsl.cf_int8: "int8",
     pylsl.cf_int64: "int64",
 }
+
+
+def main() -> None:
+    """Do what stdin says."""
+    serve({"offer": _offer, "find": _find, "survey": _survey, "list": _list, "meet": _meet})
+
+
+def _configure(request: Request) -> None:
+    pylsl.set_config_content(request["config"])
+
+
+def _offer(request: Request) -> None:
+    """Have an outlet, and send with it, until this process is ended."""
+    _configure(request)
+    source_id = request["source_id"]
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(source_id, "Doctor", 1, 0.0, "float32", source_id))
+    answer({"open": True})
+    while True:
+        outlet.push_sample([0.0])
+        time.sleep(_PERIOD_S)
+
+
+def _find(request: Request) -> None:
+    """Look for a stream."""
+    _configure(request)
+    wanted = equals("source_id", request["source_id"])
+    found = pylsl.resolve_bypred(wanted, 1, request["timeout_s"])
+    answer({"found": bool(found)})
+
+
+def _survey(request: Request) -> None:
+    """Look at all streams."""
+    _configure(request)
+    answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
+
+
+def _list(request: Request) -> None:
+    """List all streams, and listen to none."""
+    _configure(request)
+    answer(list_streams(request["search_s"]))
+
+
+def _meet(request: Request) -> None:
+    """Look for a stream and receive it."""
+    _configure(request)
+    answer(meet(request["source_id"], request["search_s"], request["listen_s"]))
 
 
 def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
@@ -190,3 +241,7 @@ def _measure_clock(inlet: pylsl.StreamInlet, seen: SurveyedStream, limit_s: floa
     if code.value == 0:
         # What liblsl calls uncertainty is the round trip of its best packet.
         seen.offset_s, seen.round_trip_s = offset_s, uncertainty_s.value
+
+
+if __name__ == "__main__":
+    main()

@@ -1,14 +1,16 @@
-"""Reads the text of an ``lsl_api.cfg`` as liblsl reads it.
+"""Reads and changes the text of an ``lsl_api.cfg``.
 
-What is a line follows liblsl's own reader
+What is a line in `LslApiFile` follows liblsl's own reader
 (https://github.com/sccn/liblsl/blob/main/src/util/inireader.cpp), which ignores a whole
-file for one line that it does not understand.
+file for one line that it does not understand. The functions take what `effective_config`
+has made, which is always understood.
 """
 
 from __future__ import annotations
 
+import configparser
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +23,8 @@ from biosensor_common.lsl_config import (
 )
 
 LOOPBACK = "127.0.0.1"
+LSL_PORT_RANGE = 32
+"""What liblsl takes where nothing else is said: 16 streams."""
 
 SESSION, PEERS = ("lab", "SessionID"), ("lab", "KnownPeers")
 PORT_RANGE, BASE_PORT = ("ports", "PortRange"), ("ports", "BasePort")
@@ -119,3 +123,58 @@ def _malformed(source: str, number: int, what: str) -> ConfigError:
         "correct the line or remove the file"
     )
     return ConfigError(ConfigReason.MALFORMED, message)
+
+
+def value(config: str, section: str, key: str) -> str:
+    """Return a setting, empty if it is not there."""
+    return _parser_of(config).get(section, key, fallback="").strip()
+
+
+def changed(config: str, settings: Mapping[tuple[str, str], str]) -> str:
+    """Return the configuration with these settings, by section and key."""
+    parser = _parser_of(config)
+    for (section, key), text in settings.items():
+        if not parser.has_section(section):
+            parser.add_section(section)
+        parser.set(section, key, text)
+    written = io.StringIO()
+    parser.write(written)
+    return written.getvalue()
+
+
+def session(config: str) -> str:
+    """Return the session that it is in."""
+    return value(config, *SESSION) or LSL_SESSION
+
+
+def known_peers(config: str) -> list[str]:
+    """Return the hosts that are asked directly."""
+    peers = value(config, *PEERS).strip("{}").split(",")
+    return [peer.strip() for peer in peers if peer.strip()]
+
+
+def keeps_to_itself(config: str) -> bool:
+    """Whether LSL looks for streams on this computer only."""
+    return value(config, "multicast", "ResolveScope") == "machine"
+
+
+def ports(config: str) -> Ports:
+    """Return the ports that LSL uses with a configuration."""
+    first = _number_of(config, "BasePort", LSL_BASE_PORT)
+    count = _number_of(config, "PortRange", LSL_PORT_RANGE)
+    return Ports(
+        _number_of(config, "MulticastPort", LSL_DISCOVERY_PORT),
+        first,
+        min(first + count - 1, 65535),
+    )
+
+
+def _number_of(config: str, key: str, default: int) -> int:
+    return whole_number(value(config, "ports", key), default)
+
+
+def _parser_of(config: str) -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]  # liblsl's keys have case
+    parser.read_string(config)
+    return parser

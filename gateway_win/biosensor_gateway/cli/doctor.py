@@ -8,27 +8,24 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from biosensor_common.doctor import probe
-from biosensor_common.doctor.check import Check
-from biosensor_common.doctor.report import as_json, as_text
-from biosensor_common.doctor.runner import run_checks
+from biosensor_common.doctor.check import AGENT, Check, checks_of
+from biosensor_common.doctor.report import as_json, as_text, run_checks
 from biosensor_common.doctor.two_sided import command
-from biosensor_common.doctor.two_sided.facts import AGENT
 from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.misspelt import did_you_mean
 from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
-from biosensor_gateway.doctor.table import CHECKS
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.logs import configure_logs
 
-_NAMES = ", ".join(check.name for check in CHECKS)
+_CHECKS = checks_of(AGENT)
+_NAMES = ", ".join(check.name for check in _CHECKS)
 
 
 def _chosen(names: list[str] | None) -> list[str]:
-    known = {check.name for check in CHECKS}
+    known = {check.name for check in _CHECKS}
     for name in names or ():
         if name not in known:
             hint = did_you_mean(name, known)
@@ -102,9 +99,11 @@ def _two_sided(
 
 
 def _checks(names: list[str]) -> list[Check]:
-    return [check for check in CHECKS if not names or check.name in names]
+    return [check for check in _CHECKS if not names or check.name in names]
 
 
 def doctor_probe() -> None:
     """Be the other program of a check; used by doctor itself."""
-    probe.main()
+    from biosensor_common.doctor import survey  # brings pylsl
+
+    survey.main()

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import BaseModel
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import ChannelRole
@@ -16,7 +17,6 @@ from biosensor_common.spec import IRREGULAR, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declared, driver
-from biosensor_gateway.doctor.told import DeviceTestResult, StreamTestResult
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -26,6 +26,46 @@ SETTLING_S = 1.0
 """A first packet that was late is followed by stamps that are too close, until the device's
 clock is found."""
 _POLL_S = 0.05
+
+
+class StreamTestResult(BaseModel):
+    """What one stream did in a test.
+
+    Attributes
+    ----------
+    nominal_hz
+        Declared; 0 for streams that come when they come.
+    measured_hz
+        By the samples' own times; None if it cannot be told.
+    last
+        Newest values, or text.
+    """
+
+    samples: int
+    nominal_hz: float
+    measured_hz: float | None
+    last: list[float | str | None]
+
+
+class DeviceTestResult(BaseModel):
+    """What a device has shown in a test.
+
+    Attributes
+    ----------
+    model, serial_number, firmware_version
+        None if it never connected.
+    problems
+        One sentence each; empty if all is well.
+    streams
+        By data name.
+    """
+
+    connected: bool
+    model: str | None
+    serial_number: str | None
+    firmware_version: str | None
+    problems: list[str]
+    streams: dict[str, StreamTestResult]
 
 
 @dataclass(slots=True)

@@ -6,14 +6,15 @@ import asyncio
 import re
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import structlog
+from pydantic import BaseModel, Field
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.registry import declaration, driver, sensor, sensor_names
-from biosensor_gateway.doctor.told import FoundDevice, SearchedPlace
 from biosensor_gateway.settings.editing import table_lines
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
@@ -25,6 +26,50 @@ _IDENTIFIER = re.compile(r"[0-9A-F]{8}(-[0-9A-F]{4}){3}-[0-9A-F]{12}", re.IGNORE
 """How macOS names a Bluetooth device."""
 
 _log = structlog.get_logger("biosensor_gateway.scan")
+
+
+class FoundDevice(BaseModel):
+    """A device that a search found.
+
+    Attributes
+    ----------
+    title
+        What people call the kind of sensor.
+    rssi_dbm
+        How strong its signal is; None where there is none.
+    settings, toml
+        What its table in the settings needs, and the same as lines of the file.
+    is_known
+        Whether the settings have it already.
+    """
+
+    sensor: str
+    title: str
+    name: str
+    rssi_dbm: int | None
+    settings: dict[str, Any]
+    toml: str
+    is_known: bool
+
+
+class SearchedPlace(BaseModel):
+    """One kind of place that was searched.
+
+    Attributes
+    ----------
+    problem
+        Why the search was not possible, one sentence; None if it was.
+    others
+        What else is there, in words.
+    advice
+        How to tell devices apart that are called alike.
+    """
+
+    where: str
+    problem: str | None = None
+    others: list[str] = Field(default_factory=list[str])
+    advice: list[str] = Field(default_factory=list[str])
+    found: list[FoundDevice] = Field(default_factory=list[FoundDevice])
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.devices.registry import driver
-from biosensor_gateway.doctor.device_test import described, run_device_test
-from biosensor_gateway.doctor.told import DeviceTestResult
+from biosensor_gateway.doctor.device_test import DeviceTestResult, described, run_device_test
 from biosensor_gateway.settings.models import DeviceSettings
 
 SECONDS = 5.0

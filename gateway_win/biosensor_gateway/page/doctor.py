@@ -8,11 +8,10 @@ from pathlib import Path
 from fastapi import APIRouter
 from pydantic import BaseModel
 
-from biosensor_common.doctor.report import content
-from biosensor_common.doctor.runner import Report, run_checks
+from biosensor_common.doctor.check import AGENT, checks_of
+from biosensor_common.doctor.report import Report, content, run_checks
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.doctor.context import read_context
-from biosensor_gateway.doctor.table import CHECKS
 
 
 class FindingView(BaseModel):
@@ -93,7 +92,7 @@ class Doctor:
             self._is_busy = False
 
     def _run(self) -> Report:
-        return run_checks(CHECKS, read_context(self._settings, self._folder))
+        return run_checks(checks_of(AGENT), read_context(self._settings, self._folder))
 
 
 def add_doctor(router: APIRouter, doctor: Doctor) -> None:

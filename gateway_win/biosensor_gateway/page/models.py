@@ -10,7 +10,7 @@ from enum import StrEnum, unique
 from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
-from biosensor_gateway.doctor.told import SearchedPlace
+from biosensor_gateway.doctor.scan import SearchedPlace
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.network.models import SeenStreamView
 from biosensor_gateway.page.replay_models import PathText, ReplayView

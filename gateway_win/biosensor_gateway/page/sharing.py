@@ -21,7 +21,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
-from biosensor_common.doctor.checks.interfaces import interfaces
+from biosensor_common.doctor.network import adapters
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.page.beside import ServerBeside
 from biosensor_gateway.page.guard import DOOR, Guard, ViewKeys
@@ -167,7 +167,7 @@ def _certificate(folder: Path, names: Sequence[str]) -> Certificate:
 
 def _addresses() -> Sequence[str]:
     """Return the IPv4 addresses by which other computers reach this one."""
-    found = [each for each in interfaces() if not each.is_loopback]
+    found = [each for each in adapters() if not each.is_loopback]
     addresses = [address for each in found for address in each.addresses]
     if not addresses:
         message = "other computers cannot look on: this computer is in no network"

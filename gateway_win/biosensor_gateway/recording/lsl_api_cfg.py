@@ -14,7 +14,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 
-from biosensor_common.doctor.lsl_api_file import (
+from biosensor_common.lsl.api_file import (
     LOOPBACK,
     PEERS,
     PORT_RANGE,

@@ -6,8 +6,8 @@ what was asked for; a file that is adapted once needs nothing more.
 
 from __future__ import annotations
 
-from biosensor_common.doctor import lsl_text
 from biosensor_common.errors import ConfigError
+from biosensor_common.lsl import api_file
 from biosensor_common.lsl_config import LslOverrides, effective_config
 from biosensor_gateway.recording.lsl_api_cfg import LslFile, Ports, changes
 from tests.fuzz.contract import ensure
@@ -30,13 +30,13 @@ def _overlay(data: bytes, overrides: LslOverrides) -> None:
         config = effective_config(written("lsl_api.cfg", data), overrides)
     except ConfigError:
         return
-    _are_ports(lsl_text.ports(config))
-    session = lsl_text.value(config, "lab", "SessionID")
+    _are_ports(api_file.ports(config))
+    session = api_file.value(config, "lab", "SessionID")
     ensure(session == overrides.session_id or not overrides.session_id, "another session", config)
-    peers = lsl_text.value(config, "lab", "KnownPeers")
+    peers = api_file.value(config, "lab", "KnownPeers")
     ensure(all(peer in peers for peer in overrides.known_peers), "peers are missing", config)
-    moved = lsl_text.changed(config, {("ports", "BasePort"): "20000"})
-    ensure(lsl_text.value(moved, "ports", "BasePort") == "20000", "it did not change", moved)
+    moved = api_file.changed(config, {("ports", "BasePort"): "20000"})
+    ensure(api_file.value(moved, "ports", "BasePort") == "20000", "it did not change", moved)
 
 
 def _adapt(text: str) -> None:

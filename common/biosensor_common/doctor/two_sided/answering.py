@@ -11,8 +11,8 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
-from biosensor_common.doctor.children import ProbeError
-from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.check import Context
+from biosensor_common.doctor.probe import ProbeError
 from biosensor_common.doctor.two_sided import handshake
 from biosensor_common.doctor.two_sided.channel import Channel, Message
 from biosensor_common.doctor.two_sided.code import new_code

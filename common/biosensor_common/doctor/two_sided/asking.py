@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 
-from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.check import Context
 from biosensor_common.doctor.two_sided import handshake
 from biosensor_common.doctor.two_sided.channel import Channel, Message
 from biosensor_common.doctor.two_sided.code import nonce, read_code

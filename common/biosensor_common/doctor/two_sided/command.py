@@ -7,15 +7,13 @@ import sys
 import time
 from typing import NamedTuple, TextIO
 
-from biosensor_common.doctor import firewall_rules, lsl_text
-from biosensor_common.doctor.checks.discovery import by_unicast
-from biosensor_common.doctor.checks.interfaces import interfaces
-from biosensor_common.doctor.children import ProbeError
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Finding, error
-from biosensor_common.doctor.firewall_rules import TCP, Way
-from biosensor_common.doctor.report import printable
-from biosensor_common.doctor.runner import Report
+from biosensor_common.doctor import firewall as firewall_rules
+from biosensor_common.doctor.check import Context, Finding, error
+from biosensor_common.doctor.firewall import TCP, Way
+from biosensor_common.doctor.network import adapters as interfaces
+from biosensor_common.doctor.probe import ProbeError
+from biosensor_common.doctor.report import Report, printable
+from biosensor_common.doctor.streams import by_unicast
 from biosensor_common.doctor.two_sided import asking
 from biosensor_common.doctor.two_sided.answering import PATIENCE_S, Answerer, Say
 from biosensor_common.doctor.two_sided.asking import UnreachedError
@@ -26,6 +24,7 @@ from biosensor_common.doctor.two_sided.report import CHECK, as_json, as_text
 from biosensor_common.doctor.two_sided.sending import open_ports
 from biosensor_common.doctor.two_sided.station import listed_streams, sent_from_here
 from biosensor_common.errors import CredentialError, GatewayError, TransportReason
+from biosensor_common.lsl import api_file as lsl_text
 from biosensor_common.terminal import columns, wrapped
 
 _LOST = "What the other computer would have said is unknown."

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 
-from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_common.doctor.check import AGENT, NODE
 from biosensor_common.doctor.two_sided.channel import Message
 from biosensor_common.doctor.two_sided.reading import Reader, entries
+from biosensor_common.lsl.api_file import Ports
 
-AGENT, NODE = "agent", "node"
 PROGRAMS = (AGENT, NODE)
 SYSTEMS = ("win32", "linux", "darwin")
 FIREWALLS = ("ufw", "firewalld", "nftables")

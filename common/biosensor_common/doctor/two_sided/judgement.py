@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from ipaddress import ip_address
 
-from biosensor_common.doctor.finding import Finding, error, note, ok, warning
-from biosensor_common.doctor.firewall_rules import TCP, UDP, Way
-from biosensor_common.doctor.stream_rules import MAX_ROUND_TRIP_S
-from biosensor_common.doctor.stream_rules import listed as named
+from biosensor_common.doctor.check import Finding, error, note, ok, warning
+from biosensor_common.doctor.firewall import TCP, UDP, Way
+from biosensor_common.doctor.streams import MAX_ROUND_TRIP_S
+from biosensor_common.doctor.streams import listed as named
 from biosensor_common.doctor.two_sided import remedies
 from biosensor_common.doctor.two_sided.facts import End
 from biosensor_common.doctor.two_sided.remedies import Party

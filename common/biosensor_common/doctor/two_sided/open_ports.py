@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from biosensor_common.doctor.checks.interfaces import LSL_GROUP
-from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_common.doctor.network import LSL_GROUP
 from biosensor_common.doctor.two_sided.facts import Arrivals
+from biosensor_common.lsl.api_file import Ports
 
 GROUPS = (LSL_GROUP, "224.0.0.183")
 """Those of LSL's that routers and switches treat differently."""

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from biosensor_common.doctor import firewall_rules, programs
-from biosensor_common.doctor.firewall_rules import Way
+from biosensor_common import system_programs as programs
+from biosensor_common.doctor import firewall as firewall_rules
+from biosensor_common.doctor.firewall import Way
 from biosensor_common.doctor.report import printable
 from biosensor_common.doctor.two_sided.facts import FIREWALLS, NODE, Computer, End
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_BASE_PORT

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 from biosensor_common.doctor import report
 from biosensor_common.doctor.check import Category, Check
-from biosensor_common.doctor.report import printable
-from biosensor_common.doctor.runner import Report
+from biosensor_common.doctor.report import Report, printable
 from biosensor_common.doctor.two_sided.facts import NODE, Arrivals, Computer, End, as_message
 from biosensor_common.doctor.two_sided.remedies import HERE, Party, parties
 
-CHECK = Check("network", Category.NETWORK, "the way to another computer, tried from both sides")
+CHECK = Check("network", Category.NETWORK, "the way to another computer, tried from both sides", "")
 _SYSTEMS = {"win32": "Windows", "linux": "Linux", "darwin": "macOS"}
 _LABEL, _COLUMN = 36, 21
 

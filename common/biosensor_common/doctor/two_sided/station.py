@@ -11,12 +11,10 @@ from ipaddress import ip_address, ip_network
 from types import TracebackType
 from typing import Any, Self
 
-from biosensor_common.doctor import lsl_text
-from biosensor_common.doctor.checks.discovery import by_unicast
-from biosensor_common.doctor.checks.interfaces import interfaces
-from biosensor_common.doctor.children import Probe, ProbeError
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.surveyed_stream import SurveyedStream
+from biosensor_common.doctor.check import Context
+from biosensor_common.doctor.network import adapters as interfaces
+from biosensor_common.doctor.probe import Probe, ProbeError
+from biosensor_common.doctor.streams import SurveyedStream, by_unicast
 from biosensor_common.doctor.two_sided.facts import (
     MAX_STREAMS,
     Computer,
@@ -27,6 +25,7 @@ from biosensor_common.doctor.two_sided.facts import (
 from biosensor_common.doctor.two_sided.open_ports import OpenPorts, Targets, is_free
 from biosensor_common.doctor.two_sided.remedies import active_firewalls
 from biosensor_common.doctor.two_sided.sending import open_ports, send
+from biosensor_common.lsl import api_file as lsl_text
 from biosensor_common.lsl_config import LSL_SESSION
 
 SEARCH_S, LISTEN_S = 4.0, 3.0

@@ -7,16 +7,13 @@ import os
 import sys
 
 from biosensor_common import liblsl
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.report import as_json, as_text
-from biosensor_common.doctor.runner import run_checks
+from biosensor_common.doctor.check import NODE, Context, checks_of
+from biosensor_common.doctor.report import as_json, as_text, run_checks
 from biosensor_common.doctor.two_sided import command
-from biosensor_common.doctor.two_sided.facts import NODE
 from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.open_files import raise_limit
 from biosensor_common.terminal import columns
-from lsl_to_ros.doctor.guide import GUIDE
-from lsl_to_ros.doctor.table import CHECKS
+from lsl_to_ros.doctor import GUIDE
 
 
 def main() -> int:
@@ -24,7 +21,8 @@ def main() -> int:
     raise_limit()
     liblsl.provide(os.environ)
     parser = argparse.ArgumentParser("python3 -m lsl_to_ros.doctor", description=__doc__)
-    names = [check.name for check in CHECKS]
+    checks = checks_of(NODE)
+    names = [check.name for check in checks]
     parser.add_argument("--only", action="append", choices=names, help="run this check only")
     parser.add_argument("--json", action="store_true", help="for scripts")
     parser.add_argument(
@@ -42,7 +40,7 @@ def main() -> int:
         return command.ask(
             Context(guide=GUIDE), NODE, given.host, given.port, given.code, json=given.json
         )
-    chosen = [check for check in CHECKS if not given.only or check.name in given.only]
+    chosen = [check for check in checks if not given.only or check.name in given.only]
     report = run_checks(chosen, Context(guide=GUIDE))
     shown = as_text(report, sys.stdout.encoding or "ascii", columns(sys.stdout))
     text = as_json(report) if given.json else shown

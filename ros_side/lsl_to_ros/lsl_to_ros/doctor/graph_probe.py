@@ -24,7 +24,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from biosensor_common.doctor.serving import Request, answer, serve
+from biosensor_common.doctor.probe import Request, answer, serve
 from lsl_to_ros import fastdds
 from lsl_to_ros.log_folder import ensure_log_folder
 

@@ -13,15 +13,13 @@ from functools import cache
 from importlib import import_module
 from typing import Protocol, cast
 
-from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.report import printable
-from biosensor_common.doctor.runner import Report, run_checks
-from lsl_to_ros.doctor.guide import GUIDE
-from lsl_to_ros.doctor.table import CHECKS
+from biosensor_common.doctor.check import NODE, Context, Finding, Level, checks_of
+from biosensor_common.doctor.report import Report, printable, run_checks
+from lsl_to_ros.doctor import GUIDE
 
 CATEGORY = "biosensors"
 """Links the check with the report for ``ros2 doctor --report-failed``."""
+CHECKS = checks_of(NODE)
 TITLE = "BIOSENSORS: LSL, DDS AND CLOCKS"
 _API, _FORMAT = "ros2doctor.api", "ros2doctor.api.format"
 

@@ -9,10 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from uuid import UUID
 
-from biosensor_common.doctor import programs
-from biosensor_common.doctor.finding import Finding, note, ok, warning
+from biosensor_common import system_programs
+from biosensor_common.doctor.check import Finding, note, ok, warning
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.device_kinds import by_bluetooth_le
+from biosensor_gateway.doctor.devices import by_bluetooth_le
 
 ADAPTERS = Path("/sys/class/bluetooth")
 _GNOME = "org.gnome.settings-daemon.plugins.power"
@@ -52,7 +52,7 @@ def _guid(value: UUID) -> ctypes.Array[ctypes.c_char]:
     return ctypes.create_string_buffer(value.bytes_le, len(value.bytes_le))
 
 
-def examine(context: Context) -> Iterator[Finding]:
+def power(context: Context) -> Iterator[Finding]:
     """Look at sleep, mains and Bluetooth."""
     yield from _sleep(context.keep_awake)
     yield from _battery()
@@ -85,10 +85,10 @@ def _sleep(keep_awake: bool) -> Iterator[Finding]:
 
 
 def _linux_sleep() -> str | None:
-    masked = programs.output_of("systemctl", "is-enabled", "sleep.target")
+    masked = system_programs.output_of("systemctl", "is-enabled", "sleep.target")
     if masked is not None and masked.strip() == "masked":
         return None
-    desktop = programs.output_of("gsettings", "get", _GNOME, _GNOME_KEY)
+    desktop = system_programs.output_of("gsettings", "get", _GNOME, _GNOME_KEY)
     if desktop is not None and "suspend" in desktop:
         return "when nobody uses it (the desktop's setting for mains)"
     return None

@@ -1,1 +1,0 @@
-"""The agent's own checks, one module each; `biosensor_gateway.doctor.table` lists them."""

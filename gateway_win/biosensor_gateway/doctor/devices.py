@@ -1,0 +1,388 @@
+"""Checks what devices of the settings need: Bluetooth, serial ports, services and licences."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import getpass
+import os
+import re
+import socket
+import ssl
+import sys
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import urlsplit
+
+from biosensor_common.doctor.check import Finding, error, note, ok, warning
+from biosensor_common.errors import (
+    ConfigError,
+    CredentialError,
+    GatewayError,
+    SpecError,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway.devices.registry import declaration, sensor
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.settings.models import DeviceSettings
+
+if TYPE_CHECKING:
+    from biosensor_gateway.devices.driver import DriverEntry
+    from biosensor_gateway.settings.secrets import SecretName
+
+_SOCKET = "socket://"
+LISTEN_S = 2.0
+UNSEEN_ON_WINDOWS = (
+    "on Windows, sensors that drop a connection or refuse it are paired, and unpaired at its end; "
+    "this was not seen with a real sensor yet: `pair` in the sensor's table decides it"
+)
+_LINUX_FIXES = {
+    TransportReason.UNAVAILABLE: "sudo systemctl start bluetooth && rfkill unblock bluetooth && "
+    "bluetoothctl power on",
+    TransportReason.DENIED: 'sudo usermod -aG bluetooth "$USER", then log out and in',
+    TransportReason.BUSY: "bluetoothctl scan off, and close other programs that use Bluetooth",
+}
+_WINDOWS_FIXES = {
+    TransportReason.UNAVAILABLE: "plug the adapter in; Settings > Bluetooth & devices > On",
+    TransportReason.DENIED: "Settings > Privacy & security > Radios: let desktop apps use them",
+    TransportReason.BUSY: "close other programs that use Bluetooth",
+}
+_MAC_FIXES = {
+    TransportReason.UNAVAILABLE: "System Settings > Bluetooth > On",
+    TransportReason.DENIED: "System Settings > Privacy & Security > Bluetooth: allow the terminal",
+    TransportReason.BUSY: "close other programs that use Bluetooth",
+}
+_FIXES = {"win32": _WINDOWS_FIXES, "darwin": _MAC_FIXES}
+_ADDRESS = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
+_PAIR = "pair or plug in the device and switch it on, then: biosensor-gateway scan"
+CONNECT_S = 3.0
+_LOCAL = "127.0.0.1"
+ANSWER_S = 10.0
+
+
+class Service(NamedTuple):
+    """Where a vendor's service, or a port behind TCP, is expected.
+
+    Attributes
+    ----------
+    program
+        What has to run there.
+    ca_file
+        Certificate authority of a service that speaks TLS, empty for the system's; None for
+        one that does not.
+    """
+
+    title: str
+    host: str
+    port: int
+    program: str
+    ca_file: str | None = None
+
+
+def by_bluetooth_le(devices: Iterable[DeviceSettings]) -> list[DeviceSettings]:
+    """Return the devices that are reached neither by a port nor by a service."""
+    return [each for each in devices if not {"port", "host", "url"} & _values(each).keys()]
+
+
+def serial_ports_of(devices: Iterable[DeviceSettings]) -> dict[str, str]:
+    """Return the names of the serial ports, with the sensor of each."""
+    found: dict[str, str] = {}
+    for each in devices:
+        port = _values(each).get("port")
+        if isinstance(port, str) and not port.startswith(_SOCKET):
+            found[port] = each.sensor
+    return found
+
+
+def services_of(devices: Iterable[DeviceSettings]) -> list[Service]:
+    """Return the services, each once."""
+    return list(dict.fromkeys(found for each in devices for found in _services(each)))
+
+
+def _services(device: DeviceSettings) -> Iterator[Service]:
+    values, title = _values(device), _title(device.sensor)
+    host, port, url = values.get("host"), values.get("port"), values.get("url")
+    if isinstance(host, str) and isinstance(port, int):
+        yield Service(title, host, port, _program(device.sensor))
+    elif isinstance(port, str) and port.startswith(_SOCKET):
+        yield from _of_url(title, port, _program(device.sensor), None)
+    elif isinstance(url, str):
+        yield from _of_url(title, url, _program(device.sensor), str(values.get("ca_file", "")))
+
+
+def _of_url(title: str, url: str, program: str, ca_file: str | None) -> Iterator[Service]:
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        return
+    if host:
+        is_tls = parts.scheme == "wss"
+        number = port or (443 if is_tls else 80)
+        yield Service(title, host, number, program, ca_file if is_tls else None)
+
+
+def _title(name: str) -> str:
+    try:
+        return declaration(name).title
+    except SpecError:
+        return name
+
+
+def _program(name: str) -> str:
+    try:
+        return sensor(name).service or "the vendor's program"
+    except SpecError:
+        return "the vendor's program"
+
+
+def _values(device: DeviceSettings) -> dict[str, object]:
+    return device.model_dump()
+
+
+def bluetooth(context: Context) -> Iterator[Finding]:
+    """Listen for a moment: the adapter is there, on, and may be used."""
+    from biosensor_gateway.transports import ble_pairing  # brings bleak, as the next does
+    from biosensor_gateway.transports.ble_scanner import scan
+
+    needing = by_bluetooth_le(context.enabled)
+    try:
+        heard = asyncio.run(scan(LISTEN_S))
+    except TransportError as problem:
+        yield _unusable(problem, [each.sensor for each in needing])
+        return
+    amount = "1 device was" if len(heard) == 1 else f"{len(heard)} devices were"
+    yield ok(f"Bluetooth is on; {amount} heard in {LISTEN_S:g} s")
+    if needing and ble_pairing.PLATFORM == "win32":
+        yield ok(UNSEEN_ON_WINDOWS)
+    if needing and not heard:
+        yield note(
+            "nothing at all is heard by Bluetooth",
+            "A device that is connected elsewhere, to a phone for instance, or that is off, "
+            "cannot be heard.",
+            "switch the sensor on, wear it, disconnect it from phones, then: biosensor-gateway "
+            "scan",
+        )
+
+
+def _unusable(problem: TransportError, needing: list[str]) -> Finding:
+    fix = _FIXES.get(sys.platform, _LINUX_FIXES).get(problem.reason, "biosensor-gateway scan")
+    if needing:
+        why = f"{', '.join(dict.fromkeys(needing))} cannot be reached without it."
+        return error(str(problem), why, fix)
+    why = "No device of the settings needs it; the others are not affected."
+    return note(str(problem), why, fix)
+
+
+def serial(context: Context) -> Iterator[Finding]:
+    """Look whether each port is there and may be opened.
+
+    None is opened: opening a Bluetooth port makes the radio connect.
+    """
+    named = serial_ports_of(context.enabled)
+    if not named:
+        yield ok("no device of the settings has a serial port")
+        return
+    from biosensor_gateway.transports.serial_ports import serial_ports  # brings D-Bus
+
+    present = asyncio.run(serial_ports())
+    known = {each.port.upper() for each in present} | {
+        each.remote_address.upper() for each in present
+    }
+    for port, name in named.items():
+        if _ADDRESS.fullmatch(port):
+            yield _paired(port, name, known)
+        elif sys.platform == "win32":
+            yield _windows_port(port, name, known)
+        else:
+            yield device_file(Path(port), name)
+
+
+def _paired(address: str, sensor: str, known: Collection[str]) -> Finding:
+    if address.upper() in known:
+        return ok(f"{sensor}: {address} is paired")
+    return warning(
+        f"{sensor}: {address} is not known as a paired device with a serial service",
+        "Devices of classic Bluetooth connect only to computers that they are paired with.",
+        f"bluetoothctl pair {address}"
+        if sys.platform == "linux"
+        else "pair it in the system's Bluetooth settings",
+    )
+
+
+def _windows_port(port: str, sensor: str, known: Collection[str]) -> Finding:
+    if port.upper() in known:
+        return ok(f"{sensor}: {port} is there")
+    return _absent(port, sensor)
+
+
+def device_file(path: Path, sensor: str) -> Finding:
+    """Judge a port that is a file."""
+    if not path.exists():
+        return _absent(str(path), sensor)
+    if os.access(path, os.R_OK | os.W_OK):
+        return ok(f"{sensor}: {path} is there and may be opened")
+    group = _group(path)
+    return error(
+        f"{sensor}: {path} may not be opened by you",
+        f"It belongs to the group {group}; {getpass.getuser()} is not in it, or was not when the "
+        "session began.",
+        f'sudo usermod -aG {group} "$USER", then log out and in',
+    )
+
+
+def _absent(port: str, sensor: str) -> Finding:
+    return error(
+        f"{sensor}: there is no port {port}",
+        "The agent goes on looking for it, and streams nothing of this device until it is there.",
+        f"{_PAIR}\nand correct port, if it has another name now: biosensor-gateway config edit",
+    )
+
+
+def _group(path: Path) -> str:
+    if sys.platform != "win32":
+        # A group may have no name, and a port may have gone.
+        with contextlib.suppress(KeyError, OSError):
+            return path.group()
+    return "dialout"
+
+
+def services(context: Context) -> Iterator[Finding]:
+    """Connect to each, and close at once."""
+    for service in services_of(context.enabled):
+        yield _service(service)
+    yield from _secrets(context)
+    yield lab_recorder(context.lab_recorder_port)
+
+
+def _service(service: Service) -> Finding:
+    where = f"{service.title}: {service.host}:{service.port}"
+    try:
+        with socket.create_connection((service.host, service.port), CONNECT_S) as connection:
+            if service.ca_file is not None:
+                from biosensor_gateway.transports.websocket import tls_context
+
+                context = tls_context(service.ca_file)
+                context.wrap_socket(connection, server_hostname=service.host).close()
+    except ssl.SSLError as problem:
+        return error(
+            f"{where} answers, but not with a certificate that is trusted "
+            f"({problem.reason or problem})",
+            "The agent passes no secret on to whom it does not know.",
+            f"install {service.program} on this computer, or set ca_file to the vendor's root "
+            "certificate: biosensor-gateway config edit",
+        )
+    except ConfigError as problem:
+        return error(
+            str(problem),
+            "The service cannot be trusted without it.",
+            "correct ca_file: biosensor-gateway config edit",
+        )
+    except OSError as problem:
+        return error(
+            f"{where} does not answer ({problem.strerror or problem})",
+            "The agent goes on trying, and streams nothing of this device until it does.",
+            f"start {service.program} on that computer and log in there; if it runs elsewhere: "
+            "biosensor-gateway config edit",
+        )
+    return ok(f"{where} answers{'' if service.ca_file is None else ' with a trusted certificate'}")
+
+
+def _secrets(context: Context) -> Iterator[Finding]:
+    sensors = dict.fromkeys(device.sensor for device in context.enabled)
+    if not sensors:
+        return
+    from biosensor_gateway.devices.registry import driver  # brings all drivers' libraries
+    from biosensor_gateway.settings.secrets import find_secret
+
+    for name in sensors:
+        for secret in driver(name).secrets:
+            try:
+                find_secret(secret)
+            except CredentialError as problem:
+                yield error(
+                    str(problem),
+                    "The vendor's service refuses programs that it does not know.",
+                    f"biosensor-gateway secrets set {name}",
+                )
+            else:
+                yield ok(f"{name}: {secret.title} is there")
+
+
+def lab_recorder(port: int) -> Finding:
+    """Look whether LabRecorder can be steered from here."""
+    try:
+        socket.create_connection((_LOCAL, port), CONNECT_S).close()
+    except OSError:
+        return note(
+            f"LabRecorder's remote control does not answer on TCP {port}",
+            "LabRecorder is not running here, or its remote control is off. Only scripts that "
+            "start and stop recordings need it.",
+            "start LabRecorder and tick 'Enable RCS'",
+        )
+    return ok(f"something answers on TCP {port}, LabRecorder's remote control")
+
+
+def licences(context: Context) -> Iterator[Finding]:
+    """Sign in to each service whose streams need a licence, and ask what it does not cover."""
+    if not context.enabled:
+        return
+    from biosensor_gateway.devices.registry import driver  # brings all drivers' libraries
+
+    asked: set[str] = set()
+    for device in context.enabled:
+        entry = driver(device.sensor)
+        # One licence serves all devices of a service.
+        if entry.unlicensed is None or device.sensor in asked or not _are_there(entry.secrets):
+            continue
+        asked.add(device.sensor)
+        yield from _licence(entry, device)
+
+
+def _licence(entry: DriverEntry, device: DeviceSettings) -> Iterator[Finding]:
+    title = declaration(device.sensor).title
+    try:
+        clauses = asyncio.run(_unlicensed(entry, device))
+    except CredentialError as problem:
+        yield error(
+            f"{title}: {problem}",
+            "The agent goes on trying, and streams nothing of this device until it may.",
+            "do what the sentence says, in the vendor's program",
+        )
+    except (GatewayError, TimeoutError) as problem:
+        yield note(
+            f"{title}: its licence could not be looked at ({problem or 'no answer'})",
+            "Streams that it does not cover stay empty.",
+            "look at the check services first: biosensor-gateway doctor --only services",
+        )
+    else:
+        for clause in clauses:
+            yield warning(
+                f"{title}: the licence: {clause}",
+                "A recording has such a stream, and too little or nothing in it.",
+                "extend the licence in your account with the vendor, or do without; wait-ready "
+                "then needs its option --without",
+            )
+        if not clauses:
+            yield ok(f"{title}: the licence covers all streams")
+
+
+async def _unlicensed(entry: DriverEntry, device: DeviceSettings) -> Sequence[str]:
+    if entry.unlicensed is None:
+        return ()
+    async with asyncio.timeout(ANSWER_S):
+        return await entry.unlicensed(device)
+
+
+def _are_there(secrets: Sequence[SecretName]) -> bool:
+    """Whether all secrets can be found; the check of the services says which cannot."""
+    from biosensor_gateway.settings.secrets import find_secret  # slow to import
+
+    try:
+        for secret in secrets:
+            find_secret(secret)
+    except CredentialError:
+        return False
+    return True

@@ -1,1 +1,0 @@
-"""The checks of ROS, one module each; `lsl_to_ros.doctor.table` lists them."""
