@@ -78,7 +78,8 @@ def test_a_check_that_raises_is_a_finding(problem: BaseException) -> None:
 
 @pytest.mark.nightly
 def test_a_check_that_cannot_be_imported_is_a_finding() -> None:
-    report = run(Check("no_such_module", Category.PROGRAM, "", "biosensor_common.no_such_module"), made("good", good))
+    gone = Check("no_such_module", Category.PROGRAM, "", "biosensor_common.no_such_module")
+    report = run(gone, made("good", good))
     failed, there = report.findings
     assert "ModuleNotFoundError" in failed.what
     assert there.level is Level.OK

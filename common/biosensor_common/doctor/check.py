@@ -1,4 +1,4 @@
-"""What a check is, for whom it looks, and what it finds; and the one list of all checks."""
+"""A check: for whom it looks, what it finds, and the one list of all of them."""
 
 from __future__ import annotations
 
