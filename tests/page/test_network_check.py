@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
+from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Programs, Server
 

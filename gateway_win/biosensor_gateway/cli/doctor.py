@@ -9,9 +9,9 @@ from typing import Annotated, NoReturn
 import typer
 
 from biosensor_common.doctor.check import AGENT, Check, checks_of
+from biosensor_common.doctor.network_check import command
+from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
-from biosensor_common.doctor.two_sided import command
-from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.misspelt import did_you_mean
 from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
@@ -68,7 +68,7 @@ def doctor(
     """Say what is wrong on this computer and how to mend it; exit code 1 if there are errors."""
     configure_logs(LogSettings(level="error"), None)
     if answer or with_:
-        _two_sided(settings, only, answer, with_, code, port, as_json_)
+        _network_check(settings, only, answer, with_, code, port, as_json_)
     context = read_context(
         settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
     )
@@ -79,7 +79,7 @@ def doctor(
         raise typer.Exit(1)
 
 
-def _two_sided(
+def _network_check(
     settings: Path | None,
     only: list[str] | None,
     answering: bool,
@@ -93,9 +93,9 @@ def _two_sided(
         raise typer.BadParameter("--answer, --with and --only exclude one another")
     context = read_context(settings or settings_path(), state_folder())
     if answering:
-        raise typer.Exit(command.answer(context, AGENT, port, json=as_json_))
+        raise typer.Exit(command.answer(context, AGENT, port, as_json=as_json_))
     code = code or typer.prompt(f"The code that {host} shows", err=True)
-    raise typer.Exit(command.ask(context, AGENT, host, port, code, json=as_json_))
+    raise typer.Exit(command.ask(context, AGENT, host, port, code, as_json=as_json_))
 
 
 def _checks(names: list[str]) -> list[Check]:

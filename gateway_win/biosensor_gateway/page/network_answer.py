@@ -11,11 +11,10 @@ from pathlib import Path
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
+from biosensor_common.doctor.check import AGENT
+from biosensor_common.doctor.network_check.command import WayHere, answer_one, way_here
+from biosensor_common.doctor.network_check.sides import ANSWER_PORT, Answerer
 from biosensor_common.doctor.report import printable
-from biosensor_common.doctor.two_sided.answering import Answerer
-from biosensor_common.doctor.two_sided.command import WayHere, answer_one, way_here
-from biosensor_common.doctor.two_sided.facts import AGENT
-from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.doctor.context import read_context
 from biosensor_gateway.page.network_check import NetworkView, network_view

@@ -9,11 +9,11 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from biosensor_common.doctor.check import AGENT
+from biosensor_common.doctor.network_check import judgement
+from biosensor_common.doctor.network_check.command import Outcome, check_with
+from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import content
-from biosensor_common.doctor.two_sided import report
-from biosensor_common.doctor.two_sided.command import Outcome, check_with
-from biosensor_common.doctor.two_sided.facts import AGENT
-from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.doctor.context import read_context
 from biosensor_gateway.page.doctor import Examination
@@ -90,6 +90,6 @@ def network_view(outcome: Outcome) -> NetworkView:
     ends = outcome.ends
     return NetworkView(
         **content(outcome.report),
-        sides=[] if ends is None else list(report.sides(*ends)),
-        rows=[] if ends is None else list(report.rows(*ends)),
+        sides=[] if ends is None else list(judgement.sides_of(*ends)),
+        rows=[] if ends is None else list(judgement.rows(*ends)),
     )

@@ -2,35 +2,66 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import sys
 import time
 from typing import NamedTuple, TextIO
 
-from biosensor_common.doctor import firewall as firewall_rules
-from biosensor_common.doctor.check import Context, Finding, error
-from biosensor_common.doctor.firewall import TCP, Way
-from biosensor_common.doctor.network import adapters as interfaces
+from biosensor_common.doctor import firewall, report
+from biosensor_common.doctor.check import AGENT, NODE, Category, Check, Context, Finding, error
+from biosensor_common.doctor.firewall import TCP, Way, active_firewalls, opening_on
+from biosensor_common.doctor.network import adapters
+from biosensor_common.doctor.network_check import sides
+from biosensor_common.doctor.network_check.facts import End, as_message
+from biosensor_common.doctor.network_check.judgement import doctor_command, judge, rows, sides_of
+from biosensor_common.doctor.network_check.sides import (
+    ANSWER_PORT,
+    PATIENCE_S,
+    Answerer,
+    Say,
+    UnreachedError,
+)
+from biosensor_common.doctor.network_check.station import listed_streams, open_ports, sent_from_here
 from biosensor_common.doctor.probe import ProbeError
 from biosensor_common.doctor.report import Report, printable
 from biosensor_common.doctor.streams import by_unicast
-from biosensor_common.doctor.two_sided import asking
-from biosensor_common.doctor.two_sided.answering import PATIENCE_S, Answerer, Say
-from biosensor_common.doctor.two_sided.asking import UnreachedError
-from biosensor_common.doctor.two_sided.facts import AGENT, NODE, End
-from biosensor_common.doctor.two_sided.judgement import judge
-from biosensor_common.doctor.two_sided.remedies import doctor_command, local_opening, port_option
-from biosensor_common.doctor.two_sided.report import CHECK, as_json, as_text
-from biosensor_common.doctor.two_sided.sending import open_ports
-from biosensor_common.doctor.two_sided.station import listed_streams, sent_from_here
 from biosensor_common.errors import CredentialError, GatewayError, TransportReason
-from biosensor_common.lsl import api_file as lsl_text
+from biosensor_common.lsl import api_file
 from biosensor_common.terminal import columns, wrapped
 
+CHECK = Check(
+    "network", Category.NETWORK, "the way to another computer, tried from both sides", __name__
+)
 _LOST = "What the other computer would have said is unknown."
+_LABEL, _COLUMN = 36, 21
 
 
-class Attempt(NamedTuple):
+class Outcome(NamedTuple):
+    """What came of a network check; *ends* are None if there was no conversation."""
+
+    report: Report
+    ends: tuple[End, End] | None
+
+    def as_text(self, encoding: str, width: int | None) -> str:
+        """Return what a console of that encoding, and width, can show."""
+        found = report.as_text(self.report, encoding, width)
+        if self.ends is None:
+            return found
+        lines = [*sides_of(*self.ends), ""]
+        for label, *cells in rows(*self.ends):
+            row = f"{label:<{_LABEL}}" + "".join(f"{cell:<{_COLUMN}}" for cell in cells)
+            lines.append(row.rstrip())
+        table = "\n".join(lines).encode(encoding, "replace").decode(encoding)
+        return f"{table}\n\n{found}"
+
+    def as_json(self) -> str:
+        """Return the same for scripts, in ASCII; ``ends`` is null without a conversation."""
+        ends = self.ends and dict(zip(("here", "there"), map(as_message, self.ends), strict=True))
+        return json.dumps({**report.content(self.report), "ends": ends}, indent=2)
+
+
+class _Attempt(NamedTuple):
     """What a person asked for: *program* asks the computer *host* at a TCP port."""
 
     context: Context
@@ -41,11 +72,11 @@ class Attempt(NamedTuple):
     @property
     def again(self) -> str:
         """The command that asks once more."""
-        option = port_option(self.port)
+        option = _port_option(self.port)
         return f"{doctor_command(self.program)} --with {self.host}{option} --code CODE"
 
 
-def _judge_failure(problem: GatewayError | ProbeError, attempt: Attempt) -> Finding:
+def _judge_failure(problem: GatewayError | ProbeError, attempt: _Attempt) -> Finding:
     """Say why there was no conversation; looks for streams of the other one if that may help."""
     if isinstance(problem, ProbeError):
         return error(
@@ -64,7 +95,7 @@ def _judge_failure(problem: GatewayError | ProbeError, attempt: Attempt) -> Find
     )
 
 
-def _unreached(problem: UnreachedError, attempt: Attempt) -> Finding:
+def _unreached(problem: UnreachedError, attempt: _Attempt) -> Finding:
     host, port = attempt.host, attempt.port
     if problem.reason is TransportReason.UNAVAILABLE:
         return error(
@@ -82,7 +113,7 @@ def _unreached(problem: UnreachedError, attempt: Attempt) -> Finding:
     return _silent(problem, attempt)
 
 
-def _silent(problem: UnreachedError, attempt: Attempt) -> Finding:
+def _silent(problem: UnreachedError, attempt: _Attempt) -> Finding:
     """Tell a firewall from a computer that is off, as far as its streams betray it."""
     host = attempt.host
     found = _streams_of(attempt)
@@ -103,7 +134,7 @@ def _silent(problem: UnreachedError, attempt: Attempt) -> Finding:
     )
 
 
-def _streams_of(attempt: Attempt) -> tuple[int, int] | None:
+def _streams_of(attempt: _Attempt) -> tuple[int, int] | None:
     """Return how many streams of a computer are seen, and how many of them can be received."""
     try:
         address = socket.gethostbyname(attempt.host)
@@ -119,25 +150,25 @@ def _streams_of(attempt: Attempt) -> tuple[int, int] | None:
     return len(found), sum(each.port in opened for each in found)
 
 
-def _opening(attempt: Attempt) -> str:
+def _opening(attempt: _Attempt) -> str:
     """Say how the other one is opened, whatever its system is."""
     ways = (_port_way(attempt.context, attempt.port),)
     return (
         f"on {attempt.host}, the command that stands below the code there; with ufw, for "
-        f"instance: {firewall_rules.ufw(ways)}\n"
-        f"or with Windows, as administrator: {firewall_rules.netsh(ways)}"
+        f"instance: {firewall.ufw(ways)}\n"
+        f"or with Windows, as administrator: {firewall.netsh(ways)}"
     )
 
 
 def _port_way(context: Context, port: int) -> Way:
     """Return what is to be open so that a port is: all data ports of LSL, if it is one."""
-    ports = lsl_text.ports(context.config)
+    ports = api_file.ports(context.config)
     is_of_lsl = ports.first <= port <= ports.last
     return Way(TCP, ports.first, ports.last) if is_of_lsl else Way(TCP, port, port)
 
 
-def _turned_round(attempt: Attempt) -> str:
-    option = port_option(attempt.port)
+def _turned_round(attempt: _Attempt) -> str:
+    option = _port_option(attempt.port)
     return (
         f"or the other way round, here: {doctor_command(attempt.program)} --answer{option}\n"
         f"and on {attempt.host} type what it shows"
@@ -145,54 +176,35 @@ def _turned_round(attempt: Attempt) -> str:
 
 
 def _answer(port: int) -> str:
-    option = port_option(port)
+    option = _port_option(port)
     return (
         f"{doctor_command(AGENT)} --answer{option} "
         f"(where the node is: {doctor_command(NODE)} --answer{option})"
     )
 
 
-class Outcome(NamedTuple):
-    """What came of a network check; *ends* are None if there was no conversation."""
-
-    report: Report
-    ends: tuple[End, End] | None
-
-
 def check_with(context: Context, program: str, host: str, port: int, code: str) -> Outcome:
-    """Ask another computer; whatever goes wrong is a finding.
-
-    Parameters
-    ----------
-    program
-        ``agent`` or ``node``.
-    host
-        Name or IPv4 address of the other computer.
-    port
-        TCP port at which it answers.
-    code
-        What it shows.
-    """
+    """Ask another computer, by name or IPv4 address; whatever goes wrong is a finding."""
     begun = time.monotonic()
     try:
-        ends = asking.ask(context, program, host, port, code)
+        ends = sides.ask(context, program, host, port, code)
     except (GatewayError, ProbeError) as problem:
-        found = [_judge_failure(problem, Attempt(context, program, host, port))]
+        found = [_judge_failure(problem, _Attempt(context, program, host, port))]
         return _outcome(found, None, begun)
     return _outcome(judge(*ends), ends, begun)
 
 
-def ask(context: Context, program: str, host: str, port: int, code: str, *, json: bool) -> int:
+def ask(context: Context, program: str, host: str, port: int, code: str, *, as_json: bool) -> int:
     """Ask another computer and print what came of it; return the exit code."""
-    if not json:
+    if not as_json:
         _say(f"Trying the network to {printable(host)} from both sides, about 15 s ...\n")
-    return _print(check_with(context, program, host, port, code), json=json)
+    return _print(check_with(context, program, host, port, code), as_json=as_json)
 
 
-def answer(context: Context, program: str, port: int, *, json: bool) -> int:
+def answer(context: Context, program: str, port: int, *, as_json: bool) -> int:
     """Answer one computer, print what came of it, and return the exit code."""
     # A script wants nothing but JSON on stdout, and a person the code all the same.
-    output = sys.stderr if json else sys.stdout
+    output = sys.stderr if as_json else sys.stdout
     begun = time.monotonic()
     try:
         with Answerer(context, program, port) as answerer:
@@ -204,9 +216,9 @@ def answer(context: Context, program: str, port: int, *, json: bool) -> int:
         return 1
     except GatewayError as problem:
         why = "Nothing was tried."
-        fix = f"{doctor_command(program)} --answer{port_option(port)}"
-        return _print(_outcome([error(str(problem), why, fix)], None, begun), json=json)
-    return _print(outcome, json=json)
+        fix = f"{doctor_command(program)} --answer{_port_option(port)}"
+        return _print(_outcome([error(str(problem), why, fix)], None, begun), as_json=as_json)
+    return _print(outcome, as_json=as_json)
 
 
 def answer_one(answerer: Answerer, say: Say) -> Outcome:
@@ -217,30 +229,29 @@ def answer_one(answerer: Answerer, say: Say) -> Outcome:
 
 
 class WayHere(NamedTuple):
-    """How another computer reaches this one.
-
-    Attributes
-    ----------
-    address
-        The one to try first.
-    others
-        Adapters with further ones, in words.
-    opening
-        The command that opens the port here.
-    """
+    """How another computer reaches this one."""
 
     address: str
+    """The one to try first."""
     others: tuple[str, ...]
+    """Adapters with further ones, in words."""
     opening: str
+    """The command that opens the port here."""
 
 
 def way_here(context: Context, port: int) -> WayHere:
     """Tell by which way another computer reaches a TCP port of this one."""
-    adapters = [each for each in interfaces() if not each.is_loopback]
-    real = [each for each in adapters if not each.is_virtual] or adapters
+    found = [each for each in adapters() if not each.is_loopback]
+    real = [each for each in found if not each.is_virtual] or found
     address = real[0].addresses[0] if real else "127.0.0.1"
-    others = tuple(str(each) for each in adapters if address not in each.addresses)
-    return WayHere(address, others, local_opening([_port_way(context, port)]))
+    others = tuple(str(each) for each in found if address not in each.addresses)
+    return WayHere(
+        address,
+        others,
+        opening_on(
+            sys.platform, active_firewalls(), [_port_way(context, port)], firewall.NEIGHBOURS
+        ),
+    )
 
 
 def _outcome(found: list[Finding], ends: tuple[End, End] | None, begun: float) -> Outcome:
@@ -248,17 +259,15 @@ def _outcome(found: list[Finding], ends: tuple[End, End] | None, begun: float) -
     return Outcome(Report((CHECK,), marked, time.monotonic() - begun), ends)
 
 
-def _print(outcome: Outcome, *, json: bool) -> int:
-    if json:
-        _say(as_json(*outcome))
-    else:
-        _say(as_text(*outcome, sys.stdout.encoding or "ascii", columns(sys.stdout)))
+def _print(outcome: Outcome, *, as_json: bool) -> int:
+    text = outcome.as_text(sys.stdout.encoding or "ascii", columns(sys.stdout))
+    _say(outcome.as_json() if as_json else text)
     return 0 if outcome.report.is_good else 1
 
 
 def _invitation(context: Context, answerer: Answerer) -> list[str]:
     way = way_here(context, answerer.port)
-    typed = f"--with {way.address}{port_option(answerer.port)} --code {answerer.code}"
+    typed = f"--with {way.address}{_port_option(answerer.port)} --code {answerer.code}"
     more = [f"Its other addresses: {', '.join(way.others)}."] if way.others else []
     return [
         f"For {PATIENCE_S / 60:g} minutes this computer answers (Ctrl-C ends it).",
@@ -279,3 +288,8 @@ def _say(text: str, output: TextIO | None = None) -> None:
     encoding = place.encoding or "ascii"
     place.write(text.encode(encoding, "replace").decode(encoding) + "\n")
     place.flush()
+
+
+def _port_option(port: int) -> str:
+    """Return the option that names a port, with a blank before it; none for the usual one."""
+    return "" if port == ANSWER_PORT else f" --port {port}"

@@ -9,21 +9,20 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_common.doctor.check import Finding, Level
-from biosensor_common.doctor.report import Report
-from biosensor_common.doctor.two_sided.facts import (
-    AGENT,
-    NODE,
+from biosensor_common.doctor.check import AGENT, NODE, Finding, Level
+from biosensor_common.doctor.network_check.command import CHECK
+from biosensor_common.doctor.network_check.command import Outcome as Checked
+from biosensor_common.doctor.network_check.facts import (
     Arrivals,
     Computer,
     End,
     Look,
     Stream,
     as_message,
-    read_end,
+    read,
 )
-from biosensor_common.doctor.two_sided.judgement import judge
-from biosensor_common.doctor.two_sided.report import CHECK, as_text
+from biosensor_common.doctor.network_check.judgement import judge
+from biosensor_common.doctor.report import Report
 from biosensor_common.lsl.api_file import Ports
 from tests.doctor.conftest import only
 
@@ -73,7 +72,7 @@ def bad(findings: list[Finding]) -> list[Finding]:
 
 def test_what_one_side_found_reaches_the_other_whole(pc: End, robot: End) -> None:
     for end in (pc, robot):
-        assert read_end(json.loads(json.dumps(as_message(end)))) == end
+        assert read(End, json.loads(json.dumps(as_message(end)))) == end
 
 
 def test_windows_gets_its_own_command_and_the_answer_goes_to_the_right_side(
@@ -181,7 +180,7 @@ def test_a_name_from_elsewhere_steers_no_terminal_and_no_line_is_too_long(
             arrivals=arrivals(udp=PART, tcp=NONE, multicast=()),
         )
         marked = tuple(CHECK.mark(each) for each in judge(pc, other))
-        text = as_text(Report((CHECK,), marked, 1.0), (pc, other), "ascii", 80)
+        text = Checked(Report((CHECK,), marked, 1.0), (pc, other)).as_text("ascii", 80)
         assert "\x1b" not in text
         assert max(map(len, text.splitlines())) <= 80, text
         assert "UDP 16572 to 16827" in text

@@ -1,17 +1,66 @@
-"""Says which side blocks what, and the command that opens it."""
+"""Says of two computers which one blocks what, and the command that opens it; and in a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from ipaddress import ip_address
+from typing import NamedTuple
 
-from biosensor_common.doctor.check import Finding, error, note, ok, warning
+from biosensor_common.doctor import firewall
+from biosensor_common.doctor.check import NODE, Finding, error, note, ok, warning
 from biosensor_common.doctor.firewall import TCP, UDP, Way
+from biosensor_common.doctor.network_check.facts import Arrivals, Computer, End
+from biosensor_common.doctor.report import printable
 from biosensor_common.doctor.streams import MAX_ROUND_TRIP_S
 from biosensor_common.doctor.streams import listed as named
-from biosensor_common.doctor.two_sided import remedies
-from biosensor_common.doctor.two_sided.facts import End
-from biosensor_common.doctor.two_sided.remedies import Party
+from biosensor_common.terminal import shortened
+
+HERE = "this computer"
+_NAME_WIDTH = 24
+_SYSTEMS = {"win32": "Windows", "linux": "Linux", "darwin": "macOS"}
+
+
+class Party(NamedTuple):
+    """One of the two as sentences name it."""
+
+    end: End
+    name: str
+    """Its host name, or "this computer"."""
+    on: str
+    """Where a command is to be typed: "on robot", or "here"."""
+
+    @property
+    def computer(self) -> Computer:
+        """What it says of itself."""
+        return self.end.computer
+
+    @property
+    def doctor(self) -> str:
+        """How doctor is started there."""
+        return doctor_command(self.computer.program)
+
+
+def _parties(here: End, there: End) -> tuple[Party, Party]:
+    name = shortened(printable(there.computer.name), _NAME_WIDTH)
+    if not name or there.computer.name == here.computer.name:
+        name = "the other computer"
+    return Party(here, HERE, "here"), Party(there, name, f"on {name}")
+
+
+def doctor_command(program: str) -> str:
+    """Return how doctor is started on the computer of a program."""
+    return "python3 -m lsl_to_ros.doctor" if program == NODE else "biosensor-gateway doctor"
+
+
+def judge(here: End, there: End) -> list[Finding]:
+    """Say which side blocks what, and what opens it; the cause before what follows from it."""
+    one, other = _parties(here, there)
+    found = [*_judge_setting(one, other)]
+    for inner, outer in ((one, other), (other, one)):
+        found += _entrance(inner, outer)
+    for sender, receiver in ((one, other), (other, one)):
+        found += _direction(sender, receiver, is_explained=any(map(_is_bad, found)))
+    return found
 
 
 def _judge_setting(one: Party, other: Party) -> Iterator[Finding]:
@@ -69,18 +118,7 @@ def _translation(one: Party, other: Party) -> Iterator[Finding]:
             return
 
 
-def judge(here: End, there: End) -> list[Finding]:
-    """Judge both directions, the cause before what follows from it."""
-    one, other = remedies.parties(here, there)
-    found = [*_judge_setting(one, other)]
-    for inner, outer in ((one, other), (other, one)):
-        found += _entrance(inner, outer)
-    for sender, receiver in ((one, other), (other, one)):
-        found += _direction(sender, receiver, is_explained=any(map(_is_bad, found)))
-    return found
-
-
-def blocked_ways(inner: Party) -> list[Way]:
+def _blocked_ways(inner: Party) -> list[Way]:
     """Return the ports at which nothing, or not everything, came in."""
     came, ports = inner.end.arrivals, inner.computer.ports
     found: list[Way] = []
@@ -94,12 +132,12 @@ def blocked_ways(inner: Party) -> list[Way]:
 
 def _entrance(inner: Party, outer: Party) -> Iterator[Finding]:
     """Judge what comes in at one computer."""
-    blocked = blocked_ways(inner)
+    blocked = _blocked_ways(inner)
     came = inner.end.arrivals
     if blocked:
-        what = f"{inner.name} does not let in {remedies.listed(blocked)} from {outer.name}"
+        what = f"{inner.name} does not let in {firewall.listed(blocked)} from {outer.name}"
         why = f"{_part(inner)}{_consequence(inner, outer, blocked)}"
-        fix = remedies.to_open(inner, inner.computer.other, blocked)
+        fix = _to_open(inner, blocked)
         yield (error if _hurts(inner, outer, blocked) else warning)(what, why, fix)
     elif came.multicast == ():
         yield _no_multicast(inner, outer)
@@ -108,7 +146,7 @@ def _entrance(inner: Party, outer: Party) -> Iterator[Finding]:
             f"UDP {inner.computer.ports.discovery} is held for itself alone by a program of "
             f"{inner.name}",
             "LSL programs answer there; whether a firewall lets it in could not be tried.",
-            f"{inner.on}: {remedies.doctor_command(inner.computer.program)} --only ports",
+            f"{inner.on}: {inner.doctor} --only ports",
         )
 
 
@@ -118,7 +156,7 @@ def _no_multicast(inner: Party, outer: Party) -> Finding:
         "The network between the two drops it, as Wi-Fi and VPNs do, or it leaves by another "
         f"adapter. So LSL on {outer.name} does not find the streams of {inner.name} by itself"
     )
-    look, fix = outer.end.look, remedies.to_ask_directly(outer, outer.computer.other)
+    look, fix = outer.end.look, _to_ask_directly(outer)
     if look.by_multicast:
         return note(what, f"{why}; now it did, perhaps by another adapter.", fix)
     if outer.computer.asks_the_other:
@@ -189,8 +227,7 @@ def _test_stream(sender: Party, receiver: Party, *, is_explained: bool) -> Itera
         f"{title}: a test stream is {what}{lacking}, though every test port is open",
         "Something between the two lets small packets through but not LSL: a security program, "
         "a VPN with a small MTU, or much traffic.",
-        f"{receiver.on}: {remedies.doctor_command(receiver.computer.program)}\n"
-        f"{sender.on}: {remedies.doctor_command(sender.computer.program)}",
+        f"{receiver.on}: {receiver.doctor}\n{sender.on}: {sender.doctor}",
     )
 
 
@@ -230,7 +267,7 @@ def _real_streams(sender: Party, receiver: Party) -> Iterator[Finding]:
     amount = "1 stream" if len(own) == 1 else f"{len(own)} streams"
     again = (
         "mend what stands above, then ask again\nif nothing does, "
-        f"{sender.on}: {remedies.doctor_command(sender.computer.program)} --only streams"
+        f"{sender.on}: {sender.doctor} --only streams"
     )
     if unseen:
         yield error(
@@ -253,3 +290,103 @@ def _real_streams(sender: Party, receiver: Party) -> Iterator[Finding]:
 
 def _is_bad(finding: Finding) -> bool:
     return finding.level.value in {"error", "warning"}
+
+
+def _to_open(party: Party, ways: Sequence[Way]) -> str:
+    """Return what opens ports of one computer to the other, one command a line."""
+    computer = party.computer
+    who = firewall.NEIGHBOURS if computer.is_near else computer.other
+    return f"{party.on}, {firewall.opening_on(computer.system, computer.firewalls, ways, who)}"
+
+
+def _to_ask_directly(party: Party) -> str:
+    """Return what has the LSL programs of a computer ask the other one without multicast."""
+    address = party.computer.other
+    if party.computer.program == NODE:
+        return (
+            f"{party.on}, start the node with: ros2 launch lsl_to_ros lsl_to_ros.launch.py "
+            f'known_peers:="[{address}]"'
+        )
+    return (
+        f"{party.on}: biosensor-gateway config lsl --for two-pc --peer {address}\n"
+        "and start LabRecorder there again (this writes KnownPeers into lsl_api.cfg)"
+    )
+
+
+class Row(NamedTuple):
+    """A line of the table: what, how it is from the other computer to here, and back."""
+
+    label: str
+    to_here: str
+    to_there: str
+
+
+def sides_of(here: End, there: End) -> tuple[str, str]:
+    """Return a line about each of the two computers."""
+    one = _described("This computer", here.computer)
+    return one, _described("The other one", there.computer)
+
+
+def rows(here: End, there: End) -> Iterator[Row]:
+    """Return what came in, and what LSL made of it, by direction; the headings first."""
+    one, other = _parties(here, there)
+    left, right = _short(other), _short(one)
+    yield Row("", f"{left} -> {right}", f"{right} -> {left}")
+    ports = here.computer.ports
+    several = f"{ports.first} to {ports.last}"
+    # What comes in here is what the other one has sent.
+    came = [here.arrivals, there.arrivals]
+    yield Row(f"multicast, UDP {ports.discovery}", *map(_multicast, came))
+    yield Row(f"UDP {ports.discovery}", *(_word(each.discovery) for each in came))
+    yield Row(f"UDP {several}", *(_words(each.udp) for each in came))
+    yield Row(f"TCP {several}", *(_words(each.tcp) for each in came))
+    looks = [here.look, there.look]
+    yield Row("test stream found by multicast", *(_word(each.by_multicast) for each in looks))
+    yield Row("  found when asked for directly", *(_word(each.directly) for each in looks))
+    yield Row("  received", *(_word(each.received) for each in looks))
+    yield Row("  round trip", *(_milliseconds(each.round_trip_s) for each in looks))
+    yield Row("streams that are seen", _seen(there, here), _seen(here, there))
+    yield Row("  whose port opens", _reached(there, here), _reached(here, there))
+
+
+def _described(title: str, computer: Computer) -> str:
+    system = _SYSTEMS.get(computer.system, "another system")
+    program = "the node" if computer.program == NODE else "the agent"
+    return f"{title}: {printable(computer.name)[:30]}, {computer.address}, {system}, {program}"
+
+
+def _short(party: Party) -> str:
+    if party.name == HERE:
+        return "here"
+    return party.name if len(party.name) <= 10 else "there"
+
+
+def _multicast(arrivals: Arrivals) -> str:
+    return "-" if arrivals.multicast is None else _word(bool(arrivals.multicast))
+
+
+def _word(found: bool | None) -> str:
+    return "-" if found is None else "yes" if found else "NO"
+
+
+def _words(by_port: Mapping[int, bool]) -> str:
+    if not by_port:
+        return "-"
+    return "PART" if len(set(by_port.values())) == 2 else _word(all(by_port.values()))
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return "NO" if seconds is None else f"{seconds * 1e3:.1f} ms"
+
+
+def _seen(sender: End, receiver: End) -> str:
+    uids = {each.uid for each in receiver.seen}
+    return _of(sum(each.uid in uids for each in sender.own), sender)
+
+
+def _reached(sender: End, receiver: End) -> str:
+    return _of(sum(each.uid in receiver.reached for each in sender.own), sender)
+
+
+def _of(count: int, sender: End) -> str:
+    return f"{count} of {len(sender.own)}" if sender.own else "-"

@@ -12,14 +12,20 @@ from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 
-from biosensor_common.doctor.check import Context, Level
-from biosensor_common.doctor.two_sided import asking, handshake
-from biosensor_common.doctor.two_sided.answering import MAX_TRIES, Answerer
-from biosensor_common.doctor.two_sided.channel import MAX_GREETING, MAX_LINE, Channel
-from biosensor_common.doctor.two_sided.code import new_code, read_code
-from biosensor_common.doctor.two_sided.command import check_with
-from biosensor_common.doctor.two_sided.facts import AGENT, NODE, End, as_message, read_end
-from biosensor_common.doctor.two_sided.judgement import judge
+from biosensor_common.doctor.check import AGENT, NODE, Context, Level
+from biosensor_common.doctor.network_check import channel as channels
+from biosensor_common.doctor.network_check import sides
+from biosensor_common.doctor.network_check.channel import (
+    MAX_GREETING,
+    MAX_LINE,
+    Channel,
+    new_code,
+    read_code,
+)
+from biosensor_common.doctor.network_check.command import check_with
+from biosensor_common.doctor.network_check.facts import End, as_message, read
+from biosensor_common.doctor.network_check.judgement import judge
+from biosensor_common.doctor.network_check.sides import MAX_TRIES, Answerer
 from biosensor_common.errors import (
     CredentialError,
     ProtocolError,
@@ -66,8 +72,8 @@ def handshaken() -> Generator[Callable[[str, str], tuple[Channel, Channel]]]:
         def greet(one: str, other: str) -> tuple[Channel, Channel]:
             here, there = (stack.enter_context(closing(each)) for each in socket.socketpair())
             asked, answered = Channel(here, "robot"), Channel(there, "lab-pc")
-            answer = pool.submit(handshake.answer, answered, other)
-            handshake.ask(asked, one)
+            answer = pool.submit(channels.greet_as_answering, answered, other)
+            channels.greet_as_asking(asked, one)
             answer.result(WAIT_S)
             return asked, answered
 
@@ -178,10 +184,10 @@ def test_both_sides_have_to_know_the_code(
 def test_who_only_claims_to_know_the_code_is_not_told_anything() -> None:
     """The one who asks goes on only with somebody who has proved it, too."""
     with connected() as (channel, other), ThreadPoolExecutor(1) as pool:
-        asked = pool.submit(handshake.ask, channel, "012345")
+        asked = pool.submit(channels.greet_as_asking, channel, "012345")
         stranger = Channel(other, "stranger")
         stranger.receive(WAIT_S)
-        greeting = {"speak": handshake.LANGUAGE, "version": handshake.VERSION, "nonce": "0" * 32}
+        greeting = {"speak": channels.LANGUAGE, "version": channels.VERSION, "nonce": "0" * 32}
         stranger.send(greeting)
         stranger.receive(WAIT_S)
         stranger.send({"proof": "0" * 64})
@@ -191,16 +197,16 @@ def test_who_only_claims_to_know_the_code_is_not_told_anything() -> None:
 @pytest.mark.nightly
 def test_another_version_is_told_from_another_program() -> None:
     for greeting, reason, part in (
-        ({"speak": handshake.LANGUAGE, "version": 2}, ProtocolReason.UNSUPPORTED, "version 2 of"),
-        ({"speak": handshake.LANGUAGE, "version": 1}, ProtocolReason.GARBAGE, "nonce"),
+        ({"speak": channels.LANGUAGE, "version": 2}, ProtocolReason.UNSUPPORTED, "version 2 of"),
+        ({"speak": channels.LANGUAGE, "version": 1}, ProtocolReason.GARBAGE, "nonce"),
         ({"hello": "world"}, ProtocolReason.GARBAGE, "another program"),
     ):
         with connected() as (channel, other):
             other.sendall(json.dumps(greeting).encode() + b"\n")
             with pytest.raises(ProtocolError) as refused:
-                handshake.answer(channel, "012345")
+                channels.greet_as_answering(channel, "012345")
             # Who speaks another version gets to know ours.
-            assert json.loads(other.recv(1000))["version"] == handshake.VERSION
+            assert json.loads(other.recv(1000))["version"] == channels.VERSION
         assert refused.value.reason is reason
         assert part in str(refused.value)
 
@@ -217,14 +223,14 @@ def test_guessing_ends_soon(session: str) -> None:
             assert finding.what.startswith(f"{OTHER} shows another code")
         assert isinstance(outcome.exception(WAIT_S), CredentialError)
     assert said == [f"{LOCAL} does not know the code, and was refused"] * MAX_TRIES
-    with pytest.raises(asking.UnreachedError):
-        asking.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, answerer.code)
+    with pytest.raises(sides.UnreachedError):
+        sides.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, answerer.code)
 
 
 @pytest.mark.nightly
 def test_nobody_is_waited_for_for_ever(session: str, monkeypatch: pytest.MonkeyPatch) -> None:
     del session
-    monkeypatch.setattr(handshake, "GREETING_S", 0.2)
+    monkeypatch.setattr(channels, "GREETING_S", 0.2)
     with (
         answering(patience_s=1.0) as (answerer, outcome, said),
         # Somebody who connects and says nothing does not stop it.
@@ -255,13 +261,13 @@ def test_what_the_other_one_claims_is_read_with_care(
     outcome: Ends, path: tuple[str, ...], value: object
 ) -> None:
     message = json.loads(json.dumps(as_message(outcome[1])))
-    assert read_end(message) == outcome[1]
+    assert read(End, message) == outcome[1]
     inner = message
     for name in path[:-1]:
         inner = inner[name]
     inner[path[-1]] = value
     with pytest.raises(ProtocolError):
-        read_end(message)
+        read(End, message)
 
 
 @pytest.fixture(scope="module")
@@ -275,7 +281,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Generator[Ends]:
         patch.setenv("LSLAPICFG", str(config))
         with answering() as (answerer, outcome, said):
             typed = f"{answerer.code[:3]} {answerer.code[3:]}"
-            here, there = asking.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, typed)
+            here, there = sides.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, typed)
             assert outcome.result(WAIT_S) == (there, here)
             assert said == []
         yield here, there
@@ -303,7 +309,7 @@ def test_both_sides_on_this_computer(outcome: Ends) -> None:
 def test_the_streams_of_this_computer_are_its_own(session: str, offer: Callable[..., None]) -> None:
     offer(Offered("ecg", "ecg-1"))
     with answering() as (answerer, _, _):
-        here, there = asking.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, answerer.code)
+        here, there = sides.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, answerer.code)
     (own,) = here.own
     assert (own.name, own.uid in there.reached) == ("ecg", True)
     assert any("sees and opens 1 stream of" in each.what for each in judge(here, there))

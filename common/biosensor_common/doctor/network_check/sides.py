@@ -1,0 +1,311 @@
+"""The two sides of a conversation: one listens for who knows its code, the other leads."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
+from enum import StrEnum, unique
+from types import TracebackType
+from typing import Self
+
+from biosensor_common.doctor.check import Context
+from biosensor_common.doctor.network_check.channel import (
+    Channel,
+    Message,
+    greet_as_answering,
+    greet_as_asking,
+    new_code,
+    nonce,
+    read_code,
+)
+from biosensor_common.doctor.network_check.facts import (
+    End,
+    Opened,
+    Stream,
+    as_message,
+    read,
+    read_run,
+)
+from biosensor_common.doctor.network_check.station import Station
+from biosensor_common.doctor.probe import ProbeError
+from biosensor_common.errors import (
+    CredentialError,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_BASE_PORT
+
+ANSWER_PORT = LSL_BASE_PORT + DEFAULT_PORT_RANGE - 1
+"""At which a computer answers: the last of LSL's ports, so that it needs no other rule."""
+PATIENCE_S = 600.0
+"""After so long nobody listens any more."""
+MAX_TRIES = 5
+CONNECT_S = 5.0
+COMMAND_S = 60.0
+"""Both take as long for a step, so the slower one of two computers is waited for."""
+_BACKLOG, _STEP_S = 4, 0.5
+
+Say = Callable[[str], None]
+
+
+@unique
+class Command(StrEnum):
+    """What the one who asks has both do, in this order."""
+
+    OPEN = "open"
+    """Test ports and a test stream."""
+    SEND = "send"
+    """To the ports of the other one."""
+    LOOK = "look"
+    """For the other's test stream, and list all real ones."""
+    KNOCK = "knock"
+    """At the data ports of the other's streams."""
+    COMPARE = "compare"
+    """What both have found out."""
+
+
+class UnreachedError(TransportError):
+    """The other computer does not take the connection.
+
+    ``ABSENT`` if it refuses, ``SILENT`` if nothing comes back, ``UNAVAILABLE`` if it is unknown.
+    """
+
+
+def ask(context: Context, program: str, host: str, port: int, code: str) -> tuple[End, End]:
+    """Test the network to another computer, which answers; return what each has found out.
+
+    Raises
+    ------
+    UnreachedError
+        There is no connection.
+    TransportError
+        ``SILENT`` or ``LOST``, later.
+    CredentialError
+        ``REJECTED``: the code is wrong.
+    ProtocolError
+        ``UNSUPPORTED``, ``GARBAGE``, ``REFUSED``.
+    ProbeError
+        LSL cannot be used on this computer.
+    """
+    typed = read_code(code)
+    with _connected(host, port) as connection:
+        channel = Channel(connection, host)
+        greet_as_asking(channel, typed)
+        own, other = connection.getsockname()[0], connection.getpeername()[0]
+        run = nonce()
+        with Station(context, program, own, other, run, is_asking=True) as here:
+            return _led_through(channel, here, run)
+
+
+def _led_through(channel: Channel, here: Station, run: str) -> tuple[End, End]:
+    def both(do: Command, details: Message, part: Callable[[], None] = lambda: None) -> Message:
+        """Have the other one do something, and do the same here meanwhile."""
+        channel.send({"do": do.value, **details})
+        part()
+        reply = channel.receive(COMMAND_S)
+        if "failed" in reply:
+            what = f"{channel.name} cannot do its part: {str(reply['failed'])[:300]}"
+            raise ProtocolError(ProtocolReason.REFUSED, what)
+        return reply
+
+    there = read(Opened, both(Command.OPEN, asdict(here.opened) | {"run": run}))
+    both(Command.SEND, {}, lambda: here.send(there.targets))
+    theirs = _streams_of(both(Command.LOOK, {}, lambda: here.look(there.source_id)))
+    both(Command.KNOCK, _with_streams(here), lambda: here.knock(theirs))
+    # What is on its way to this computer was sent before the last reply.
+    end = here.end()
+    return end, read(End, both(Command.COMPARE, {"end": as_message(end)}).get("end"))
+
+
+def _connected(host: str, port: int) -> socket.socket:
+    try:
+        address = socket.gethostbyname(host)
+        return socket.create_connection((address, port), CONNECT_S)
+    except (socket.gaierror, UnicodeError) as error:
+        raise UnreachedError(TransportReason.UNAVAILABLE, f"{host} has no IPv4 address") from error
+    except ConnectionRefusedError as error:
+        what = f"{host} is there, but refuses TCP {port}"
+        raise UnreachedError(TransportReason.ABSENT, what) from error
+    except TimeoutError as error:
+        what = f"nothing comes back from TCP {port} of {host}"
+        raise UnreachedError(TransportReason.SILENT, what) from error
+    except OSError as error:
+        # No route, for instance, or the neighbour does not answer.
+        what = f"TCP {port} of {host} cannot be reached ({error.strerror or error})"
+        raise UnreachedError(TransportReason.SILENT, what) from error
+
+
+class Answerer:
+    """Listens at a TCP port; a context manager.
+
+    Parameters
+    ----------
+    program
+        ``agent`` or ``node``.
+    port
+        0 for any that is free.
+    address
+        Of this computer; all of them unless one is named.
+
+    Attributes
+    ----------
+    code
+        What the other side must know.
+    is_busy
+        Whether somebody who came is being answered.
+
+    Raises
+    ------
+    TransportError
+        On entering: ``BUSY`` if the port cannot be had.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        program: str,
+        port: int,
+        *,
+        address: str = "",
+        patience_s: float = PATIENCE_S,
+    ) -> None:
+        self._context, self._program = context, program
+        self._address = address
+        self._patience_s = patience_s
+        self._is_given_up = threading.Event()
+        self.is_busy = False
+        self.code = new_code()
+        self.port = port
+
+    def __enter__(self) -> Self:
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        if sys.platform != "win32":
+            # Else a second test would have to wait for a minute after the first; Windows needs
+            # no such word, and would let two programs have the port by it.
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._listener.bind((self._address, self.port))
+            self._listener.listen(_BACKLOG)
+        except OSError as error:
+            self._listener.close()
+            raise TransportError(
+                TransportReason.BUSY,
+                f"TCP {self.port} cannot be had here ({error.strerror or error}); name "
+                "another one on both computers: --port 16800",
+            ) from error
+        self.port = self._listener.getsockname()[1]
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._listener.close()
+
+    def wait(self, say: Say) -> tuple[End, End]:
+        """Answer until one conversation has come to its end; return what both have found out.
+
+        This computer comes first. Each who came and did not get to the end is a sentence for *say*.
+
+        Raises
+        ------
+        TransportError
+            ``SILENT``: nobody came in time, or until it was given up.
+        CredentialError
+            ``REJECTED``: the code was wrong too often.
+        """
+        end = time.monotonic() + self._patience_s
+        tries = MAX_TRIES
+        while True:
+            connection, address = self._next(end)
+            with connection:
+                self.is_busy = True
+                try:
+                    return self._converse(Channel(connection, address))
+                except GatewayError as problem:
+                    say(str(problem))
+                    tries -= isinstance(problem, CredentialError)
+                    if not tries:
+                        raise
+                finally:
+                    self.is_busy = False
+
+    def give_up(self) -> None:
+        """Have `wait` come to its end, from another thread; who is being answered is first."""
+        self._is_given_up.set()
+
+    def _next(self, end: float) -> tuple[socket.socket, str]:
+        # In small steps, for Windows heeds Ctrl-C between them only.
+        self._listener.settimeout(_STEP_S)
+        while time.monotonic() < end and not self._is_given_up.is_set():
+            try:
+                connection, (address, _) = self._listener.accept()
+            except TimeoutError:
+                continue
+            return connection, address
+        if self._is_given_up.is_set():
+            what = "nobody has asked; this computer does not answer any more"
+            raise TransportError(TransportReason.SILENT, what)
+        raise TransportError(
+            TransportReason.SILENT,
+            f"nobody asked within {self._patience_s / 60:g} minutes, so this computer does not "
+            "answer any more",
+        )
+
+    def _converse(self, channel: Channel) -> tuple[End, End]:
+        greet_as_answering(channel, self.code)
+        opening = _expected(channel, Command.OPEN)
+        own, other = channel.connection.getsockname()[0], channel.connection.getpeername()[0]
+        run, there = read_run(opening), read(Opened, opening)
+        with ExitStack() as stack:
+            station = Station(self._context, self._program, own, other, run, is_asking=False)
+            try:
+                here = stack.enter_context(station)
+            except ProbeError as problem:
+                channel.send({"failed": str(problem)})
+                raise ProtocolError(ProtocolReason.REFUSED, str(problem)) from problem
+            channel.send(asdict(here.opened))
+            return _obey(channel, here, there)
+
+
+def _obey(channel: Channel, here: Station, there: Opened) -> tuple[End, End]:
+    _expected(channel, Command.SEND)
+    here.send(there.targets)
+    channel.send({})
+    _expected(channel, Command.LOOK)
+    here.look(there.source_id)
+    channel.send(_with_streams(here))
+    here.knock(_streams_of(_expected(channel, Command.KNOCK)))
+    channel.send({})
+    found_there = read(End, _expected(channel, Command.COMPARE).get("end"))
+    end = here.end()
+    channel.send({"end": as_message(end)})
+    return end, found_there
+
+
+def _expected(channel: Channel, command: Command) -> Message:
+    message = channel.receive(COMMAND_S)
+    if message.get("do") != command.value:
+        raise ProtocolError(
+            ProtocolReason.GARBAGE,
+            f"{channel.name} said {str(message.get('do'))!r:.40} in place of {command.value!r}",
+        )
+    return message
+
+
+def _with_streams(here: Station) -> Message:
+    return {"streams": [asdict(each) for each in here.own_streams]}
+
+
+def _streams_of(message: Message) -> tuple[Stream, ...]:
+    return read(tuple[Stream, ...], message.get("streams"))
