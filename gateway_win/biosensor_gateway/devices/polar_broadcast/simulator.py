@@ -16,7 +16,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     Strap,
     StrapDevice,
 )
-from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, on_part
 from biosensor_gateway.simulation.expected import LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
@@ -158,12 +158,6 @@ class SimulatedPolarBroadcast(StrapDevice):
             data = block[:2] if self._strap.is_unreadable else block
         self._strap.peripheral.set_manufacturer_data({_POLAR: data})
 
-    def _stand_still(self) -> None:
-        self._stands_still = True
-
-    def _go_on(self) -> None:
-        self._stands_still = False
-
     def _babble(self, times: float) -> None:
         self._strap.run(self._send_garbage(round(times)))
 
@@ -182,7 +176,7 @@ class SimulatedPolarBroadcast(StrapDevice):
                 if kind not in EXPECTED.impossible
             },
             FaultKind.DROP: lasting(_go_away, _come_back),
-            FaultKind.STALL: lasting(_stand_still, _go_on),
+            FaultKind.STALL: flag("_stands_still"),
             FaultKind.GARBAGE: Effect(_babble),
         }
     )

@@ -13,7 +13,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     Strap,
     StrapDevice,
 )
-from biosensor_gateway.simulation.effects import lasting, on_part
+from biosensor_gateway.simulation.effects import flag, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
@@ -46,7 +46,7 @@ class SimulatedHeartRateStrap(StrapDevice):
     effects = MappingProxyType(
         on_part(
             "_strap",
-            {**STRAP_EFFECTS, FaultKind.REPEAT: lasting(Strap.repeat, Strap.repeat_no_more)},
+            {**STRAP_EFFECTS, FaultKind.REPEAT: flag("pulse.repeats")},
         )
     )
     expected = EXPECTED

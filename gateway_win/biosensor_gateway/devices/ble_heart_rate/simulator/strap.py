@@ -28,13 +28,13 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
     Identity,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, on_part, restart
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
+from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
 from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 
 _BATTERY_PERCENT = 87
@@ -131,6 +131,8 @@ class Strap:
         LSL time at which the wearer's time is 0: when it was first switched on.
     worn, battery_percent
         As they are now.
+    power
+        Switches it on and off.
     put_on_s
         LSL time at which it was last put on; -inf if it was never taken off.
     pulse
@@ -177,7 +179,7 @@ class Strap:
         self._tells_contact = tells_contact
         self._sends_rr = sends_rr
         self._off_body_drop_s = off_body_drop_s
-        self._power = PowerSwitch(self._power_on, self._power_off)
+        self.power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._leaving: asyncio.TimerHandle | None = None
         self.origin_s = self.peripheral.clock()
@@ -187,11 +189,11 @@ class Strap:
     async def start(self) -> None:
         """Switch it on for the first time."""
         self.origin_s = self.peripheral.clock()
-        await self._power.want(True)
+        await self.power.want(True)
 
     async def stop(self) -> None:
         """Switch it off for good."""
-        await self._power.want(False)
+        await self.power.want(False)
 
     def drop(self) -> None:
         """Be out of reach."""
@@ -201,14 +203,6 @@ class Strap:
         """Be in reach again."""
         self.peripheral.restore()
 
-    def stall(self) -> None:
-        """Neither send nor hear, with the link standing."""
-        self.peripheral.stalled = True
-
-    def resume(self) -> None:
-        """End a `stall`."""
-        self.peripheral.stalled = False
-
     def babble(self, packets: float) -> None:
         """Send so many damaged heart rate measurements."""
         self.run(self._send_garbage(round(packets)))
@@ -216,30 +210,6 @@ class Strap:
     def forget(self, _: float = 0.0) -> None:
         """Take it that nobody has subscribed to the heart rate."""
         self.peripheral.forget_subscription(self.heart_rate.measurement)
-
-    def become_unreadable(self) -> None:
-        """Send heart rates that are too short for their flags, and all else likewise."""
-        self.is_unreadable = True
-
-    def become_readable(self) -> None:
-        """End that."""
-        self.is_unreadable = False
-
-    def repeat(self) -> None:
-        """Tell the last interval of each measurement in the next one again."""
-        self.pulse.repeats = True
-
-    def repeat_no_more(self) -> None:
-        """End that."""
-        self.pulse.repeats = False
-
-    def go_down(self) -> None:
-        """Switch itself off."""
-        self._power.hold_off(FaultKind.RESTART)
-
-    def come_up(self) -> None:
-        """Switch itself on again, with all forgotten."""
-        self._power.release(FaultKind.RESTART)
 
     def discharge(self, percent: float) -> None:
         """Have so much charge left, and say so."""
@@ -250,7 +220,7 @@ class Strap:
         self.worn = False
         if isfinite(self._off_body_drop_s):
             self._leaving = asyncio.get_running_loop().call_later(
-                self._off_body_drop_s, self._power.hold_off, FaultKind.OFF_BODY
+                self._off_body_drop_s, self.power.hold_off, FaultKind.OFF_BODY
             )
 
     def put_on(self) -> None:
@@ -258,7 +228,7 @@ class Strap:
         self.worn, self.put_on_s = True, self.crystal.clock()
         if self._leaving is not None:
             self._leaving.cancel()
-        self._power.release(FaultKind.OFF_BODY)
+        self.power.release(FaultKind.OFF_BODY)
 
     def drift(self, ppm: float) -> None:
         """Let the crystal run so much too fast."""
@@ -340,16 +310,14 @@ class Strap:
 
 STRAP_EFFECTS: Effects[Strap] = MappingProxyType(
     {
-        FaultKind.DROP: lasting(Strap.drop, Strap.restore),
-        FaultKind.STALL: lasting(Strap.stall, Strap.resume),
+        **on_part("peripheral", RADIO_EFFECTS),
         FaultKind.GARBAGE: Effect(Strap.babble),
         FaultKind.FORGET: Effect(Strap.forget),
-        FaultKind.UNREADABLE: lasting(Strap.become_unreadable, Strap.become_readable),
-        FaultKind.RESTART: lasting(Strap.go_down, Strap.come_up),
+        FaultKind.UNREADABLE: flag("is_unreadable"),
+        FaultKind.RESTART: restart("power"),
         FaultKind.LOW_BATTERY: Effect(Strap.discharge),
         FaultKind.OFF_BODY: lasting(Strap.take_off, Strap.put_on),
         FaultKind.DRIFT: Effect(Strap.drift),
-        **on_part("peripheral", UNTIDY_RADIO),
     }
 )
 """What can happen to every strap."""

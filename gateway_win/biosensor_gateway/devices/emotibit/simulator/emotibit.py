@@ -20,7 +20,7 @@ from biosensor_gateway.devices.emotibit.simulator.rounds import (
 )
 from biosensor_gateway.devices.emotibit.simulator.wire import Host
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.specimen import SpecimenOptions
@@ -406,41 +406,9 @@ class SimulatedEmotiBit(VirtualDevice):
         self._running = asyncio.create_task(self._run())
         self._return()
 
-    def _stall(self) -> None:
-        self._stalled = True
-
-    def _resume(self) -> None:
-        self._stalled = False
-
     def _babble(self, count: float) -> None:
         if self._host is not None:
             self._host.send(self._rng.bytes(int(count)))
-
-    def _refuse(self) -> None:
-        self._refuses = True
-        self._leave()
-
-    def _comply(self) -> None:
-        self._refuses = False
-
-    def _answer_late(self, seconds: float) -> None:
-        self._answer_delay_s = seconds
-        self._leave()
-
-    def _answer_in_time(self) -> None:
-        self._answer_delay_s = 0.0
-
-    def _forget(self, _: float) -> None:
-        self._sleeps = True
-
-    def _become_unreadable(self) -> None:
-        self._is_unreadable = True
-
-    def _become_readable(self) -> None:
-        self._is_unreadable = False
-
-    def _discharge(self, percent: float) -> None:
-        self._battery_percent = percent
 
     def _drift(self, ppm: float) -> None:
         self._crystal.set_drift(ppm)
@@ -457,13 +425,13 @@ class SimulatedEmotiBit(VirtualDevice):
         {
             FaultKind.DROP: lasting(_vanish, _return),
             FaultKind.RESTART: lasting(_vanish, _power_cycle),
-            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.STALL: flag("_stalled"),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.REFUSE: lasting(_refuse, _comply),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
-            FaultKind.FORGET: Effect(_forget),
-            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
-            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.REFUSE: flag("_refuses", then=_leave),
+            FaultKind.LATE: level("_answer_delay_s", 0.0, then=_leave),
+            FaultKind.FORGET: flag("_sleeps"),
+            FaultKind.UNREADABLE: flag("_is_unreadable"),
+            FaultKind.LOW_BATTERY: level("_battery_percent"),
             FaultKind.DRIFT: Effect(_drift),
             **on_part("_rounds", ROUNDS_EFFECTS),
             **on_part("_wifi", WIFI_EFFECTS),

@@ -56,7 +56,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.streaming import (
     Stream,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Contact, Expected, Gap
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
@@ -404,11 +404,11 @@ class Service:
         for client in tuple(self.listener.clients):
             client.send(message)
 
-    def send_garbage(self, count: int) -> None:
+    def send_garbage(self, count: float) -> None:
         """Send every client so many damaged messages."""
         for client in tuple(self.listener.clients):
             own = [session.session_id for session in self.sessions if session.client is client]
-            for _ in range(count):
+            for _ in range(round(count)):
                 client.send(_damaged_message(self._rng, own[0] if own else ""))
 
     def log_in(self, *, is_logged_in: bool) -> None:
@@ -418,15 +418,18 @@ class Service:
             self.account.forget_tokens()
             self.sessions.lose_all()
 
+    def break_links(self) -> None:
+        """Break every connection off."""
+        self.listener.abort_all()
+
     def refuse(self) -> None:
         """Break the connections off and refuse whatever leads to data."""
-        self.listener.abort_all()
+        self.break_links()
         self.manners.refusal = self._around.refusal_code
 
-    def delay(self, seconds: float) -> None:
-        """Break the connections off and answer late."""
-        self.listener.abort_all()
-        self.manners.late_s = seconds
+    def comply(self) -> None:
+        """End that."""
+        self.manners.refusal = None
 
     def drop(self) -> None:
         """Be unreachable."""
@@ -451,14 +454,19 @@ class Service:
         self._clear_way("restart")
         self._starting = self._loop.call_later(self._setup.timing.starting_s, self._ready)
 
-    def set_battery(self, percent: int) -> None:
+    def set_battery(self, percent: float) -> None:
         """Set the charge of the headset's battery [percent]."""
-        self._signals.battery_percent = percent
+        self._signals.battery_percent = round(percent)
         self._changes += 1
 
-    def set_worn(self, *, is_worn: bool) -> None:
-        """Put the headset on or take it off."""
-        self._signals.is_worn = is_worn
+    def take_off(self) -> None:
+        """Take the headset off."""
+        self._signals.is_worn = False
+        self._changes += 1
+
+    def put_on(self) -> None:
+        """Put it on again."""
+        self._signals.is_worn = True
         self._changes += 1
 
     def set_drift(self, ppm: float) -> None:
@@ -532,67 +540,6 @@ EXPECTED = Expected(
 )
 
 
-def _stall(service: Service) -> None:
-    service.listener.stall()
-
-
-def _resume(service: Service) -> None:
-    service.listener.resume()
-
-
-def _babble(service: Service, messages: float) -> None:
-    service.send_garbage(round(messages))
-
-
-def _send_unannounced(service: Service) -> None:
-    service.mishaps.unannounced = True
-
-
-def _send_announced(service: Service) -> None:
-    service.mishaps.unannounced = False
-
-
-def _comply(service: Service) -> None:
-    service.manners.refusal = None
-
-
-def _answer_in_time(service: Service) -> None:
-    service.manners.late_s = 0.0
-
-
-def _forget(service: Service, _: float) -> None:
-    service.sessions.forget_subscriptions()
-
-
-def _discharge(service: Service, percent: float) -> None:
-    service.set_battery(round(percent))
-
-
-def _take_off(service: Service) -> None:
-    service.set_worn(is_worn=False)
-
-
-def _put_on(service: Service) -> None:
-    service.set_worn(is_worn=True)
-
-
-EFFECTS: Effects[Service] = MappingProxyType(
-    {
-        FaultKind.DROP: lasting(Service.drop, Service.restore),
-        FaultKind.STALL: lasting(_stall, _resume),
-        FaultKind.GARBAGE: Effect(_babble),
-        FaultKind.REFUSE: lasting(Service.refuse, _comply),
-        FaultKind.LATE: Effect(Service.delay, _answer_in_time),
-        FaultKind.FORGET: Effect(_forget),
-        FaultKind.UNREADABLE: lasting(_send_unannounced, _send_announced),
-        FaultKind.RESTART: lasting(Service.go_down, Service.come_up),
-        FaultKind.LOW_BATTERY: Effect(_discharge),
-        FaultKind.OFF_BODY: lasting(_take_off, _put_on),
-        FaultKind.DRIFT: Effect(Service.set_drift),
-    }
-)
-
-
 class SimulatedCortex(VirtualDevice):
     """Cortex with one headset, on a port of its own on the loopback interface.
 
@@ -615,7 +562,30 @@ class SimulatedCortex(VirtualDevice):
     """
 
     sensor = "emotiv_insight"
-    effects = MappingProxyType(on_part("_service", EFFECTS))
+    effects = MappingProxyType(
+        {
+            FaultKind.UNREADABLE: flag("_service.mishaps.unannounced"),
+            **on_part(
+                "_service.listener", {FaultKind.STALL: lasting(Listener.stall, Listener.resume)}
+            ),
+            **on_part(
+                "_service.sessions", {FaultKind.FORGET: Effect(Sessions.forget_subscriptions)}
+            ),
+            **on_part(
+                "_service",
+                {
+                    FaultKind.DROP: lasting(Service.drop, Service.restore),
+                    FaultKind.GARBAGE: Effect(Service.send_garbage),
+                    FaultKind.REFUSE: lasting(Service.refuse, Service.comply),
+                    FaultKind.LATE: level("manners.late_s", 0.0, then=Service.break_links),
+                    FaultKind.RESTART: lasting(Service.go_down, Service.come_up),
+                    FaultKind.LOW_BATTERY: Effect(Service.set_battery),
+                    FaultKind.OFF_BODY: lasting(Service.take_off, Service.put_on),
+                    FaultKind.DRIFT: Effect(Service.set_drift),
+                },
+            ),
+        }
+    )
     expected = EXPECTED
     filled = MappingProxyType({"gyro": Filled(None, "only headsets with older firmware have it")})
     client_id = APP.client_id

@@ -361,7 +361,7 @@ class Sessions:
                 if subscriber is client:
                     del session.subscribers[stream]
 
-    def forget_subscriptions(self) -> None:
+    def forget_subscriptions(self, _: float = 0.0) -> None:
         """Send nobody any stream until it subscribes again; all sessions stay."""
         for session in self:
             session.subscribers.clear()

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import cycle
 from types import MappingProxyType
 from typing import Any, Unpack
 
-from biosensor_gateway.devices.empatica_e4.simulator.server import Server
+from biosensor_gateway.devices.empatica_e4.simulator.server import Listener, Server
 from biosensor_gateway.devices.empatica_e4.simulator.wire import NumberFormat
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Timing, Wristband
-from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Expected, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
@@ -32,83 +33,7 @@ EXPECTED = Expected(
     loss_tolerance=LossTolerance(always={"bvp": 4, "acc": 2, "gsr": 6, "st": 6}),
 )
 
-
-def _lose(server: Server) -> None:
-    server.lose(server.first)
-
-
-def _come_back(server: Server) -> None:
-    server.come_back(server.first)
-
-
-def _stall(server: Server) -> None:
-    server.listener.stall()
-
-
-def _resume(server: Server) -> None:
-    server.listener.resume()
-
-
-def _babble(server: Server, lines: float) -> None:
-    server.send_garbage(round(lines))
-
-
-def _write_foreign(server: Server) -> None:
-    server.delivery.mishaps.foreign = True
-
-
-def _write_usual(server: Server) -> None:
-    server.delivery.mishaps.foreign = False
-
-
-def _let_bind(server: Server) -> None:
-    server.manners.refuses_binding = False
-
-
-def _give(server: Server) -> None:
-    server.manners.refused_streams.clear()
-
-
-def _answer_in_time(server: Server) -> None:
-    server.manners.late_s = 0.0
-
-
-def _forget(server: Server, _: float) -> None:
-    server.forget_subscriptions()
-
-
-def _discharge(server: Server, percent: float) -> None:
-    server.first.signals.battery = percent / 100
-
-
-def _take_off(server: Server) -> None:
-    server.first.signals.is_worn = False
-
-
-def _put_on(server: Server) -> None:
-    server.first.signals.is_worn = True
-
-
-def _drift(server: Server, ppm: float) -> None:
-    server.first.crystal.set_drift(ppm)
-
-
-EFFECTS: Effects[Server] = MappingProxyType(
-    {
-        FaultKind.DROP: lasting(_lose, _come_back),
-        FaultKind.STALL: lasting(_stall, _resume),
-        FaultKind.GARBAGE: Effect(_babble),
-        FaultKind.REFUSE: lasting(Server.refuse, _let_bind),
-        FaultKind.DENY: lasting(Server.deny, _give),
-        FaultKind.LATE: Effect(Server.answer_late, _answer_in_time),
-        FaultKind.FORGET: Effect(_forget),
-        FaultKind.UNREADABLE: lasting(_write_foreign, _write_usual),
-        FaultKind.RESTART: lasting(Server.go_down, Server.come_up),
-        FaultKind.LOW_BATTERY: Effect(_discharge),
-        FaultKind.OFF_BODY: lasting(_take_off, _put_on),
-        FaultKind.DRIFT: Effect(_drift),
-    }
-)
+_DENIABLE = ("bvp", "acc", "gsr", "tmp")
 
 
 class SimulatedE4(VirtualDevice):
@@ -138,7 +63,6 @@ class SimulatedE4(VirtualDevice):
     """
 
     sensor = "empatica_e4"
-    effects = MappingProxyType(on_part("_server", EFFECTS))
     expected = EXPECTED
     filled = MappingProxyType(
         {
@@ -182,6 +106,7 @@ class SimulatedE4(VirtualDevice):
                 deliver=self._server.delivery.deliver,
             )
         self._first = self._server.first
+        self._to_deny = cycle(_DENIABLE)
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -201,6 +126,53 @@ class SimulatedE4(VirtualDevice):
 
     async def _stop(self) -> None:
         await self._server.stop()
+
+    def _break_links(self) -> None:
+        self._server.listener.reset_all()
+
+    def _lose(self) -> None:
+        self._server.lose(self._first)
+
+    def _come_back(self) -> None:
+        self._server.come_back(self._first)
+
+    def _babble(self, lines: float) -> None:
+        self._server.send_garbage(round(lines))
+
+    def _deny(self) -> None:
+        self._server.manners.refused_streams.add(next(self._to_deny))
+        self._break_links()
+
+    def _give(self) -> None:
+        self._server.manners.refused_streams.clear()
+
+    def _forget(self, _: float) -> None:
+        self._server.forget_subscriptions()
+
+    def _discharge(self, percent: float) -> None:
+        self._first.signals.battery = percent / 100
+
+    def _drift(self, ppm: float) -> None:
+        self._first.crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_lose, _come_back),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: flag("_server.manners.refuses_binding", then=_break_links),
+            FaultKind.DENY: lasting(_deny, _give),
+            FaultKind.LATE: level("_server.manners.late_s", 0.0, then=_break_links),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.UNREADABLE: flag("_server.delivery.mishaps.foreign"),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.OFF_BODY: flag("_first.signals.is_worn", False),
+            FaultKind.DRIFT: Effect(_drift),
+            **on_part("_server", {FaultKind.RESTART: lasting(Server.go_down, Server.come_up)}),
+            **on_part(
+                "_server.listener", {FaultKind.STALL: lasting(Listener.stall, Listener.resume)}
+            ),
+        }
+    )
 
 
 def _further(first: Specimen, number: int) -> Specimen:

@@ -6,7 +6,6 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import cycle
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def damaged_line(rng: np.random.Generator) -> bytes:
     return rng.bytes(48).replace(b"\n", b"\0") + b"\r\n"
 
 
-class _Listener:
+class Listener:
     """A TCP server whose port stays its own while it is shut.
 
     Parameters
@@ -153,9 +152,6 @@ class _Listener:
         task.add_done_callback(self._connecting.discard)
 
 
-_DENIABLE = ("bvp", "acc", "gsr", "tmp")
-
-
 class Server:
     """One server with its wristbands; everything runs in the world's loop.
 
@@ -187,9 +183,8 @@ class Server:
         self._lsl = clock
         self.wristbands: dict[str, Wristband] = {}
         self.manners = Manners()
-        self._to_deny = cycle(_DENIABLE)
         self.commands = Commands(self.wristbands, self.manners, self._connect)
-        self.listener = _Listener(self.commands.hear)
+        self.listener = Listener(self.commands.hear)
         self.delivery = Delivery(lambda: self.listener.clients, style)
         self._is_automatic = is_automatic
         self._is_up = self._is_over = False
@@ -262,21 +257,6 @@ class Server:
         """Turn it on again."""
         wristband.turn_on()
         self.attend((wristband,))
-
-    def refuse(self) -> None:
-        """Break the connections off and let nobody bind."""
-        self.manners.refuses_binding = True
-        self.listener.reset_all()
-
-    def deny(self) -> None:
-        """Break the connections off and send one of the signals to nobody, another each time."""
-        self.manners.refused_streams.add(next(self._to_deny))
-        self.listener.reset_all()
-
-    def answer_late(self, seconds: float) -> None:
-        """Break the connections off and answer late."""
-        self.manners.late_s = seconds
-        self.listener.reset_all()
 
     def forget_subscriptions(self) -> None:
         """Send no client any stream until it subscribes again; all stay bound."""

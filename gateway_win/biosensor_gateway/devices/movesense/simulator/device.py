@@ -24,7 +24,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
 from biosensor_gateway.devices.movesense.simulator import wire
 from biosensor_gateway.devices.movesense.simulator.streams import MeasurementStream, stream
 from biosensor_gateway.devices.movesense.simulator.wire import FULL_MTU
-from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
@@ -275,40 +275,29 @@ class SimulatedMovesense(StrapDevice):
         """Fields that lead a driver to it."""
         return {"device": self._serial}
 
+    def _break_link(self) -> None:
+        self._strap.break_link()
+
     def _babble(self, packets: float) -> None:
         self._service.babble(packets)
 
     def _forget(self, _: float) -> None:
         self._service.forget()
 
-    def _refuse(self) -> None:
-        self._strap.break_link()
-        self._service.refuses = True
-
-    def _comply(self) -> None:
-        self._service.refuses = False
-
     def _deny(self) -> None:
-        self._strap.break_link()
+        self._break_link()
         self._service.denied = frozenset({next(self._to_deny)})
 
     def _allow(self) -> None:
         self._service.denied = frozenset()
-
-    def _answer_late(self, seconds: float) -> None:
-        self._strap.break_link()
-        self._service.answer_delay_s = seconds
-
-    def _answer_in_time(self) -> None:
-        self._service.answer_delay_s = 0.0
 
     effects = MappingProxyType(
         {
             **on_part("_strap", STRAP_EFFECTS),
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.FORGET: Effect(_forget),
-            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.REFUSE: flag("_service.refuses", then=_break_link),
             FaultKind.DENY: lasting(_deny, _allow),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.LATE: level("_service.answer_delay_s", 0.0, then=_break_link),
         }
     )

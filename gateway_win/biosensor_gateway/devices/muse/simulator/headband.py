@@ -21,8 +21,8 @@ from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
 from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
@@ -335,6 +335,6 @@ class Headband(VirtualDevice):
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.DRIFT: Effect(_drift),
             Untidiness.GLUED: lasting(_glue, _unglue),
-            **on_part("_peripheral", UNTIDY_RADIO),
+            **on_part("_peripheral", RADIO_EFFECTS),
         }
     )

@@ -26,7 +26,7 @@ from biosensor_gateway.devices.polar_h10.simulator.products import (
     Product,
     Quirks,
 )
-from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
@@ -171,36 +171,17 @@ class SimulatedPolarH10(StrapDevice):
         else:
             self._strap.forget()
 
-    def _refuse(self) -> None:
+    def _break_link(self) -> None:
         self._strap.break_link()
-        self._set_refusing(refuses=True)
-
-    def _comply(self) -> None:
-        self._set_refusing(refuses=False)
-
-    def _set_refusing(self, *, refuses: bool) -> None:
-        if self._pmd is not None:
-            self._pmd.refuses = refuses
 
     def _deny(self) -> None:
-        self._strap.break_link()
+        self._break_link()
         if self._pmd is not None:
             self._pmd.deny()
 
     def _give(self) -> None:
         if self._pmd is not None:
             self._pmd.give()
-
-    def _answer_late(self, seconds: float) -> None:
-        self._strap.break_link()
-        self._set_delay(seconds)
-
-    def _answer_in_time(self) -> None:
-        self._set_delay(0.0)
-
-    def _set_delay(self, seconds: float) -> None:
-        if self._pmd is not None:
-            self._pmd.answer_delay_s = seconds
 
     def _advertise(self) -> None:
         peripheral = self._strap.peripheral
@@ -222,9 +203,9 @@ class SimulatedPolarH10(StrapDevice):
             **on_part("_strap", STRAP_EFFECTS),
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.FORGET: Effect(_forget),
-            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.REFUSE: flag("_pmd.refuses", then=_break_link),
             FaultKind.DENY: lasting(_deny, _give),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.LATE: level("_pmd.answer_delay_s", 0.0, then=_break_link),
         }
     )
 

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part, restart
 from biosensor_gateway.simulation.expected import Contact, Expected, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -310,59 +310,12 @@ class SimulatedBelt(VirtualDevice):
         task.add_done_callback(self._tasks.discard)
         return task
 
-    def _drop(self) -> None:
-        self._peripheral.drop()
-
-    def _restore(self) -> None:
-        self._peripheral.restore()
-
-    def _stall(self) -> None:
-        self._peripheral.stalled = True
-
-    def _resume(self) -> None:
-        self._peripheral.stalled = False
-
     def _babble(self, count: float) -> None:
         self._run(self._send_garbage(round(count)))
-
-    def _refuse(self) -> None:
-        self._firmware.refuses = True
-        self._break_link()
-
-    def _comply(self) -> None:
-        self._firmware.refuses = False
-
-    def _answer_late(self, seconds: float) -> None:
-        self._answer_delay_s = seconds
-        self._break_link()
-
-    def _answer_in_time(self) -> None:
-        self._answer_delay_s = 0.0
 
     def _forget(self, _: float) -> None:
         self._firmware.mask = 0
         self._stop_measuring()
-
-    def _become_unreadable(self) -> None:
-        self._firmware.knows_type = False
-
-    def _become_readable(self) -> None:
-        self._firmware.knows_type = True
-
-    def _go_down(self) -> None:
-        self._power.hold_off(FaultKind.RESTART)
-
-    def _come_up(self) -> None:
-        self._power.release(FaultKind.RESTART)
-
-    def _discharge(self, percent: float) -> None:
-        self._firmware.battery_percent = round(percent)
-
-    def _take_off(self) -> None:
-        self._signals.take_off()
-
-    def _put_on(self) -> None:
-        self._signals.put_on()
 
     def _drift(self, ppm: float) -> None:
         self._drift_ppm = ppm
@@ -370,17 +323,17 @@ class SimulatedBelt(VirtualDevice):
 
     effects = MappingProxyType(
         {
-            FaultKind.DROP: lasting(_drop, _restore),
-            FaultKind.STALL: lasting(_stall, _resume),
+            **on_part("_peripheral", RADIO_EFFECTS),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.REFUSE: lasting(_refuse, _comply),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.REFUSE: flag("_firmware.refuses", then=_break_link),
+            FaultKind.LATE: level("_answer_delay_s", 0.0, then=_break_link),
             FaultKind.FORGET: Effect(_forget),
-            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
-            FaultKind.RESTART: lasting(_go_down, _come_up),
-            FaultKind.LOW_BATTERY: Effect(_discharge),
-            FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+            FaultKind.UNREADABLE: flag("_firmware.knows_type", False),
+            FaultKind.RESTART: restart("_power"),
+            FaultKind.LOW_BATTERY: level("_firmware.battery_percent", read=round),
             FaultKind.DRIFT: Effect(_drift),
-            **on_part("_peripheral", UNTIDY_RADIO),
+            **on_part(
+                "_signals", {FaultKind.OFF_BODY: lasting(_Signals.take_off, _Signals.put_on)}
+            ),
         }
     )

@@ -30,7 +30,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     with_wrong_check,
 )
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
-from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.effects import Effect, flag, lasting
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
@@ -371,12 +371,6 @@ class BioHarness(VirtualDevice):
             self._unheard.clear()
             self._heard(data)
 
-    def _garble(self) -> None:
-        self._garbled = True
-
-    def _speak_clearly(self) -> None:
-        self._garbled = False
-
     def _babble(self, count: float) -> None:
         self._write(self._rng.bytes(int(count)))
 
@@ -385,6 +379,6 @@ class BioHarness(VirtualDevice):
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.STALL: lasting(_stall, _resume),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.UNREADABLE: lasting(_garble, _speak_clearly),
+            FaultKind.UNREADABLE: flag("_garbled"),
         }
     )

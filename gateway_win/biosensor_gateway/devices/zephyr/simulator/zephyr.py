@@ -27,7 +27,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     summary_v2,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.effects import Effect, lasting, level
 from biosensor_gateway.simulation.expected import Expected, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
@@ -516,21 +516,11 @@ class SimulatedZephyr(BioHarness):
     def _give(self) -> None:
         self.session.refused.discard(self._denied)
 
-    def _answer_late(self, seconds: float) -> None:
-        self.session.answer_delay_s = seconds
-        self._break_link()
-
-    def _answer_in_time(self) -> None:
-        self.session.answer_delay_s = 0.0
-
     def _take_off(self) -> None:
         self._body.set_worn(worn=False)
 
     def _put_on(self) -> None:
         self._body.set_worn(worn=True)
-
-    def _discharge(self, percent: float) -> None:
-        self._body.battery_percent = round(percent)
 
     def _drift(self, ppm: float) -> None:
         self._body.set_drift(ppm)
@@ -542,9 +532,9 @@ class SimulatedZephyr(BioHarness):
             FaultKind.FORGET: Effect(_forget),
             FaultKind.REFUSE: lasting(_refuse, _allow),
             FaultKind.DENY: lasting(_deny, _give),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.LATE: level("session.answer_delay_s", 0.0, then=_break_link),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
-            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.LOW_BATTERY: level("_body.battery_percent", read=round),
             FaultKind.DRIFT: Effect(_drift),
         }
     )
