@@ -1,5 +1,6 @@
 """A virtual Cortex service with one headset: JSON-RPC over a TLS WebSocket."""
 
+from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence, User
 from biosensor_gateway.devices.emotiv_insight.simulator.cortex import Circumstances, SimulatedCortex
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
     EPOC_X,
@@ -12,7 +13,6 @@ from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
     Timing,
 )
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Leaf
-from biosensor_gateway.devices.emotiv_insight.simulator.methods import App, Licence, User
 
 __all__ = [
     "EPOC_X",

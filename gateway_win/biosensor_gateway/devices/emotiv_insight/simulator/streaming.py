@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
+from biosensor_gateway.devices.emotiv_insight.simulator.account import Session
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Columns, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
-from biosensor_gateway.devices.emotiv_insight.simulator.methods import Session
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Floats, Wearer

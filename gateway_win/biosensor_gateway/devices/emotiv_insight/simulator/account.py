@@ -1,0 +1,386 @@
+"""The user, the apps, the licence and the sessions of a virtual Cortex, and its refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import Flag, IntEnum, auto
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.devices.emotiv_insight.simulator.headset import warning
+from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
+
+
+class Code(IntEnum):
+    """Error codes of the API."""
+
+    NO_HEADSET = -32001
+    WRONG_LICENCE = -32002
+    HEADSET_UNAVAILABLE = -32004
+    SESSION_EXISTS = -32005
+    NO_LICENCE = -32006
+    NO_SESSION = -32007
+    INVALID_TOKEN = -32014
+    EXPIRED_TOKEN = -32015
+    NO_STREAM = -32016
+    SESSION_LIMIT = -32019
+    WRONG_CREDENTIALS = -32021
+    NOT_LOGGED_IN = -32033
+    NO_ACCESS_RIGHT = -32102
+    STARTING = -32122
+    INVALID_REQUEST = -32600
+    UNKNOWN_METHOD = -32601
+    INVALID_PARAMS = -32602
+    INTERNAL = -32603
+    PARSE = -32700
+
+
+_MESSAGES = {
+    Code.NO_HEADSET: "No headset is connected.",
+    Code.WRONG_LICENCE: "Invalid License Key.",
+    Code.HEADSET_UNAVAILABLE: "The headset is not available.",
+    Code.SESSION_EXISTS: "There is a session with this headset.",
+    Code.NO_LICENCE: "There is no valid licence for an active session.",
+    Code.NO_SESSION: "There is no such session.",
+    Code.INVALID_TOKEN: "The token is invalid.",
+    Code.EXPIRED_TOKEN: "The token has expired.",
+    Code.NO_STREAM: "The stream is unavailable or unsupported.",
+    Code.SESSION_LIMIT: "Session limit on this device has been reached.",
+    Code.WRONG_CREDENTIALS: "The client id or secret is wrong.",
+    Code.NOT_LOGGED_IN: "Nobody is logged in.",
+    Code.NO_ACCESS_RIGHT: "The user has not approved the application.",
+    Code.STARTING: "Cortex is starting.",
+    Code.INVALID_REQUEST: "No request.",
+    Code.PARSE: "This is no JSON.",
+}
+
+
+class RpcError(Exception):
+    """A request that is answered with an error, in the usual words for its code by default."""
+
+    def __init__(self, code: int, message: str = "") -> None:
+        super().__init__(message)
+        self.code = int(code)
+        self._message = message
+
+    def described(self) -> dict[str, Any]:
+        """Return the error object of the API."""
+        usual = _MESSAGES.get(Code(self.code)) if self.code in set(Code) else None
+        message = self._message or usual or "The request has failed."
+        return {"code": self.code, "message": message}
+
+
+LICENCE_ID = "0b5a2f7e-virtual-licence"
+USER = "virtual_user"
+
+
+class Licence(Flag):
+    """What the user's licence covers."""
+
+    NONE = 0
+    """No licence at all: no session can be activated."""
+    EEG = auto()
+    METRICS = auto()
+
+    @property
+    def scopes(self) -> list[str]:
+        """Names as ``getLicenseInfo`` has them."""
+        return [name for flag, name in ((self.EEG, "eeg"), (self.METRICS, "pm")) if flag in self]
+
+
+class App(NamedTuple):
+    """A registered application and what it proves itself with."""
+
+    client_id: str
+    client_secret: str
+
+
+@dataclass(frozen=True)
+class User:
+    """A user of Cortex: what they have done, and what they are licensed for.
+
+    Attributes
+    ----------
+    approved
+        They have let the registered app in.
+    logged_in, other_os_user
+        Whether they are logged in, and whether as another user of this machine.
+    eula_accepted
+        False: every authorization carries a warning.
+    licence
+        What the licence covers.
+    session_quota
+        Sessions left in the cloud on a counted licence; None = not counted.
+    """
+
+    approved: bool = True
+    logged_in: bool = True
+    other_os_user: bool = False
+    eula_accepted: bool = True
+    licence: Licence = Licence.EEG | Licence.METRICS
+    session_quota: int | None = None
+
+
+@dataclass(slots=True)
+class _Token:
+    client_id: str
+    is_expired: bool = False
+
+
+class Account:
+    """The user's account on this machine.
+
+    Parameters
+    ----------
+    apps
+        Secrets of the registered apps by client id.
+    approved
+        Client ids of those that the user let in.
+    user
+        Whose account it is, as they are at first.
+    seed
+        Of the tokens.
+    """
+
+    def __init__(
+        self, apps: Mapping[str, str], approved: set[str], user: User, *, seed: int
+    ) -> None:
+        self.approved = approved
+        self.is_logged_in = user.logged_in
+        self.licence = user.licence
+        self._apps = apps
+        self._user = user
+        self._cloud_quota = user.session_quota
+        self._local_quota = 0
+        self._tokens: dict[str, _Token] = {}
+        self._rng = np.random.default_rng((seed, 0xC0))
+
+    def logins(self) -> list[dict[str, str]]:
+        """Return who is logged in: nobody or one."""
+        if not self.is_logged_in:
+            return []
+        is_other = self._user.other_os_user
+        return [
+            {
+                "currentOSUId": "1000",
+                "currentOSUsername": "participant",
+                "lastLoginTime": "2026-01-05T03:00:00.000+01:00",
+                "loggedInOSUId": "1001" if is_other else "1000",
+                "loggedInOSUsername": "somebody" if is_other else "participant",
+                "username": USER,
+            }
+        ]
+
+    def identify(self, params: Mapping[str, Any]) -> str:
+        """Check an app's credentials and return its client id.
+
+        Raises
+        ------
+        RpcError
+            If they are wrong or nobody is logged in.
+        """
+        client_id, secret = params["clientId"], params["clientSecret"]
+        if client_id not in self._apps or self._apps[client_id] != secret:
+            raise RpcError(Code.WRONG_CREDENTIALS)
+        self._need_login()
+        return client_id
+
+    def authorize(self, client_id: str, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Give an approved app a token and move its sessions to this machine."""
+        if client_id not in self.approved:
+            raise RpcError(Code.NO_ACCESS_RIGHT)
+        if params.get("license", LICENCE_ID) != LICENCE_ID:
+            raise RpcError(Code.WRONG_LICENCE)
+        self._draw(int(params.get("debit", 0)))
+        token = ".".join(self._rng.bytes(12).hex() for _ in range(3))
+        self._tokens[token] = _Token(client_id)
+        reply: dict[str, Any] = {"cortexToken": token}
+        if not self._user.eula_accepted:
+            reply["warning"] = {"code": 6, "message": "The licence agreement is not accepted."}
+        return reply
+
+    def owner(self, params: Mapping[str, Any]) -> str:
+        """Client id of the app that a request's token belongs to.
+
+        Raises
+        ------
+        RpcError
+            If the token is unknown or expired, or nobody is logged in.
+        """
+        token = self._tokens.get(params["cortexToken"])
+        if token is None:
+            raise RpcError(Code.INVALID_TOKEN)
+        if token.is_expired:
+            raise RpcError(Code.EXPIRED_TOKEN)
+        self._need_login()
+        return token.client_id
+
+    def activate(self) -> None:
+        """Take one session from the licence.
+
+        Raises
+        ------
+        RpcError
+            If there is no licence, or no session left on this machine.
+        """
+        if self.licence is Licence.NONE:
+            raise RpcError(Code.NO_LICENCE)
+        if self._cloud_quota is None:
+            return
+        if self._local_quota == 0:
+            raise RpcError(Code.SESSION_LIMIT)
+        self._local_quota -= 1
+
+    def expire_tokens(self) -> None:
+        """Let every token given so far be expired."""
+        for token in self._tokens.values():
+            token.is_expired = True
+
+    def forget_tokens(self) -> None:
+        """Know no token any more."""
+        self._tokens.clear()
+
+    def licence_info(self) -> dict[str, Any]:
+        """Return what ``getLicenseInfo`` answers."""
+        return {
+            "isOnline": True,
+            "license": {
+                "licenseId": LICENCE_ID,
+                "scopes": self.licence.scopes,
+                "expired": False,
+                "localQuota": self._local_quota,
+                "sessionCount": {"count": self._cloud_quota or 0, "debit": 0},
+            },
+        }
+
+    def _draw(self, debit: int) -> None:
+        if self._cloud_quota is not None:
+            drawn = min(debit, self._cloud_quota)
+            self._cloud_quota -= drawn
+            self._local_quota += drawn
+
+    def _need_login(self) -> None:
+        if not self.is_logged_in:
+            raise RpcError(Code.NOT_LOGGED_IN)
+
+
+STREAMS_STOPPED, SESSION_CLOSED = 0, 1
+
+
+@dataclass(eq=False, slots=True)
+class Session:
+    """One app's session; it ends with the connection that made it.
+
+    Attributes
+    ----------
+    is_active
+        Drawn from the licence; an open session has no EEG.
+    subscribers
+        Who gets each stream.
+    """
+
+    session_id: str
+    client_id: str
+    client: Client
+    started: str
+    is_active: bool = False
+    subscribers: dict[str, Client] = field(default_factory=dict[str, Client])
+
+    def describe(self, headset: dict[str, Any], status: str = "") -> dict[str, Any]:
+        """Return the session object of the API."""
+        return {
+            "appId": f"com.example.{self.client_id}",
+            "headset": headset,
+            "id": self.session_id,
+            "license": LICENCE_ID if self.is_active else "",
+            "owner": USER,
+            "recordIds": [],
+            "recording": False,
+            "started": self.started,
+            "status": status or ("activated" if self.is_active else "opened"),
+            "stopped": _now() if status == "closed" else "",
+            "streams": sorted(self.subscribers),
+        }
+
+
+class Sessions:
+    """All sessions of one Cortex.
+
+    Parameters
+    ----------
+    seed
+        Of the session ids.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng((seed, 0x5E))
+        self._sessions: dict[str, Session] = {}
+
+    def __iter__(self) -> Iterator[Session]:
+        return iter(tuple(self._sessions.values()))
+
+    def create(self, client_id: str, client: Client) -> Session:
+        """Begin an open session."""
+        digits = self._rng.bytes(16).hex()
+        parts = (digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])
+        session = Session("-".join(parts), client_id, client, _now())
+        self._sessions[session.session_id] = session
+        return session
+
+    def find(self, client_id: str, session_id: str) -> Session | None:
+        """Return an app's own session, None if it has no such one."""
+        session = self._sessions.get(session_id)
+        return session if session is not None and session.client_id == client_id else None
+
+    def of_app(self, client_id: str) -> list[Session]:
+        """Return every session of one app."""
+        return [session for session in self if session.client_id == client_id]
+
+    def subscribed(self, stream: str) -> list[tuple[Session, Client]]:
+        """Return who gets a stream."""
+        return [
+            (session, session.subscribers[stream])
+            for session in self._sessions.values()
+            if stream in session.subscribers
+        ]
+
+    def close(self, session: Session) -> None:
+        """End one session, as its app asked for."""
+        self._sessions.pop(session.session_id, None)
+
+    def lose_all(self) -> None:
+        """End every session because the headset is gone, and tell the clients."""
+        for session in self:
+            self.close(session)
+            if session.subscribers:
+                self._tell(session, STREAMS_STOPPED, "all streams stopped")
+            self._tell(session, SESSION_CLOSED, "session closed")
+
+    def end_with(self, client: Client) -> None:
+        """End what ends with a connection."""
+        for session in self:
+            if session.client is client:
+                self.close(session)
+            for stream, subscriber in tuple(session.subscribers.items()):
+                if subscriber is client:
+                    del session.subscribers[stream]
+
+    def forget_subscriptions(self, _: float = 0.0) -> None:
+        """Send nobody any stream until it subscribes again; all sessions stay."""
+        for session in self:
+            session.subscribers.clear()
+
+    def forget(self) -> None:
+        """Know no session any more."""
+        self._sessions.clear()
+
+    def _tell(self, session: Session, code: int, behaviour: str) -> None:
+        message = {"behavior": behaviour, "sessionId": session.session_id}
+        session.client.send(warning(code, message))
+
+
+def _now() -> str:
+    return datetime.now(tz=UTC).isoformat(timespec="milliseconds")
