@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
-from biosensor_gateway.devices.empatica_e4.simulator.server import Mishaps, Tear
+from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 
 
@@ -17,12 +17,12 @@ class SteeredE4(SimulatedE4):
     @property
     def requests(self) -> tuple[str, ...]:
         """Every line that clients sent, in order."""
-        return self.world.call(lambda: tuple(self._server.commands.requests))
+        return self.world.call(lambda: tuple(self._commands.requests))
 
     @property
     def client_count(self) -> int:
         """Connections that stand."""
-        return self.world.call(lambda: len(self._server.listener.clients))
+        return self.world.call(lambda: len(self._listener.clients))
 
     def press_button(self, device_id: str | None = None) -> None:
         """Tag a moment."""
@@ -30,11 +30,11 @@ class SteeredE4(SimulatedE4):
 
     def turn_off(self, device_id: str | None = None) -> None:
         """Turn a wristband off by its button; clients are told and unbound."""
-        self._do(lambda: self._server.turn_off(self._find(device_id)))
+        self._do(lambda: self._turn_off(self._find(device_id)))
 
     def turn_on(self, device_id: str | None = None) -> None:
         """Turn a wristband on again."""
-        self._do(lambda: self._server.turn_on(self._find(device_id)))
+        self._do(lambda: self._turn_on(self._find(device_id)))
 
     def lose_packets(self, share: float, seconds: float = inf) -> None:
         """Lose a share of the packets on the radio, from 0 to 1, for so long.
@@ -46,12 +46,12 @@ class SteeredE4(SimulatedE4):
 
     def jump_clock(self, seconds: float) -> None:
         """Set the clock of the server's PC; the stamps jump with it."""
-        self._do(lambda: self._server.jump_clock(seconds))
+        self._do(lambda: self._jump_clock(seconds))
 
     def allow(self) -> None:
         """Register the first wristband to the owner of the key."""
         self._do(lambda: setattr(self._first, "is_allowed", True))
-        self._do(lambda: self._server.attend((self._first,)))
+        self._do(lambda: self._attend((self._first,)))
 
     def forbid(self) -> None:
         """Remove it from there; a radio link that stands is left alone."""
@@ -59,25 +59,25 @@ class SteeredE4(SimulatedE4):
 
     def refuse_stream(self, name: str) -> None:
         """Answer subscriptions to a stream with an error (``gsr``)."""
-        self._do(lambda: self._server.manners.refused_streams.add(name))
+        self._do(lambda: self._manners.refused_streams.add(name))
 
     def withhold_reply(self, command: str) -> None:
         """Carry the next request of a command out without an answer."""
-        self._do(lambda: self._server.manners.withheld.add(command))
+        self._do(lambda: self._manners.withheld.add(command))
 
     def never_answer(self, command: str, *, obey: bool) -> None:
         """Give no answer to a command, ever, whether or not it is carried out."""
-        self._do(lambda: self._server.manners.never_answered.update({command: obey}))
+        self._do(lambda: self._manners.never_answered.update({command: obey}))
 
     def empty_list(self, seconds: float) -> None:
         """List no wristband for so long; data go on."""
-        loop, manners = self.world.loop, self._server.manners
+        loop, manners = self.world.loop, self._manners
         self._do(lambda: setattr(manners, "hides_all", True))
         self._do(lambda: loop.call_later(seconds, setattr, manners, "hides_all", False))
 
     def send_raw(self, data: bytes) -> None:
         """Send every client any bytes."""
-        self._do(lambda: self._server.send_raw(data))
+        self._do(lambda: self._send_raw(data))
 
     def duplicate_line(self) -> None:
         """Write the next line of data twice."""
@@ -97,13 +97,31 @@ class SteeredE4(SimulatedE4):
 
     def close_connections(self) -> None:
         """Break every connection off with an RST; the port stays open."""
-        self._do(self._server.listener.reset_all)
+        self._do(self._listener.reset_all)
+
+    def _turn_off(self, wristband: Wristband) -> None:
+        was_connected = wristband.is_connected
+        wristband.turn_off()
+        if was_connected:
+            self._tell(wristband, f"R device {wristband.device_id} turned off via button")
+        for client in self._listener.clients:
+            if client.bound_to == wristband.device_id:
+                client.bind("")
+
+    def _turn_on(self, wristband: Wristband) -> None:
+        wristband.turn_on()
+        self._attend((wristband,))
+
+    def _jump_clock(self, seconds: float) -> None:
+        self._clock.jump(seconds)
+        for wristband in self._wristbands.values():
+            wristband.stamps.jump(seconds)
 
     def _find(self, device_id: str | None) -> Wristband:
-        return self._server.wristbands[device_id.lower()] if device_id else self._first
+        return self._wristbands[device_id.lower()] if device_id else self._first
 
     def _befall(self, change: Callable[[Mishaps], None]) -> None:
-        self._do(lambda: change(self._server.delivery.mishaps))
+        self._do(lambda: change(self._delivery.mishaps))
 
     def _do(self, action: Callable[[], Any]) -> None:
         self.world.call(action)

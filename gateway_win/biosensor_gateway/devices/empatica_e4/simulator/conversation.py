@@ -1,34 +1,23 @@
-"""Answers the requests of the server's clients."""
+"""The server's port: its clients, their requests, and how it answers."""
 
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
-from typing import Protocol
 
 from biosensor_gateway.devices.empatica_e4.simulator.wire import SUBSCRIPTIONS
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
-from biosensor_gateway.simulation.tcp_port import break_off
+from biosensor_gateway.simulation.tcp_port import TcpPort, break_off
 
 _ROOM_BYTES = 1 << 20
 _REQUEST_BYTES = 4096
 
 Hear = Callable[["Client", str], None]
-
-
-class Door(Protocol):
-    """Who knows the clients of a port, and decides who is one."""
-
-    def let_in(self, client: Client) -> bool:
-        """Take a client; False if there is no entry now."""
-        ...
-
-    def let_go(self, client: Client) -> None:
-        """Forget a client whose connection has ended."""
-        ...
+"""Gets each request of a client, a line without its end."""
 
 
 class Client(asyncio.Protocol):
@@ -36,10 +25,10 @@ class Client(asyncio.Protocol):
 
     Parameters
     ----------
-    door
+    listener
         Is told that it came and went.
     hear
-        Gets each request, a line without its end.
+        Gets its requests.
 
     Attributes
     ----------
@@ -49,11 +38,11 @@ class Client(asyncio.Protocol):
         Words of streams.
     """
 
-    def __init__(self, door: Door, hear: Hear) -> None:
+    def __init__(self, listener: Listener, hear: Hear) -> None:
         self.bound_to = ""
         self.subscriptions: set[str] = set()
         self.is_paused = False
-        self._door = door
+        self._listener = listener
         self._hear = hear
         self._transport: asyncio.Transport | None = None
         self._unfinished = b""
@@ -89,7 +78,7 @@ class Client(asyncio.Protocol):
         """Become one of the listener's clients, unless it has closed meanwhile."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        if not self._door.let_in(self):
+        if not self._listener.let_in(self):
             self.reset()
 
     def data_received(self, data: bytes) -> None:
@@ -105,7 +94,7 @@ class Client(asyncio.Protocol):
         del exc
         self._transport = None
         self._ended.set()
-        self._door.let_go(self)
+        self._listener.let_go(self)
 
     def write(self, data: bytes) -> None:
         """Send, if anything can be sent."""
@@ -158,6 +147,97 @@ _MODEL = "Empatica_E4"
 _SWITCH = ("ON", "OFF")
 _LONGEST_PATIENCE_MIN = 254
 _NOT_BOUND = "ERR You are not connected to any device"
+
+
+class Listener:
+    """A TCP server whose port stays its own while it is shut.
+
+    Parameters
+    ----------
+    hear
+        Gets each client's requests.
+
+    Attributes
+    ----------
+    clients
+        Those that are connected.
+    """
+
+    def __init__(self, hear: Hear) -> None:
+        self.clients: set[Client] = set()
+        self._hear = hear
+        self._port = TcpPort(self._connected)
+        self._connecting: set[asyncio.Task[object]] = set()
+        self._is_stalled = False
+
+    @property
+    def port(self) -> int:
+        """TCP port, the same over all openings; 0 before the first."""
+        return self._port.number
+
+    def open(self) -> None:
+        """Accept clients from now on.
+
+        Raises
+        ------
+        TransportError
+            BUSY if the port cannot be had.
+        """
+        self._port.open()
+
+    def shut(self) -> None:
+        """Refuse clients from now on, break off those that are connected, keep the port."""
+        self._port.shut()
+        self.reset_all()
+
+    def reset_all(self) -> None:
+        """Break every connection off."""
+        for client in tuple(self.clients):
+            client.reset()
+
+    def stall(self) -> None:
+        """Send and read nothing; connections stand, and new ones are taken."""
+        self._is_stalled = True
+        for client in self.clients:
+            client.stall()
+
+    def resume(self) -> None:
+        """End a `stall`."""
+        self._is_stalled = False
+        for client in self.clients:
+            client.resume()
+
+    async def stop(self) -> None:
+        """Close every connection and give the port back."""
+        self._port.close()
+        for client in tuple(self.clients):
+            await client.end()
+
+    def let_in(self, client: Client) -> bool:
+        """Take a client, unless the port was shut since it was accepted."""
+        if not self._port.is_open:
+            return False
+        self.clients.add(client)
+        # In Python 3.11.2, which Debian 12 has, asyncio reads from a new connection although that
+        # was paused as it was made, so it is paused right after.
+        asyncio.get_running_loop().call_soon(self._stall_new, client)
+        return True
+
+    def _stall_new(self, client: Client) -> None:
+        if self._is_stalled:
+            client.stall()
+
+    def let_go(self, client: Client) -> None:
+        """Forget a client whose connection has ended."""
+        self.clients.discard(client)
+
+    def _connected(self, connection: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        task = loop.create_task(
+            loop.connect_accepted_socket(lambda: Client(self, self._hear), connection)
+        )
+        self._connecting.add(task)
+        task.add_done_callback(self._connecting.discard)
 
 
 @dataclass(slots=True)
@@ -260,8 +340,7 @@ class Commands:
         if command == "device_disconnect" and answer == "OK":
             client.close()
 
-    def _discover_list(self, client: Client, arguments: list[str]) -> str:
-        del client, arguments
+    def _discover_list(self, _: Client, __: list[str]) -> str:
         return self._listed(
             [
                 f"{each.device_id} {_MODEL} {'allowed' if each.is_allowed else 'not_allowed'}"
@@ -270,8 +349,7 @@ class Commands:
             ]
         )
 
-    def _list(self, client: Client, arguments: list[str]) -> str:
-        del client, arguments
+    def _list(self, _: Client, __: list[str]) -> str:
         return self._listed(
             [
                 f"{each.device_id} {_MODEL}"
@@ -304,8 +382,7 @@ class Commands:
             answer = "OK"
         self._answer(client, "device_connect_btle", answer)
 
-    def _disconnect_radio(self, client: Client, arguments: list[str]) -> str:
-        del client
+    def _disconnect_radio(self, _: Client, arguments: list[str]) -> str:
         wristband = self._find(arguments)
         if wristband is None or not (wristband.is_connected or wristband.is_lost):
             return "ERR The device is not connected over btle"
@@ -322,8 +399,7 @@ class Commands:
         client.bind(wristband.device_id)
         return "OK"
 
-    def _unbind(self, client: Client, arguments: list[str]) -> str:
-        del arguments
+    def _unbind(self, client: Client, _: list[str]) -> str:
         if not client.bound_to:
             return "ERR No connected device."
         client.bind("")

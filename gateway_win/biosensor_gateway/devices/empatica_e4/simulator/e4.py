@@ -8,14 +8,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import cycle
+from math import inf
 from types import MappingProxyType
 from typing import Any, Unpack
 
-from biosensor_gateway.devices.empatica_e4.simulator.server import Listener, Server
-from biosensor_gateway.devices.empatica_e4.simulator.wire import NumberFormat
+import numpy as np
+
+from biosensor_gateway.devices.empatica_e4.simulator.conversation import Commands, Listener, Manners
+from biosensor_gateway.devices.empatica_e4.simulator.delivery import Delivery, damaged_line
+from biosensor_gateway.devices.empatica_e4.simulator.wire import NumberFormat, WallClock
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Timing, Wristband
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Expected, LossTolerance
@@ -89,23 +93,25 @@ class SimulatedE4(VirtualDevice):
     ) -> None:
         super().__init__(world, **specimen)
         timing = replace(timing or Timing(), jitter_s=self.specimen.jitter_s)
-        self._server = Server(
-            is_automatic=automatic,
-            style=style or NumberFormat(),
-            seed=self.specimen.seed,
-            clock=world.clock,
-        )
+        self._is_automatic = automatic
+        self._is_up = self._is_over = False
+        self._rng = np.random.default_rng((self.specimen.seed, 0x6A))
+        self._wristbands: dict[str, Wristband] = {}
+        self._manners = Manners()
+        self._commands = Commands(self._wristbands, self._manners, self._connect)
+        self._listener = Listener(self._commands.hear)
+        self._delivery = Delivery(self._listener.clients, style or NumberFormat())
         for number, each in enumerate((device_id, *others)):
             own = _further(self.specimen, number) if number else self.specimen
-            self._server.wristbands[each.lower()] = Wristband(
+            self._wristbands[each.lower()] = Wristband(
                 each,
                 own,
                 timing,
                 is_allowed=allowed or number > 0,
                 truth=Truth(own.kept) if number else self.truth,
-                deliver=self._server.delivery.deliver,
+                deliver=self._delivery.deliver,
             )
-        self._first = self._server.first
+        self._first = self._wristbands[device_id.lower()]
         self._to_deny = cycle(_DENIABLE)
 
     @property
@@ -115,39 +121,96 @@ class SimulatedE4(VirtualDevice):
 
     def settings_of(self, device_id: str) -> Mapping[str, Any]:
         """Return what `settings` is for another wristband."""
-        return {"host": LOOPBACK, "port": self._server.listener.port, "device": device_id}
+        return {"host": LOOPBACK, "port": self._listener.port, "device": device_id}
 
     def truth_of(self, device_id: str) -> Truth:
         """Return what was sent on of one wristband."""
-        return self._server.wristbands[device_id.lower()].truth
+        return self._wristbands[device_id.lower()].truth
 
     async def _start(self) -> None:
-        self._server.start()
+        self._clock = WallClock(self.world.clock)
+        for wristband in self._wristbands.values():
+            wristband.begin(self._clock)
+        self._come_up()
 
     async def _stop(self) -> None:
-        await self._server.stop()
+        # A restart that is under way comes to nothing.
+        self._is_over, self._is_up = True, False
+        self._disconnect_all()
+        await self._listener.stop()
+
+    def _come_up(self) -> None:
+        """Start the server's process."""
+        if self._is_over:
+            return
+        self._is_up = True
+        self._listener.open()
+        self._attend(self._wristbands.values())
+
+    def _go_down(self) -> None:
+        """End the process; its successor runs under another locale."""
+        self._is_up = False
+        self._listener.shut()
+        self._disconnect_all()
+        self._delivery.style = self._delivery.style.with_other_mark()
+
+    def _attend(self, wristbands: Iterable[Wristband]) -> None:
+        """Connect wristbands that can be, if the server does that by itself."""
+        if not (self._is_automatic and self._is_up):
+            return
+        for each in wristbands:
+            if each.is_advertising and each.is_allowed and not each.is_left_alone:
+                self._connect(each)
+
+    def _connect(self, wristband: Wristband, patience_s: float = inf) -> None:
+        was_lost = wristband.is_lost
+        wristband.connect(patience_s)
+        if was_lost:
+            self._tell(wristband, f"R connection re-established to device {wristband.device_id}")
+
+    def _disconnect_all(self) -> None:
+        for wristband in self._wristbands.values():
+            wristband.disconnect()
+
+    def _tell(self, wristband: Wristband, event: str) -> None:
+        for client in tuple(self._listener.clients):
+            if client.bound_to == wristband.device_id:
+                client.write(f"{event}\n".encode())
+
+    def _send_raw(self, data: bytes) -> None:
+        for client in tuple(self._listener.clients):
+            client.write(data)
 
     def _break_links(self) -> None:
-        self._server.listener.reset_all()
+        self._listener.reset_all()
 
     def _lose(self) -> None:
-        self._server.lose(self._first)
+        """Let the first wristband go out of the radio's reach, and tell its clients."""
+        was_connected = self._first.is_connected
+        self._first.lose()
+        if was_connected:
+            self._tell(self._first, f"R connection lost to device {self._first.device_id}")
 
     def _come_back(self) -> None:
-        self._server.come_back(self._first)
+        self._first.come_back()
+        self._attend((self._first,))
 
     def _babble(self, lines: float) -> None:
-        self._server.send_garbage(round(lines))
+        for _ in range(round(lines)):
+            self._send_raw(damaged_line(self._rng))
 
     def _deny(self) -> None:
-        self._server.manners.refused_streams.add(next(self._to_deny))
+        """Send one of the signals to nobody, another one each time."""
+        self._manners.refused_streams.add(next(self._to_deny))
         self._break_links()
 
     def _give(self) -> None:
-        self._server.manners.refused_streams.clear()
+        self._manners.refused_streams.clear()
 
     def _forget(self, _: float) -> None:
-        self._server.forget_subscriptions()
+        """Send no client any stream until it subscribes again; all stay bound."""
+        for client in self._listener.clients:
+            client.subscriptions.clear()
 
     def _discharge(self, percent: float) -> None:
         self._first.signals.battery = percent / 100
@@ -159,18 +222,16 @@ class SimulatedE4(VirtualDevice):
         {
             FaultKind.DROP: lasting(_lose, _come_back),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.REFUSE: flag("_server.manners.refuses_binding", then=_break_links),
+            FaultKind.REFUSE: flag("_manners.refuses_binding", then=_break_links),
             FaultKind.DENY: lasting(_deny, _give),
-            FaultKind.LATE: level("_server.manners.late_s", 0.0, then=_break_links),
+            FaultKind.LATE: level("_manners.late_s", 0.0, then=_break_links),
             FaultKind.FORGET: Effect(_forget),
-            FaultKind.UNREADABLE: flag("_server.delivery.mishaps.foreign"),
+            FaultKind.UNREADABLE: flag("_delivery.mishaps.foreign"),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: flag("_first.signals.is_worn", False),
             FaultKind.DRIFT: Effect(_drift),
-            **on_part("_server", {FaultKind.RESTART: lasting(Server.go_down, Server.come_up)}),
-            **on_part(
-                "_server.listener", {FaultKind.STALL: lasting(Listener.stall, Listener.resume)}
-            ),
+            FaultKind.RESTART: lasting(_go_down, _come_up),
+            **on_part("_listener", {FaultKind.STALL: lasting(Listener.stall, Listener.resume)}),
         }
     )
 
