@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -257,29 +256,6 @@ async def test_a_headset_that_is_switched_off_and_on(
         assert_true(run, cortex, "eeg")
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        Fault(FaultKind.DROP, 1.0),
-        Fault(FaultKind.STALL, 3.0),
-        Fault(FaultKind.REFUSE, 1.0),
-        Fault(FaultKind.RESTART, 1.0),
-    ],
-    ids=lambda fault: fault.kind.value,
-)
-async def test_a_fault_that_passes_leaves_a_gap(
-    world: World, kept: Kept, eventually: Eventually, fault: Fault
-) -> None:
-    with SteeredCortex(world, timing=QUICK, seed=11) as cortex:
-        async with kept(cortex) as run:
-            await eventually(run.sink.has(20, "eeg", "mot"))
-            cortex.apply(fault)
-            await eventually(lambda: run.states.count(State.STREAMING) >= 2)
-            rows = len(run.sink.rows["eeg"])
-            await eventually(run.sink.has(rows + 50, "eeg"))
-        assert_true(run, cortex, "eeg", "mot")
-
-
 async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Eventually) -> None:
     with SteeredCortex(world, timing=QUICK, seed=13) as cortex:
         async with kept(cortex) as run:
@@ -294,22 +270,6 @@ async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Event
             assert run.sink.dropped_bytes > 0
         assert_true(run, cortex, "eeg")
         assert not run.sink.losses
-
-
-async def test_battery_and_contact_are_seen(
-    world: World, kept: Kept, eventually: Eventually
-) -> None:
-    with SteeredCortex(world, timing=QUICK, seed=14) as cortex:
-        async with kept(cortex) as run:
-            await eventually(run.sink.has(1, "dev"))
-            assert run.sink.rows["dev"][0][7] > 0
-            cortex.apply(Fault(FaultKind.LOW_BATTERY, 4.0))
-            cortex.apply(Fault(FaultKind.OFF_BODY, math.inf))
-            await eventually(lambda: run.sink.rows["dev"][-1][8] == 4)
-            await eventually(lambda: not any(run.sink.rows["dev"][-1][2:8]))
-            cortex.clear(FaultKind.OFF_BODY)
-            await eventually(lambda: run.sink.rows["dev"][-1][7] > 0)
-        assert_true(run, cortex, "dev")
 
 
 @pytest.mark.parametrize("method", ["subscribe", "createSession", "queryHeadsets"])

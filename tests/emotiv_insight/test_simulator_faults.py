@@ -105,19 +105,6 @@ async def test_a_dropped_link_breaks_off_and_refuses_until_it_is_back(world: Wor
             assert headset["status"] == "connected"
 
 
-async def test_a_dropped_link_comes_back_by_itself(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        cortex.apply(Fault(FaultKind.DROP, 0.3))
-        async with asyncio.timeout(DEADLINE_S):
-            while True:
-                try:
-                    async with CortexClient(cortex.settings) as client:
-                        assert await client.ask("getUserLogin")
-                        return
-                except ConnectionRefusedError:
-                    await asyncio.sleep(0.05)
-
-
 async def test_a_half_open_link_answers_no_ping_and_sends_nothing(world: World) -> None:
     with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
@@ -152,57 +139,6 @@ async def test_a_client_that_pings_notices_a_half_open_link(world: World) -> Non
         cortex.clear(FaultKind.STALL)
         async with CortexClient(cortex.settings) as again:
             await again.until(lambda: cortex.client_count == 1)
-
-
-async def test_garbage_stands_between_samples(world: World) -> None:
-    with SteeredCortex(world, seed=5) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            _, session = await client.begin(*APP, "eeg")
-            await client.until_data("eeg")
-            cortex.apply(Fault(FaultKind.GARBAGE, 200))
-            await client.until_data("eeg", 100)
-            assert await client.ask("getUserLogin")
-        assert len(client.odd) > 60
-        assert any(isinstance(text, bytes) for text in client.odd)
-        assert any("NaN" in text for text in client.odd if isinstance(text, str))
-        sids = {message["sid"] for rows in client.data.values() for message in rows}
-        assert len(sids) == 2
-        true = [
-            row
-            for message, row in zip(client.data["eeg"], client.rows("eeg"), strict=True)
-            if message["sid"] == session and message["time"] > 1e9
-        ]
-        assert [row[2:7] for row in true] == cortex.truth.samples("eeg").values.tolist()
-
-
-async def test_a_refusing_cortex_breaks_off_and_refuses_what_leads_to_data(world: World) -> None:
-    with SteeredCortex(world, Circumstances(refusal_code=-32122)) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            token, _ = await client.begin(*APP)
-            cortex.apply(Fault(FaultKind.REFUSE, FOREVER))
-            assert await client.until_closed() is None
-        async with CortexClient(cortex.settings) as again:
-            for method in ("authorize", "createSession", "subscribe"):
-                with pytest.raises(CortexError) as caught:
-                    await again.ask(method, **CREDENTIALS)
-                assert caught.value.code == -32122
-            assert await again.ask("querySessions", cortexToken=token) == []
-            cortex.clear(FaultKind.REFUSE)
-            assert await again.authorize(*APP)
-
-
-async def test_late_answers_still_come(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP)
-            cortex.apply(Fault(FaultKind.LATE, 1.0))
-            assert await client.until_closed() is None
-        async with CortexClient(cortex.settings) as again:
-            token = await again.authorize(*APP)
-            created = await again.ask("createSession", cortexToken=token, status="active")
-            assert await samples_before_reply(again, token, created["id"]) > 0
-            cortex.clear(FaultKind.LATE)
-            assert await again.ask("getUserLogin")
 
 
 async def test_a_restart_forgets_tokens_sessions_and_the_headset(world: World) -> None:

@@ -167,20 +167,6 @@ async def test_a_short_hold_up_is_waited_for_and_its_backlog_misleads_no_stamp(
             assert run.sink.dropped_bytes == 0
 
 
-async def test_garbage_costs_nothing_but_itself(world: World, running: Running) -> None:
-    with SteeredE4(world, seed=5) as server:
-        async with running(server.settings) as run:
-            await run.until_more()
-            server.apply(Fault(FaultKind.GARBAGE, 300))
-            await run.until(lambda: run.sink.dropped_bytes > 5000)
-            server.send_raw(b"E4_Bvp " + b"1" * 200_000 + b"\r\n")
-            await run.until(lambda: run.sink.dropped_bytes > 205_000)
-            await run.until_more()
-            run.assert_all_arrived(server.truth, "bvp", "acc")
-            assert run.supervisor.connections == 1
-            assert run.sink.clock_state.reanchors <= 1
-
-
 async def test_lines_that_come_twice_glued_or_in_pieces(world: World, running: Running) -> None:
     with SteeredE4(world) as server:
         async with running(server.settings) as run:
@@ -223,18 +209,6 @@ async def test_a_restart_under_another_locale_is_survived(world: World, running:
             stamps = np.array(run.sink.times["bvp"])
             true = server.truth.samples("bvp").times[run.places(server.truth)]
             assert_in_place(stamps - true)
-
-
-async def test_a_refusal_to_bind_is_overcome(world: World, running: Running) -> None:
-    with SteeredE4(world) as server:
-        async with running(server.settings) as run:
-            await run.until_more()
-            server.apply(Fault(FaultKind.REFUSE, FOREVER))
-            await run.until(lambda: f"wristband {ID} is refused" in run.error)
-            server.clear(FaultKind.REFUSE)
-            await run.until(run.has_reconnected)
-            await run.until_more()
-            run.assert_none_doubled(server.truth)
 
 
 async def test_answers_that_come_too_late_answer_nothing_else(

@@ -73,17 +73,6 @@ def test_a_lost_radio_link_is_told_and_comes_back_with_a_new_reference(
         assert len(server.truth.samples("bvp").times) >= len(client.data)
 
 
-def test_a_radio_link_that_is_lost_for_a_time_comes_back_by_itself(
-    world: World, line_client: Any
-) -> None:
-    with SteeredE4(world) as server, line_client(server.settings) as client:
-        client.begin(streams="bvp")
-        server.apply(Fault(FaultKind.DROP, 0.2))
-        assert client.reply() == LOST
-        assert client.reply() == BACK
-        assert client.ask("device_list") == LISTED
-
-
 def test_without_automatic_connections_a_client_connects_anew(
     world: World, line_client: Any
 ) -> None:
@@ -158,32 +147,6 @@ def test_a_stalled_server_says_nothing_and_reads_nothing(world: World, line_clie
         assert np.count_nonzero(steps != 1) == 1
 
 
-def test_a_refusing_server_breaks_off_and_binds_nobody(world: World, line_client: Any) -> None:
-    with SteeredE4(world) as server:
-        with line_client(server.settings) as client:
-            client.begin()
-            server.apply(Fault(FaultKind.REFUSE, FOREVER))
-            assert_broken_off(client)
-        with line_client(server.settings) as again:
-            assert again.ask("device_list") == LISTED
-            assert again.ask(f"device_connect {ID}").startswith("R device_connect ERR ")
-            server.clear(FaultKind.REFUSE)
-            again.begin()
-
-
-def test_late_answers_still_come_and_after_data(world: World, line_client: Any) -> None:
-    with SteeredE4(world) as server:
-        with line_client(server.settings) as client:
-            client.begin(streams="bvp")
-            server.apply(Fault(FaultKind.LATE, 0.3))
-            assert_broken_off(client)
-        with line_client(server.settings) as again:
-            again.begin(streams="bvp")
-            assert again.data
-            server.clear(FaultKind.LATE)
-            again.until_lines("E4_Bvp", 3)
-
-
 def test_a_restart_resets_refuses_and_comes_up_under_another_locale(
     world: World, line_client: Any
 ) -> None:
@@ -207,13 +170,6 @@ def test_a_restart_resets_refuses_and_comes_up_under_another_locale(
         assert b"." in b"".join(again.data)
         numbers = (stamps(again)[0] - stamps(client)[0]) / STEP_S
         assert numbers != pytest.approx(round(numbers), abs=1e-4)
-
-
-def test_a_restart_ends_by_itself(world: World, line_client: Any) -> None:
-    with SteeredE4(world) as server:
-        server.apply(Fault(FaultKind.RESTART, 0.2))
-        with until_accepted(line_client, server) as client:
-            assert client.ask("device_list") == LISTED
 
 
 def test_a_restarted_server_without_automatic_connections_has_none(

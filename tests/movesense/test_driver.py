@@ -176,15 +176,6 @@ async def test_nothing_is_said_of_contact_where_nobody_looks_for_beats(sensor: M
 
 
 @ON_BUMBLE
-async def test_who_finds_no_beat_has_no_contact(sensor: MakeSensor) -> None:
-    movesense = sensor()
-    movesense.apply(Fault(FaultKind.OFF_BODY, 3600.0))
-    async with streaming(movesense) as run:
-        await until(run.sink.has(3, "quality"))
-    assert set(run.sink.values("quality")) == {0}
-
-
-@ON_BUMBLE
 async def test_who_refuses_everything_is_tried_again_and_says_so(sensor: MakeSensor) -> None:
     movesense = sensor()
     movesense.apply(Fault(FaultKind.REFUSE, 3600.0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from math import inf
 
 import numpy as np
 import pytest
@@ -84,22 +83,6 @@ async def test_what_is_not_wanted_is_not_started(sensor: MakeSensor) -> None:
     assert "ecg" not in h10.truth.data_names
     async with connected(sensor(), ecg=False) as info:
         assert (info.silent, set(info.rates)) == ({"ecg"}, {"acc"})
-
-
-async def test_the_strap_may_be_taken_off_and_put_on_again(sensor: MakeSensor) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await until(run.sink.has(2, "hr", "quality"))
-        h10.apply(Fault(FaultKind.OFF_BODY, inf))
-        await until(lambda: run.sink.values("quality")[-1] == 0)
-        beats = len(run.sink.rows["hr"])
-        await until(lambda: run.sink.values("quality")[-2:] == [0, 0])
-        assert len(run.sink.rows["hr"]) == beats
-        h10.clear(FaultKind.OFF_BODY)
-        await until(lambda: run.sink.values("quality")[-1] == 1)
-        await until(run.sink.has(beats + 1, "hr"))
-        assert run.supervisor.connections == 1
-    assert min(run.sink.values("hr")) > 0
 
 
 @pytest.mark.parametrize("firmware", [Firmware.OLD, Firmware.HEART_RATE_ONLY])

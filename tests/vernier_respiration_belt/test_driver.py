@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 import pytest
 
@@ -101,18 +99,6 @@ async def test_the_battery_is_asked_for_while_measuring(
     index = assert_true(run.sink, belt)
     assert index.tolist() == list(range(len(index)))
     assert run.sink.lost_count("force") == 0
-
-
-async def test_a_belt_that_is_taken_off_becomes_loose_and_loses_its_rate(
-    belt: SimulatedBelt,
-) -> None:
-    async with streaming(belt) as run:
-        await until(lambda: [1.0, 0.0] in run.sink.rows["quality"])
-        belt.apply(Fault(FaultKind.OFF_BODY, inf))
-        await until(lambda: run.sink.rows["quality"][-1] == [0.0, -1.0])
-        assert np.isnan(run.sink.values("bpm")[-1])
-        belt.clear(FaultKind.OFF_BODY)
-        await until(lambda: run.sink.rows["quality"][-1] == [1.0, 0.0])
 
 
 def test_defaults_are_enough() -> None:

@@ -94,15 +94,6 @@ async def test_a_belt_that_stays_silent_is_connected_anew(
             assert run.supervisor.connections == 2
 
 
-async def test_a_belt_that_refuses_is_left_alone_for_a_while(belt: SimulatedBelt) -> None:
-    belt.apply(Fault(FaultKind.REFUSE, inf))
-    async with streaming(belt) as run:
-        await until(lambda: State.BACKOFF in run.states)
-        assert "refuses INIT" in str(run.supervisor.last_error)
-        belt.clear(FaultKind.REFUSE)
-        await until(run.sink.has(5, "force"))
-
-
 async def test_a_belt_that_has_just_been_woken_is_greeted_twice(
     belt: SimulatedBelt, monkeypatch: pytest.MonkeyPatch
 ) -> None:

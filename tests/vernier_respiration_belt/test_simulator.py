@@ -145,39 +145,6 @@ async def test_samples_are_the_truth(radio: Radio, max_mtu: int) -> None:
         assert received[-1, 1] == pytest.approx(15, abs=1)
 
 
-async def test_the_status_shows_the_battery(radio: Radio) -> None:
-    with SimulatedBelt(radio.world, radio) as belt:
-        async with _host() as host:
-            assert (await host.ask("10"))[10] == 76
-            belt.apply(Fault(FaultKind.LOW_BATTERY, 4))
-            assert (await host.ask("10"))[10] == 4
-
-
-async def test_a_belt_that_is_taken_off_is_slack_and_knows_no_rate(radio: Radio) -> None:
-    with SimulatedBelt(radio.world, radio, warm_up_s=0.5) as belt:
-        async with _host() as host:
-            await host.start()
-            worn = await host.samples(10)
-            assert worn[:, 0].min() > 5
-            belt.apply(Fault(FaultKind.OFF_BODY, float("inf")))
-            await host.samples(3)
-            off = await host.samples(8)
-            assert off[:, 0].max() < 0
-            assert np.isnan(off[:, 1]).all()
-            belt.clear(FaultKind.OFF_BODY)
-            await host.samples(3)
-            assert (await host.samples(5))[:, 0].min() > 5
-
-
-async def test_a_refusing_belt_ignores_commands(radio: Radio) -> None:
-    with SimulatedBelt(radio.world, radio) as belt:
-        belt.apply(Fault(FaultKind.REFUSE, float("inf")))
-        async with _host() as host:
-            assert await host.ask(INIT) == b"\x02"
-            belt.clear(FaultKind.REFUSE)
-            assert await host.ask(INIT) == b"\0"
-
-
 @pytest.mark.parametrize("kind", [FaultKind.DROP, FaultKind.RESTART])
 async def test_a_lost_belt_comes_back_and_has_forgotten_its_modes(
     radio: Radio, kind: FaultKind

@@ -347,18 +347,6 @@ async def test_a_device_that_falls_silent_is_connected_anew(
     await assert_only_counted_losses(run)
 
 
-async def test_garbage_between_frames_costs_nothing_else() -> None:
-    async with streaming(fast(seed=11)) as run:
-        for number in range(1, 6):
-            await eventually(run.sink.has_blocks("ecg", blocks=5 * number))
-            run.device.garbage(100)
-        await eventually(lambda: run.sink.dropped_bytes >= 500)
-        await eventually(run.sink.has_blocks("breathing", "acc", blocks=8))
-    assert run.sink.dropped_bytes == 500
-    assert run.lost == {}
-    await assert_only_counted_losses(run)
-
-
 async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
     async with streaming(fast()) as run:
         await eventually(run.sink.has_blocks(*WAVEFORMS))
@@ -397,22 +385,6 @@ async def test_the_device_s_clock_may_turn_midnight_or_be_set(step_s: float | No
     assert len(days) == (2 if step_s is None else 1)
     assert run.lost == {}
     await assert_only_counted_losses(run)
-
-
-async def test_the_strap_may_be_taken_off_and_put_on_again() -> None:
-    async with streaming(fast()) as run:
-        worn: Callable[[], list[float]] = lambda: list(run.sink.array("quality")[:, 0])  # noqa: E731
-        await eventually(lambda: 1 in worn())
-        run.device.off_body()
-        await eventually(lambda: worn()[-2:] == [0, 0])
-        beats = len(run.sink.blocks["hr"])
-        await eventually(lambda: worn()[-4:] == [0, 0, 0, 0])
-        assert len(run.sink.blocks["hr"]) == beats
-        run.device.on_body()
-        await eventually(lambda: worn()[-2:] == [1, 1])
-        await eventually(run.sink.has_blocks("hr", blocks=beats + 1))
-    assert sorted(worn(), reverse=True) != worn()
-    assert [b - a for a, b in pairwise(worn()) if a != b] == [-1, 1]
 
 
 class Script:

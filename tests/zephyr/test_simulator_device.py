@@ -196,18 +196,6 @@ def test_vital_signs_of_the_truth_are_those_of_the_summary(
     assert {"st", "hrv"}.isdisjoint(device.truth.data_names)
 
 
-def test_drop_takes_the_port_away_and_brings_it_back(
-    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
-) -> None:
-    assert host.ask(ECG_ON) == ACK
-    device.apply(Fault(FaultKind.DROP, math.inf))
-    host.until_hung_up()
-    with pytest.raises(OSError):
-        Host(device.settings["port"])
-    device.clear(FaultKind.DROP)
-    assert hosts.connect(device.settings["port"]).ask(ECG_ON) == ACK
-
-
 def test_restart_begins_with_packet_0_and_a_clock_that_went_on(
     hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
 ) -> None:
@@ -247,51 +235,6 @@ def test_stall_is_a_gap_that_the_truth_counts(host: Host, device: SimulatedZephy
     sequences = [each.sequence for each in host.wait_for(ECG, 6)]
     lost = sum(int(step) - 1 for step in np.diff(sequences) % 256)
     assert 63 * lost == device.truth.unsent_count("ecg")
-
-
-def test_garbage_comes_between_frames(host: Host, device: SimulatedZephyr) -> None:
-    assert host.ask(ECG_ON) == ACK
-    device.apply(Fault(FaultKind.GARBAGE, 64))
-    host.until(lambda: host.junk > 20)
-    host.wait_for(ECG, 3)
-
-
-def test_refuse_answers_with_a_refusal_until_it_ends(
-    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
-) -> None:
-    device.apply(Fault(FaultKind.REFUSE, math.inf))
-    host.until_hung_up()
-    again = hosts.connect(device.settings["port"])
-    assert {again.ask(request) for request in (ECG_ON, SUMMARY_ON)} == {NAK}
-    device.clear(FaultKind.REFUSE)
-    assert again.ask(ECG_ON) == ACK
-
-
-def test_late_answers_come_late(
-    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
-) -> None:
-    device.apply(Fault(FaultKind.LATE, 0.5))
-    host.until_hung_up()
-    again = hosts.connect(device.settings["port"])
-    asked_s = LSL_CLOCK()
-    assert again.ask(ECG_ON) == ACK
-    # Never before; how long after is the machine's matter.
-    assert LSL_CLOCK() - asked_s >= 0.5
-
-
-def test_body_and_battery_show_in_the_summary(host: Host, device: SimulatedZephyr) -> None:
-    device.apply(Fault(FaultKind.OFF_BODY, math.inf))
-    device.apply(Fault(FaultKind.LOW_BATTERY, 4))
-    assert host.ask(SUMMARY_ON) == ACK
-    host.wait_for(SUMMARY, 1)
-    assert settled(device, "bat", 1).values[0, 0] == 4
-    assert settled(device, "quality", 1).values[0].tolist() == [0, 0, 1, 1, 1, 254]
-    assert "hr" not in device.truth.data_names
-    device.clear(FaultKind.OFF_BODY)
-    count = len(host.of(SUMMARY))
-    host.wait_for(SUMMARY, count + 2)
-    assert settled(device, "quality", 3).values[-1, 0] == 1
-    assert settled(device, "hr", 1).values[0, 0] > 50
 
 
 def test_drift_changes_the_pace_of_the_truth(host: Host, device: SimulatedZephyr) -> None:
