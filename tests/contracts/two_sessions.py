@@ -25,9 +25,8 @@ from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.page.network.reader import Reader
-from biosensor_gateway.recording.here.said import predicate
-from biosensor_gateway.recording.labrecorder import streams
-from biosensor_gateway.recording.receiving import program
+from biosensor_gateway.recording.recorder import receiver, streams
+from biosensor_gateway.recording.recorder.program import predicate
 from biosensor_gateway.recording.replay.errors import ReplayError
 from biosensor_gateway.recording.replay.playing import refuse_if_present
 from lsl_to_ros.lsl.discovery import Discovery
@@ -110,8 +109,8 @@ def _recorder_of_ours() -> None:
 
 
 def _own_recorder() -> None:
-    program._say = _ignore
-    program._Recorder(io.BytesIO(), EVERYTHING).run(_done)
+    receiver._say = _ignore
+    receiver._Recorder(io.BytesIO(), EVERYTHING).run(_done)
 
 
 def _replay() -> None:

@@ -10,8 +10,8 @@ import typer
 
 from biosensor_gateway.cli import recording_here
 from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
-from biosensor_gateway.recording.labrecorder.file_name import Place
 from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.recorder.request import Place
 
 ORDER = Order(Place(Path("/data")))
 AWAY = SensorsAwayError(["P03's strap is paused since 14:03"])

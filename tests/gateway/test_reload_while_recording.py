@@ -17,7 +17,7 @@ from biosensor_gateway.agent.fleet import Fleet, FleetChanges
 from biosensor_gateway.cli import reloading, settings
 from biosensor_gateway.cli.settings import edit
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.room import Room
 

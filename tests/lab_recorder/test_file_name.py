@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place, choose_target
+from biosensor_gateway.recording.recorder.request import BidsLabels, Place, choose_target
 
 LABELS = BidsLabels("P07", "S2", "Walk", 12, "left", "EEG")
 

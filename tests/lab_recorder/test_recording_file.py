@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.labrecorder import recording_file
-from biosensor_gateway.recording.labrecorder.file_name import Target
 from biosensor_gateway.recording.labrecorder.recording_file import (
     glance,
     grows,
@@ -19,6 +18,7 @@ from biosensor_gateway.recording.labrecorder.recording_file import (
     wait_for_growth,
     wait_until_closed,
 )
+from biosensor_gateway.recording.recorder.request import Target
 from tests.xdf.xdf_file import FILE_HEADER, chunk, footer, samples, stream_header
 
 HEAD = b"XDF:" + chunk(1, FILE_HEADER) + stream_header(1, "one")

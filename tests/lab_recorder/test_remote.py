@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
-from biosensor_gateway.recording.labrecorder.remote import RemoteControl
+from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
 from tests.lab_recorder.remote_control import LabRecorderPeer
 
 LOCAL = "127.0.0.1"

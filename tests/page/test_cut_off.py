@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
 from biosensor_gateway.recording.xdf.verdict import check
 from tests.page.test_whose import Page
 from tests.xdf import xdf_file as x

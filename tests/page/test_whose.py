@@ -14,7 +14,7 @@ import pytest
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.page.service import Service
 from biosensor_gateway.page.steering import Steering
-from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
 
 STRAP = '[[device]]\nsensor = "polar_h10"\nunit = "A"\nparticipant = "{}"\nenabled = {}\n'
 BELT = '[[device]]\nsensor = "zephyr"\nunit = "B"\nport = "COM4"\nparticipant = "{}"\n'

@@ -12,8 +12,8 @@ from typing import Self
 import pylsl
 import pytest
 
-from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 
 RATE_HZ = 2000
 """So fast that the recorder's blocks are full in a moment."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
-from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
 from biosensor_gateway.recording.xdf.findings import Level
 from tests.recording_here.test_growth import HEAD, TWO, data
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.here import recording
-from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
-from biosensor_gateway.recording.here.recording import end
 from biosensor_gateway.recording.labrecorder.recording_file import Glance, glance
+from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.local import end
+from biosensor_gateway.recording.recorder.state import Job, Kept, RecorderFolder
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
@@ -21,7 +21,7 @@ AWAY = "polar_h10/A1 of P01 was paused the whole time, and "
 def empty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.xdf.test_participants.STAMPS", [])
     # Nobody writes the file, so there is no need to wait until that has ended.
-    monkeypatch.setattr(recording, "wait_until_closed", _closed)
+    monkeypatch.setattr(local, "wait_until_closed", _closed)
 
 
 def _closed(file: Path, *_: object) -> Glance:

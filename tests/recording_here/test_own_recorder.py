@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.here import starting
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.ways import LAB_RECORDER, OWN, Way, find_ways
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
-from biosensor_gateway.recording.receiving import program
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
+from biosensor_gateway.recording.recorder import receiver
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.framing import Tag
@@ -197,10 +197,10 @@ def only_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _program(folder: Path, script: str) -> str:
-    program = folder / "LabRecorderCLI"
-    program.write_text(f"#!/bin/sh\n{script}\n")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    return str(program)
+    receiver = folder / "LabRecorderCLI"
+    receiver.write_text(f"#!/bin/sh\n{script}\n")
+    receiver.chmod(receiver.stat().st_mode | stat.S_IXUSR)
+    return str(receiver)
 
 
 @pytest.mark.parametrize(
@@ -276,10 +276,10 @@ def test_a_service_that_ends_closes_its_file(sources: Sources, state: Path, tmp_
     recording.start(order(tmp_path), sources.presence)
     kept = RecorderFolder(state).kept()
     assert kept is not None
-    program = psutil.Process(kept.program)
-    keeper = program.parent()
+    receiver = psutil.Process(kept.program)
+    keeper = receiver.parent()
     assert keeper is not None
-    for process in (program, keeper):
+    for process in (receiver, keeper):
         process.send_signal(signal.SIGTERM)
     wait_until(lambda: not recording.is_running, "it has ended")
     assert set(contents(recording.stop().file)) == {"chest", "wrist"}
@@ -379,10 +379,10 @@ def test_of_two_that_claim_to_be_one_stream_none_is_recorded_twice(tmp_path: Pat
 def recorder_here(monkeypatch: pytest.MonkeyPatch, file: Path) -> Generator[list[str]]:
     """Record everything in this process; what is said."""
     said: list[str] = []
-    monkeypatch.setattr(program, "_say", said.append)
+    monkeypatch.setattr(receiver, "_say", said.append)
     over = threading.Event()
     with file.open("wb") as target:
-        recorder = program._Recorder(target, EVERYTHING)
+        recorder = receiver._Recorder(target, EVERYTHING)
         running = threading.Thread(target=recorder.run, args=[over])
         running.start()
         try:
@@ -432,7 +432,7 @@ while True:
 def test_a_stream_that_answers_late_is_recorded_from_then_on(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(program, "_OPEN_S", 1.0)
+    monkeypatch.setattr(receiver, "_OPEN_S", 1.0)
     open_ = ReceivedStream.open
     file = tmp_path / "held.xdf"
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo("other", "EEG", 1, 0.0, "float32", "other-id"))

@@ -24,12 +24,12 @@ from biosensor_gateway.recording.here.errors import (
     RecorderError,
     RecorderReason,
 )
-from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StandingHere
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.recording_here.conftest import Sources
@@ -193,10 +193,10 @@ def test_a_killed_program_is_said_with_what_it_said(
 STARTER = """
 import sys, time
 from pathlib import Path
-from biosensor_gateway.recording.here.recording import Recording
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.request import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 import socket
 
 seen = [VisibleStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]

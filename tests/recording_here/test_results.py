@@ -7,7 +7,7 @@ from dataclasses import fields
 import pytest
 
 from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
-from biosensor_gateway.recording.labrecorder.results import Standing, Started, Stopped
+from biosensor_gateway.recording.recorder.result import Standing, Started, Stopped
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from biosensor_gateway.recording.here.said import Said
+from biosensor_gateway.recording.recorder.program import Said
 
 
 def test_the_last_words_have_no_letters_that_nobody_can_read() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
-from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.state import Job, Kept, RecorderFolder
 
 
 @pytest.fixture

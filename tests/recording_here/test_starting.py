@@ -11,10 +11,10 @@ import pytest
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.recording.here import starting
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.labrecorder.file_name import Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.request import Place
+from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 
 
 def test_the_next_try_begins_with_an_empty_file(

@@ -9,8 +9,8 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
 from biosensor_gateway.recording.participants import Worn, compare, listed, participant_of
+from biosensor_gateway.recording.recorder.request import BidsLabels
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.report import Report

@@ -45,11 +45,11 @@ def _run() -> None:
     if len(sys.argv) == 1:
         _lead_after_a_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:
-        from biosensor_gateway.recording.here.keeper import keep  # only then
+        from biosensor_gateway.recording.recorder.supervisor import keep  # only then
 
         sys.exit(keep(Path(sys.argv[2])))
     if sys.argv[1:2] == [RECORD_STREAMS]:
-        from biosensor_gateway.recording.receiving.program import record_streams  # only then
+        from biosensor_gateway.recording.recorder.receiver import record_streams  # only then
 
         sys.exit(record_streams(Path(sys.argv[2]), sys.argv[3]))
     if sys.argv[1:2] == [PLAY_RECORDING]:

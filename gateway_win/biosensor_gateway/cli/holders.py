@@ -16,7 +16,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.page.running import LOCK_FILE, page_folder
-from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.recorder.local import Recording
 
 _PROGRAMS = frozenset({"biosensor-gateway.exe", "biosensor gateway.exe"})
 _OF_PAGE = frozenset({"page", "play-recording"})

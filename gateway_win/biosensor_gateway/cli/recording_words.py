@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from biosensor_gateway.recording.growing.growth import Sight
 from biosensor_gateway.recording.growing.stream import GrowingStream
-from biosensor_gateway.recording.labrecorder.results import By, Standing, Started, Stopped
+from biosensor_gateway.recording.recorder.live_file import Sight
+from biosensor_gateway.recording.recorder.result import By, Standing, Started, Stopped
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 
 if TYPE_CHECKING:

@@ -43,10 +43,10 @@ from biosensor_gateway.page.running import ADDRESS, ask_for_window, ask_to_end
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import printing
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.here.recording import Recording
-from biosensor_gateway.recording.labrecorder.file_name import Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.request import Place
+from biosensor_gateway.recording.recorder.streams import Presence, expected_devices, look
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict, check

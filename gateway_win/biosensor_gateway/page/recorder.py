@@ -22,19 +22,19 @@ from biosensor_gateway.page.models import (
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.here.errors import NotClosedError
-from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
 from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import (
+from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.streams import (
     Presence,
     VisibleStream,
     expected_devices,
     look,
     titles,
 )
-from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import Colour

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from biosensor_gateway.recording.labrecorder.results import Standing, Started, Stopped
+from biosensor_gateway.recording.recorder.result import Standing, Started, Stopped
 from biosensor_gateway.recording.xdf.verdict import Verdict
 
 

@@ -15,19 +15,9 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.here.keeper import END_S, launch
-from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
 from biosensor_gateway.recording.here.results import StartedHere
-from biosensor_gateway.recording.here.said import Said, predicate
 from biosensor_gateway.recording.here.ways import Way, find_ways
-from biosensor_gateway.recording.labrecorder.file_name import (
-    MAX_RUN,
-    SUFFIXES,
-    Place,
-    choose_target,
-)
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
-from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import (
     Order,
     recorded_without,
@@ -35,7 +25,12 @@ from biosensor_gateway.recording.labrecorder.starting import (
     require_sensors,
     what_is_missing,
 )
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
+from biosensor_gateway.recording.recorder.program import Said, predicate
+from biosensor_gateway.recording.recorder.request import MAX_RUN, SUFFIXES, Place, choose_target
+from biosensor_gateway.recording.recorder.result import By
+from biosensor_gateway.recording.recorder.state import Job, Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream, titles
+from biosensor_gateway.recording.recorder.supervisor import END_S, launch
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.system import state_file

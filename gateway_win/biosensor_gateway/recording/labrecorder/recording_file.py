@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from biosensor_gateway.recording.labrecorder.file_name import SUFFIXES, Target
+from biosensor_gateway.recording.recorder.request import SUFFIXES, Target
 from biosensor_gateway.recording.xdf.container import (
     Chunk,
     ChunkError,

@@ -8,8 +8,8 @@ from pathlib import Path
 from biosensor_gateway.recording.labrecorder.errors import LabRecorderError
 from biosensor_gateway.recording.labrecorder.memory import recall
 from biosensor_gateway.recording.labrecorder.recording_file import glance, grows
-from biosensor_gateway.recording.labrecorder.remote import RemoteControl
-from biosensor_gateway.recording.labrecorder.results import By, Standing
+from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
+from biosensor_gateway.recording.recorder.result import By, Standing
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 
 GROWTH_S = 10.0

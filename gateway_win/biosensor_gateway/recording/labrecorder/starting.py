@@ -12,7 +12,6 @@ from biosensor_gateway.recording.labrecorder.errors import (
     LabRecorderReason,
     SensorsAwayError,
 )
-from biosensor_gateway.recording.labrecorder.file_name import Place, Target, choose_target
 from biosensor_gateway.recording.labrecorder.memory import Remembered, recall, remember
 from biosensor_gateway.recording.labrecorder.recording_file import (
     glance,
@@ -21,14 +20,15 @@ from biosensor_gateway.recording.labrecorder.recording_file import (
     sizes,
     wait_for_growth,
 )
-from biosensor_gateway.recording.labrecorder.remote import RemoteControl
-from biosensor_gateway.recording.labrecorder.results import By, Started
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 from biosensor_gateway.recording.participants import (
     OtherParticipantsError,
     compare,
     participant_of,
 )
+from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
+from biosensor_gateway.recording.recorder.request import Place, Target, choose_target
+from biosensor_gateway.recording.recorder.result import By, Started
+from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream, titles
 from biosensor_gateway.system.cloud_folders import warnings_of
 
 GROWTH_S = 30.0

@@ -8,8 +8,8 @@ from pathlib import Path
 from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
 from biosensor_gateway.recording.labrecorder.memory import forget, recall
 from biosensor_gateway.recording.labrecorder.recording_file import Glance, glance, wait_until_closed
-from biosensor_gateway.recording.labrecorder.remote import RemoteControl
-from biosensor_gateway.recording.labrecorder.results import By, Stopped
+from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
+from biosensor_gateway.recording.recorder.result import By, Stopped
 
 STOP_REPLY_S = 60.0
 """Stopping waits up to five seconds for each of its threads."""

@@ -24,8 +24,8 @@ from biosensor_gateway.recording.export.exporter import Missing, Order, Progress
 from biosensor_gateway.recording.export.happenings import Happening, happenings, is_left_out
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.timeline import timeline
-from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
 from biosensor_gateway.recording.participants import entities_of
+from biosensor_gateway.recording.recorder.request import BidsLabels
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _USUAL_TASK = "study"

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum, unique
 from pathlib import Path
 
-from biosensor_gateway.recording.growing.growth import Sight
-from biosensor_gateway.recording.labrecorder.streams import VisibleStream
+from biosensor_gateway.recording.recorder.live_file import Sight
+from biosensor_gateway.recording.recorder.streams import VisibleStream
 from biosensor_gateway.recording.xdf.findings import Finding
 from biosensor_gateway.recording.xdf.verdict import Verdict
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import psutil
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.recording.growing.growth import Growth
 from biosensor_gateway.recording.here import beside_agent
 from biosensor_gateway.recording.here.beside_agent import Devices
 from biosensor_gateway.recording.here.errors import (
@@ -18,17 +17,18 @@ from biosensor_gateway.recording.here.errors import (
     RecorderError,
     RecorderReason,
 )
-from biosensor_gateway.recording.here.keeper import END_S
-from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import PROGRAM_NAME
 from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
-from biosensor_gateway.recording.here.said import Said
 from biosensor_gateway.recording.here.starting import begin
 from biosensor_gateway.recording.here.ways import RECORD_STREAMS
 from biosensor_gateway.recording.labrecorder.recording_file import Glance, wait_until_closed
-from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence
+from biosensor_gateway.recording.recorder.live_file import Growth
+from biosensor_gateway.recording.recorder.program import Said
+from biosensor_gateway.recording.recorder.result import By
+from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.streams import Presence
+from biosensor_gateway.recording.recorder.supervisor import END_S
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Finding, Level

@@ -11,8 +11,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
-from biosensor_gateway.recording.labrecorder.streams import VisibleStream
 from biosensor_gateway.recording.receiving import NOTE
+from biosensor_gateway.recording.recorder.streams import VisibleStream
 
 _FOUND, _MATCHING = "Found ", " matching '"
 _READY, _BEGUN = "Starting the recording", "Started data collection for stream "
