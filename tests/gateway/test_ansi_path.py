@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.here import ways
-from biosensor_gateway.recording.here.ways import LAB_RECORDER, OWN
+from biosensor_gateway.recording.recorder import program
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN
 from biosensor_gateway.system.ansi_path import ansi_folder
 
 FOLDER = Path("/users/\N{LATIN CAPITAL LETTER L WITH STROKE}ukasz/recorder")
@@ -39,16 +39,16 @@ def test_where_labrecorder_could_not_read_session_and_peers_it_does_not_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It would record in the default session, without known peers, and say nothing."""
-    monkeypatch.setattr(ways, "find_program", lambda: Path("/LabRecorderCLI"))
+    monkeypatch.setattr(program, "find_program", lambda: Path("/LabRecorderCLI"))
     named: list[Path | None] = [tmp_path]
 
     def ansi(_folder: Path) -> Path | None:
         return named[0]
 
-    monkeypatch.setattr(ways, "ansi_folder", ansi)
-    found, said = ways.find_ways(tmp_path)
+    monkeypatch.setattr(program, "ansi_folder", ansi)
+    found, said = program.find_ways(tmp_path)
     assert ([each.title for each in found], said) == ([LAB_RECORDER, OWN], [])
     named[0] = None
-    found, said = ways.find_ways(tmp_path)
+    found, said = program.find_ways(tmp_path)
     assert [each.title for each in found] == [OWN]
     assert str(tmp_path) in said[0]

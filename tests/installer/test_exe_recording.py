@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from biosensor_gateway.recording.labrecorder.recording_file import glance
+from biosensor_gateway.recording.recorder.live_file import glance
 from installer.wine.prefix import Prefix
 from tests.rigs.windows.pc import PIPE_ENCODING, WindowsPc
 from tests.rigs.windows.program import RunningProgram, lively, lsl_environment, wait_until

@@ -18,8 +18,8 @@ from ruamel.yaml import YAML
 
 from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import sensor_names, settings_models
-from biosensor_gateway.recording.here import starting
-from biosensor_gateway.recording.here.results import StartedHere, StoppedHere
+from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.result import StartedHere, StoppedHere
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings import models as settings
@@ -326,7 +326,7 @@ def test_the_smoke_test_wants_a_green_recording_of_labrecorder() -> None:
     (judged,) = re.findall(r"\$verdict\.colour -eq '(\w+)'", SMOKE_TEST)
     assert judged == Colour.GREEN
     (taken_over,) = re.findall(r"\$_ -match '(.+)' }", SMOKE_TEST)
-    assert taken_over in getsource(starting)
+    assert taken_over in getsource(local)
     assert "Test-Recording (" in SMOKE_TEST
     # As JSON has them.
     assert {"warnings", "verdict"} <= {each.name for each in fields(StartedHere)} | {

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.going_on import WRITTEN_WITHIN_S, file_going_on
-from biosensor_gateway.recording.labrecorder.memory import (
+from biosensor_gateway.recording.recorder.state import (
     MEMORY_FILE,
     Remembered,
     forget,

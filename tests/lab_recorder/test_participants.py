@@ -10,15 +10,15 @@ import pytest
 
 from biosensor_common.errors import ConfigReason
 from biosensor_gateway.agent.status_file import write_status
-from biosensor_gateway.recording.labrecorder.errors import LabRecorderReason, SensorsAwayError
-from biosensor_gateway.recording.labrecorder.starting import (
+from biosensor_gateway.recording.participants import OtherParticipantsError, Worn
+from biosensor_gateway.recording.recorder.labrecorder import (
     Order,
     require_participant,
     require_sensors,
 )
-from biosensor_gateway.recording.participants import OtherParticipantsError, Worn
 from biosensor_gateway.recording.recorder.local import Recording
 from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.result import LabRecorderReason, SensorsAwayError
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream, expected_devices
 from biosensor_gateway.settings.models import GatewaySettings
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
 from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
+from biosensor_gateway.recording.recorder.result import LabRecorderError, LabRecorderReason
 from tests.lab_recorder.remote_control import LabRecorderPeer
 
 LOCAL = "127.0.0.1"

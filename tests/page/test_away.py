@@ -10,8 +10,7 @@ import pytest
 
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.page.recorder import Story
-from biosensor_gateway.recording.here.results import StandingHere, StartedHere
-from biosensor_gateway.recording.recorder.result import By
+from biosensor_gateway.recording.recorder.result import By, StandingHere, StartedHere
 from biosensor_gateway.recording.recorder.streams import VisibleStream
 from tests.page.test_whose import BELT, Page
 

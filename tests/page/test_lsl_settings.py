@@ -13,9 +13,9 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.page import devices, recorder
 from biosensor_gateway.page.models import NewRecording
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.recorder.labrecorder import Order
 from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
 
 SETTINGS = '[lsl]\nsession_id = "lab7"\nknown_peers = ["192.168.1.20"]\n'
 

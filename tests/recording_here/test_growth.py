@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.growing.file import GrowingFile
-from biosensor_gateway.recording.recorder.live_file import Growth
+from biosensor_gateway.recording.recorder.live_file import GrowingFile, Growth
 from biosensor_gateway.recording.xdf.container import Tag
 from tests.xdf.xdf_file import FILE_HEADER, boundary, chunk, footer, samples, stream_header
 

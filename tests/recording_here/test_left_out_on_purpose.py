@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.labrecorder.recording_file import Glance, glance
 from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.live_file import Glance, glance
 from biosensor_gateway.recording.recorder.local import end
 from biosensor_gateway.recording.recorder.state import Job, Kept, RecorderFolder
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict

@@ -24,14 +24,13 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_common.lsl.predicates import EVERYTHING
-from biosensor_gateway.recording.here import starting
-from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.here.ways import LAB_RECORDER, OWN, Way, find_ways
-from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.receiving.stream import ReceivedStream
-from biosensor_gateway.recording.recorder import receiver
+from biosensor_gateway.recording.recorder import local, receiver
+from biosensor_gateway.recording.recorder.labrecorder import Order
 from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, Way, find_ways
+from biosensor_gateway.recording.recorder.receiver import ReceivedStream
 from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
@@ -193,7 +192,7 @@ def only_own(monkeypatch: pytest.MonkeyPatch) -> None:
     def ways(_folder: Path) -> tuple[list[Way], list[str]]:
         return [OWN_WAY], []
 
-    monkeypatch.setattr(starting, "find_ways", ways)
+    monkeypatch.setattr(local, "find_ways", ways)
 
 
 def _program(folder: Path, script: str) -> str:
@@ -225,8 +224,8 @@ def test_it_takes_over_from_a_program_that_does_not_record(
     def ways(_folder: Path) -> tuple[list[Way], list[str]]:
         return [broken, OWN_WAY], []
 
-    monkeypatch.setattr(starting, "find_ways", ways)
-    monkeypatch.setattr(starting, "WAY_S", 5.0)
+    monkeypatch.setattr(local, "find_ways", ways)
+    monkeypatch.setattr(local, "WAY_S", 5.0)
     recording = Recording(state)
     begun = recording.start(order(tmp_path), sources.presence)
     (warning,) = (each for each in begun.warnings if OWN in each)

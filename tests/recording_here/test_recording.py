@@ -19,15 +19,15 @@ import pylsl
 import pytest
 import pyxdf
 
-from biosensor_gateway.recording.here.errors import (
+from biosensor_gateway.recording.recorder.labrecorder import Order
+from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.result import (
     NotClosedError,
     RecorderError,
     RecorderReason,
+    StandingHere,
 )
-from biosensor_gateway.recording.here.results import StandingHere
-from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.request import BidsLabels, Place
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.findings import Level
@@ -195,7 +195,7 @@ import sys, time
 from pathlib import Path
 from biosensor_gateway.recording.recorder.local import Recording
 from biosensor_gateway.recording.recorder.request import BidsLabels, Place
-from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.recorder.labrecorder import Order
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 import socket
 

@@ -6,8 +6,14 @@ from dataclasses import fields
 
 import pytest
 
-from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
-from biosensor_gateway.recording.recorder.result import Standing, Started, Stopped
+from biosensor_gateway.recording.recorder.result import (
+    Standing,
+    StandingHere,
+    Started,
+    StartedHere,
+    Stopped,
+    StoppedHere,
+)
 
 
 @pytest.mark.parametrize(

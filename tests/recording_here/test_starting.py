@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.recording.here import starting
-from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.labrecorder import Order
 from biosensor_gateway.recording.recorder.request import Place
+from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 
@@ -31,10 +31,10 @@ def test_the_next_try_begins_with_an_empty_file(
         folder = RecorderFolder(state)
         folder.keep(replace(folder.job().kept, started=time.time(), ended=time.time(), code=2))
 
-    monkeypatch.setattr(starting, "launch", launch)
+    monkeypatch.setattr(local, "launch", launch)
     stream = VisibleStream("a", "a-id", "here")
     with pytest.raises(RecorderError) as refused:
-        starting.begin(
+        local.begin(
             tmp_path / "state",
             Order(Place(file=file)),
             lambda: Presence((stream,), (), ()),

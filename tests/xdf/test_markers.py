@@ -17,7 +17,7 @@ import pytest
 from biosensor_common.naming import lsl_name
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.recording.labrecorder.recording_file import glance
+from biosensor_gateway.recording.recorder.live_file import glance
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording

@@ -15,15 +15,18 @@ from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.recording_here import look_for
 from biosensor_gateway.cli.recording_words import as_text, start_text, stop_text, warn, window_text
-from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
-from biosensor_gateway.recording.labrecorder.standing import standing as window_standing
-from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order
-from biosensor_gateway.recording.labrecorder.starting import start as start_recording
-from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
-from biosensor_gateway.recording.recorder.labrecorder import DEFAULT_PORT, RemoteControl
+from biosensor_gateway.recording.recorder.labrecorder import (
+    DEFAULT_PORT,
+    GROWTH_S,
+    Order,
+    RemoteControl,
+)
+from biosensor_gateway.recording.recorder.labrecorder import standing as window_standing
+from biosensor_gateway.recording.recorder.labrecorder import start as start_recording
+from biosensor_gateway.recording.recorder.labrecorder import stop as stop_recording
 from biosensor_gateway.recording.recorder.local import Recording, not_recording
 from biosensor_gateway.recording.recorder.request import MAX_RUN, BidsLabels, Place
-from biosensor_gateway.recording.recorder.result import Started
+from biosensor_gateway.recording.recorder.result import SensorsAwayError, Started
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system.cloud_folders import usual_recordings_folder
 

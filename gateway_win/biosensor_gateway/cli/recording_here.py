@@ -14,14 +14,15 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.questions import can_ask, menu
 from biosensor_gateway.cli.recording_words import as_line, as_text, sight_text, standing_text
-from biosensor_gateway.recording.here.beside_agent import Devices
-from biosensor_gateway.recording.here.results import StartedHere
-from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, SensorsAwayError
-from biosensor_gateway.recording.labrecorder.memory import last_started
-from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
+from biosensor_gateway.recording.recorder.labrecorder import Order, RemoteControl
 from biosensor_gateway.recording.recorder.live_file import Growth
-from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.local import Devices, Recording
+from biosensor_gateway.recording.recorder.result import (
+    LabRecorderError,
+    SensorsAwayError,
+    StartedHere,
+)
+from biosensor_gateway.recording.recorder.state import last_started
 from biosensor_gateway.recording.recorder.streams import Presence, expected_devices, look
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.settings.models import GatewaySettings

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from biosensor_gateway.recording.growing.stream import GrowingStream
-from biosensor_gateway.recording.recorder.live_file import Sight
+from biosensor_gateway.recording.recorder.live_file import GrowingStream, Sight
 from biosensor_gateway.recording.recorder.result import By, Standing, Started, Stopped
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 

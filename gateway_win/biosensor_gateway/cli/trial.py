@@ -43,7 +43,7 @@ from biosensor_gateway.page.running import ADDRESS, ask_for_window, ask_to_end
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import printing
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.recorder.labrecorder import Order
 from biosensor_gateway.recording.recorder.local import Recording
 from biosensor_gateway.recording.recorder.request import Place
 from biosensor_gateway.recording.recorder.streams import Presence, expected_devices, look

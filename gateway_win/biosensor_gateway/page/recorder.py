@@ -21,13 +21,17 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.here.errors import NotClosedError
-from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
-from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
-from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
+from biosensor_gateway.recording.recorder.labrecorder import Order
 from biosensor_gateway.recording.recorder.local import Recording
 from biosensor_gateway.recording.recorder.request import BidsLabels, Place
+from biosensor_gateway.recording.recorder.result import (
+    NotClosedError,
+    SensorsAwayError,
+    StandingHere,
+    StartedHere,
+    StoppedHere,
+)
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
     VisibleStream,

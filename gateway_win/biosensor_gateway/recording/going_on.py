@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from biosensor_gateway.recording.labrecorder.memory import last_started
 from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.state import last_started
 
 WRITTEN_WITHIN_S = 60.0
 """LabRecorder's window cannot be asked, and writes a slow stream about once a minute."""

@@ -1,20 +1,305 @@
-"""Watches a recording while it is written: which streams come, and which have stopped."""
+"""Watches a recording while it is written: which streams come and stop, and whether it is closed.
+
+LabRecorder makes the file at once and writes it in blocks of some kilobytes (8 KiB on Linux), so a
+single slow stream shows nothing for a minute.
+"""
 
 from __future__ import annotations
 
 import math
 import shutil
+import struct
 import time
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.growing.file import GrowingFile
-from biosensor_gateway.recording.growing.stream import GrowingStream, StreamProgress
-from biosensor_gateway.recording.xdf.container import ChunkError, Tag
+from biosensor_gateway.recording.recorder.request import SUFFIXES, Target
+from biosensor_gateway.recording.xdf.container import (
+    Chunk,
+    ChunkError,
+    RecordingError,
+    open_recording,
+    read_chunks,
+)
 from biosensor_gateway.recording.xdf.findings import Finding, Level
-from biosensor_gateway.recording.xdf.header import parse_stream_header
+from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Tag
+from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
+from biosensor_gateway.recording.xdf.measuring import (
+    MAX_STAMP_ERROR_S,
+    MAX_UPTIME_S,
+    find_gaps,
+    is_exact,
+)
+from biosensor_gateway.recording.xdf.pace import Cuts
+from biosensor_gateway.recording.xdf.samples import decode
+
+# LabRecorder writes what came in half a second; so much of one stream is a damaged length.
+MOST_CHUNK_BYTES = 1 << 26
+_BLOCK_BYTES = 1 << 20
+_LENGTH_SIZES = frozenset({1, 4, 8})
+_TAG_BYTES = 2
+_TAGS = frozenset(Tag)
+_MOST_DAMAGES = 20
+
+
+class _Frame(NamedTuple):
+    """Where in the buffer a chunk is; `end` may be behind it."""
+
+    tag: int
+    content: int
+    end: int
+
+
+class GrowingFile:
+    """Hands on the chunks that came since the last time.
+
+    A chunk that is half written waits until the rest is there; so much is kept in memory, and
+    no more.
+
+    Parameters
+    ----------
+    path
+        The file, which need not exist yet.
+    take
+        Is given tag and content of each chunk; raises `ChunkError` if that makes no sense.
+
+    Attributes
+    ----------
+    size
+        Bytes of the file that were read.
+    damages
+        A sentence part for each place that could not be read, in the order of the file.
+    """
+
+    def __init__(self, path: Path, take: Callable[[Tag, memoryview], None]) -> None:
+        self._path, self._take = path, take
+        self._rest = b""
+        self._has_begun = self._is_lost = False
+        self.size = 0
+        self.damages: list[str] = []
+
+    def read_on(self) -> int:
+        """Read what was appended; return how many bytes that is.
+
+        Raises
+        ------
+        OSError
+            If the file is there and cannot be read.
+        """
+        before = self.size
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self.size)
+                while block := file.read(_BLOCK_BYTES):
+                    self.size += len(block)
+                    self._rest += block
+                    self._walk()
+        except FileNotFoundError:
+            return 0
+        return self.size - before
+
+    def _walk(self) -> None:
+        if not self._has_begun:
+            if len(self._rest) < len(MAGIC):
+                return
+            self._has_begun = True
+            if self._rest.startswith(MAGIC):
+                self._rest = self._rest[len(MAGIC) :]
+            else:
+                self._lose(0, "it does not begin as a recording does")
+        position = self._find_again(0) if self._is_lost else 0
+        while (end := self._next(position)) is not None:
+            position = end
+        self._rest = self._rest[position:]
+
+    def _next(self, position: int) -> int | None:
+        """Take the chunk at a place of the buffer; return where to go on, None if it waits."""
+        if self._is_lost or position >= len(self._rest):
+            return None
+        frame = _frame(self._rest, position)
+        if frame is None:
+            return None
+        if frame.tag not in _TAGS or frame.end - position > MOST_CHUNK_BYTES:
+            return self._lose(position, "no chunk begins there")
+        if frame.end > len(self._rest):
+            return None
+        try:
+            self._take(Tag(frame.tag), memoryview(self._rest)[frame.content : frame.end])
+        except ChunkError as error:
+            return self._lose(position, f"a {Tag(frame.tag).title} chunk: {error}")
+        return frame.end
+
+    def _lose(self, position: int, what: str) -> int:
+        """Say a damage once, and look for the next place to go on from."""
+        if len(self.damages) < _MOST_DAMAGES:
+            self.damages.append(f"byte {self.size - len(self._rest) + position}: {what}")
+        self._is_lost = True
+        return self._find_again(position)
+
+    def _find_again(self, position: int) -> int:
+        found = self._rest.find(BOUNDARY, position)
+        if found < 0:
+            # Its beginning may be there already.
+            return max(position, len(self._rest) - len(BOUNDARY) + 1)
+        self._is_lost = False
+        return found + len(BOUNDARY)
+
+
+def _frame(buffer: bytes, position: int) -> _Frame | None:
+    """Read a frame; None if more of it must come. One that cannot be has a tag that is none."""
+    length_size = buffer[position]
+    if length_size not in _LENGTH_SIZES:
+        return _Frame(0, position, position)
+    tag = position + 1 + length_size
+    if tag + _TAG_BYTES > len(buffer):
+        return None
+    length = int.from_bytes(buffer[position + 1 : tag], "little")
+    if length < _TAG_BYTES:
+        return _Frame(0, position, position)
+    kind = int.from_bytes(buffer[tag : tag + _TAG_BYTES], "little")
+    return _Frame(kind, tag + _TAG_BYTES, tag + length)
+
+
+_CLOCK_OFFSET = struct.Struct("<dd")
+_SECTION_S, _FEWEST = 20.0, 64
+"""So much of another program's stream is looked at together."""
+
+
+@dataclass(frozen=True, slots=True)
+class GrowingStream:
+    """How far one stream has come, as plain values.
+
+    Attributes
+    ----------
+    nominal_hz
+        0 if it is irregular.
+    newest_stamp
+        Of its newest sample, on its own clock, in s; None without samples.
+    age_s
+        How long the file has had nothing new of it, by the newest that the file has of any
+        stream; None without samples.
+    clock_offsets
+        How often its clock was compared with the recorder's.
+    offset_age_s
+        How long ago the last time was, by the newest that the file has; None without any.
+    is_closed
+        Whether the recorder has ended it.
+    gaps, longest_gap_s
+        Places where samples of a regular stream are missing, and the longest of them.
+    """
+
+    name: str
+    source_id: str
+    host: str
+    nominal_hz: float
+    samples: int
+    newest_stamp: float | None
+    age_s: float | None
+    clock_offsets: int
+    offset_age_s: float | None
+    is_closed: bool
+    gaps: int = 0
+    longest_gap_s: float = 0.0
+
+
+class StreamProgress:
+    """Takes in the chunks of one stream; times are on the recorder's clock, in s.
+
+    Attributes
+    ----------
+    reached
+        How late it is by this stream; -inf if it does not tell.
+    heard_at, measured_at
+        How late it was by the whole file when its newest samples came, and its newest clock
+        offset; None before the first.
+    """
+
+    def __init__(self, header: RecordedHeader) -> None:
+        self.header = header
+        self.reached = -math.inf
+        self.heard_at: float | None = None
+        self.measured_at: float | None = None
+        self.samples = self.offsets = self.gaps = 0
+        self.longest_gap_s = 0.0
+        self.is_closed = False
+        self._last_stamp = math.nan
+        self._offset = 0.0
+        # Stamps of others say little one by one, so they are looked at some time later.
+        self._cuts: Cuts | None = None
+        if header.is_regular and not is_exact(header):
+            self._cuts = Cuts(header.rate, max(_FEWEST, math.ceil(_SECTION_S * header.rate)))
+
+    @property
+    def newest_stamp(self) -> float | None:
+        """Stamp of the newest sample on the stream's own clock; None without a usable one."""
+        return self._last_stamp if math.isfinite(self._last_stamp) else None
+
+    def take_samples(self, content: memoryview) -> None:
+        """Take in the content of a samples chunk.
+
+        Raises
+        ------
+        ChunkError
+            If it cannot be decoded; nothing of it is taken in then.
+        """
+        before = self._last_stamp if self.samples else 0.0
+        stamps = decode(content, self.header, before).stamps
+        self.samples += len(stamps)
+        if len(stamps):
+            self._find_gaps(stamps)
+            self._last_stamp = float(stamps[-1])
+            if self._is_on_the_lsl_clock():
+                self.reached = max(self.reached, self._last_stamp + self._offset)
+
+    def take_offset(self, content: memoryview) -> float | None:
+        """Take in the content of a clock offset chunk; return the recorder's time in it.
+
+        None if it was not measured: of an outlet that has just gone, LabRecorder notes that its
+        clock stood at 0.
+
+        Raises
+        ------
+        ChunkError
+            If it makes no sense.
+        """
+        if len(content) != _CLOCK_OFFSET.size:
+            raise ChunkError("it does not have the size of a clock offset")
+        taken_at, offset = _CLOCK_OFFSET.unpack(content)
+        if not (math.isfinite(taken_at) and math.isfinite(offset)):
+            raise ChunkError("its times are no numbers")
+        if not taken_at:
+            return None
+        self.offsets += 1
+        self._offset = offset
+        # It tells what time it really was, whatever the samples say.
+        self.reached = taken_at + offset
+        return self.reached
+
+    def _find_gaps(self, stamps: NDArray[np.float64]) -> None:
+        if self._cuts is not None:
+            self._cuts.take(stamps[np.isfinite(stamps)])
+            self.gaps = len(self._cuts.holes)
+            self.longest_gap_s = max((each.length_s for each in self._cuts.holes), default=0.0)
+            return
+        run = np.concatenate(([self._last_stamp], stamps))
+        gaps = find_gaps(run[np.isfinite(run)], self.header)
+        self.gaps += gaps.count
+        self.longest_gap_s = max(self.longest_gap_s, *(each.length_s for each in gaps.listed), 0.0)
+
+    def _is_on_the_lsl_clock(self) -> bool:
+        time = self._last_stamp + self._offset
+        if self.offsets:
+            # It was within some seconds before; a device that waited may be far behind.
+            return time < self.reached + MAX_STAMP_ERROR_S
+        made = self.header.created_at if math.isfinite(self.header.created_at) else 0.0
+        return -MAX_STAMP_ERROR_S < self._last_stamp - made < MAX_UPTIME_S
+
 
 STOPPED_S = 5.0
 STOPPED_PERIODS = 3
@@ -269,3 +554,140 @@ def _free_bytes(file: Path) -> int | None:
         return shutil.disk_usage(file.parent).free
     except OSError:
         return None
+
+
+_POLL_S = 0.25
+
+
+@dataclass(slots=True)
+class Glance:
+    """What is in a recording, without its samples being decoded.
+
+    Attributes
+    ----------
+    bytes
+        Size of the file.
+    streams
+        Numbers of the streams that have a header.
+    with_samples, with_footer
+        Those of them that have samples, that were closed.
+    without_footer_due
+        Those that LabRecorder cannot record, so that it never closes them either.
+    is_whole
+        Whether it can be read to its end.
+    """
+
+    bytes: int = 0
+    streams: set[int] = field(default_factory=set[int])
+    with_samples: set[int] = field(default_factory=set[int])
+    with_footer: set[int] = field(default_factory=set[int])
+    without_footer_due: set[int] = field(default_factory=set[int])
+    is_whole: bool = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the recorder came to its end with it."""
+        due = self.streams - self.without_footer_due
+        return self.is_whole and bool(self.streams) and due <= self.with_footer
+
+    def take(self, chunk: Chunk) -> None:
+        """Take in one chunk of the file."""
+        if chunk.tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
+            return
+        stream = chunk.stream_id
+        if chunk.tag is Tag.SAMPLES:
+            self.with_samples.add(stream)
+        elif chunk.tag is Tag.STREAM_FOOTER:
+            self.with_footer.add(stream)
+        elif chunk.tag is Tag.STREAM_HEADER:
+            self.streams.add(stream)
+            try:
+                header = parse_stream_header(bytes(chunk.body))
+            except ChunkError:
+                return
+            if not header.is_recordable:
+                self.without_footer_due.add(stream)
+
+
+def glance(path: Path) -> Glance:
+    """Look into a recording; what is no recording yet is an empty one."""
+    seen = Glance(bytes=size_of(path) or 0)
+    try:
+        with open_recording(path) as (file, size, is_unpacked_whole):
+            seen.is_whole = not read_chunks(file, size, seen.take) and is_unpacked_whole
+    except RecordingError:
+        pass
+    return seen
+
+
+def size_of(path: Path) -> int | None:
+    """Return the size of a file in bytes, None if there is none."""
+    try:
+        # By opening it: a folder's entry of a file that is being written may be old on Windows.
+        with path.open("rb") as file:
+            return file.seek(0, 2)
+    except OSError:
+        return None
+
+
+def sizes(target: Target) -> dict[Path, int]:
+    """Return the files in question with their sizes."""
+    paths: Iterable[Path] = target.files
+    if not target.files and target.folder is not None:
+        paths = (each for each in target.folder.rglob("*") if each.suffix.lower() in SUFFIXES)
+    found = ((path, size_of(path)) for path in paths)
+    return {path: size for path, size in found if size is not None}
+
+
+def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) -> Path | None:
+    """Wait until a recording holds samples and grows; return which one, None if none does.
+
+    Parameters
+    ----------
+    target
+        Where to look.
+    before
+        Sizes before the recording was started; what did not change since is not it.
+    limit_s
+        How long to wait.
+    """
+    deadline = time.monotonic() + limit_s
+    first: dict[Path, int] = {}
+    while True:
+        for path, size in sizes(target).items():
+            if size == before.get(path):
+                continue
+            if size > first.setdefault(path, size) and glance(path).with_samples:
+                return path
+        if time.monotonic() >= deadline:
+            return None
+        time.sleep(_POLL_S)
+
+
+def grows(path: Path, limit_s: float) -> bool:
+    """Whether a file grows; known at once if it does, else after `limit_s`."""
+    first = size_of(path)
+    return first is not None and _wait(lambda: (size_of(path) or 0) > first, limit_s)
+
+
+def wait_until_closed(path: Path, still_s: float, limit_s: float) -> Glance | None:
+    """Wait until a file has not changed for `still_s`, and look into it; None if it goes on."""
+    last, since = size_of(path), time.monotonic()
+
+    def is_still() -> bool:
+        nonlocal last, since
+        size, now = size_of(path), time.monotonic()
+        if size != last:
+            last, since = size, now
+        return now - since >= still_s
+
+    return glance(path) if _wait(is_still, limit_s) else None
+
+
+def _wait(condition: Callable[[], bool], limit_s: float) -> bool:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(_POLL_S)
+    return True

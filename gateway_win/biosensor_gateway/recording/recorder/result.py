@@ -1,15 +1,106 @@
-"""Tells of a recording that was started, stands, or was stopped, whoever makes it."""
+"""Results of a recorder, and its errors with reasons to decide by."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum, unique
+from enum import Enum, StrEnum, unique
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.recorder.live_file import Sight
 from biosensor_gateway.recording.recorder.streams import VisibleStream
 from biosensor_gateway.recording.xdf.findings import Finding
 from biosensor_gateway.recording.xdf.verdict import Verdict
+
+if TYPE_CHECKING:
+    from biosensor_gateway.recording.xdf.verdict import Verdict
+
+
+@unique
+class LabRecorderReason(Enum):
+    """Why a recording was not started, or not stopped as it should be."""
+
+    UNREACHABLE = "unreachable"
+    """Nothing listens there, or it went away."""
+    NO_REPLY = "no_reply"
+    """Something listens and does not answer: a message in its window waits for a click."""
+    REFUSED = "refused"
+    """It answers something else than ``OK``."""
+    RECORDING = "recording"
+    """It is recording already."""
+    EXISTS = "exists"
+    """The file is there already."""
+    STREAMS_MISSING = "streams_missing"
+    FOREIGN_STREAMS = "foreign_streams"
+    NO_GROWTH = "no_growth"
+    """The file does not come, or does not grow."""
+    STILL_GROWING = "still_growing"
+    NOT_CLOSED = "not_closed"
+    """The file does not grow, but was not closed either."""
+
+
+class LabRecorderError(GatewayError):
+    """A recording was not started, or not stopped as it should be."""
+
+
+class SensorsAwayError(GatewayError):
+    """Nobody has confirmed that a recording is to begin without sensors that do not stream.
+
+    Attributes
+    ----------
+    sentences
+        One for each sensor, without a full stop.
+    """
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        message = (
+            f"{'; '.join(sentences)}. Wait for that with: biosensor-gateway wait-ready, or record "
+            "without it with --allow-missing"
+        )
+        super().__init__(LabRecorderReason.STREAMS_MISSING, message)
+        self.sentences = tuple(sentences)
+
+
+@unique
+class RecorderReason(Enum):
+    """Why a recording was not begun, or not ended as it should be."""
+
+    NO_PROGRAM = "no_program"
+    """LabRecorder's program is not here."""
+    RECORDING = "recording"
+    """It is recording already."""
+    NOT_RECORDING = "not_recording"
+    EXISTS = "exists"
+    """The file is there already."""
+    UNWRITABLE = "unwritable"
+    """The file or the state folder cannot be written."""
+    STREAMS_MISSING = "streams_missing"
+    NOT_BEGUN = "not_begun"
+    """The program ended, or did not open all streams in time."""
+    NOT_CLOSED = "not_closed"
+    """The program ended, and its file was not closed."""
+
+
+class RecorderError(GatewayError):
+    """A recording was not begun, or not ended as it should be."""
+
+
+class NotClosedError(RecorderError):
+    """A recording ended, and its file was not closed.
+
+    Attributes
+    ----------
+    why
+        Why that is, as far as it is known.
+    verdict
+        What can be said of the file; None if nothing of it can be read.
+    """
+
+    def __init__(self, message: str, why: str, verdict: Verdict | None) -> None:
+        super().__init__(RecorderReason.NOT_CLOSED, message)
+        self.why, self.verdict = why, verdict
 
 
 @unique
@@ -129,3 +220,27 @@ class Stopped:
     took_s: float = 0.0
     verdict: Verdict | None
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartedHere(Started):
+    """A recording of this computer itself that was started."""
+
+    file: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StandingHere(Standing):
+    """How a recording of this computer itself stands."""
+
+    recording: bool
+    file: Path
+    started: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoppedHere(Stopped):
+    """A recording of this computer itself that was ended."""
+
+    file: Path
+    verdict: Verdict

@@ -17,9 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
-from biosensor_gateway.recording.here.program import library_folder
-from biosensor_gateway.recording.here.ways import OWN
-from biosensor_gateway.recording.recorder.program import Said
+from biosensor_gateway.recording.recorder.program import OWN, Said, library_folder
 from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
 from biosensor_gateway.system import windows_shutdown
 from biosensor_gateway.system.ansi_path import ansi_folder

@@ -1,1 +1,0 @@
-"""Watches a recording while it is written, whoever writes it."""
