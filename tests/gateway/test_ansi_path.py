@@ -46,9 +46,9 @@ def test_where_labrecorder_could_not_read_session_and_peers_it_does_not_record(
         return named[0]
 
     monkeypatch.setattr(program, "ansi_folder", ansi)
-    found, said = program.find_ways(tmp_path)
-    assert ([each.title for each in found], said) == ([LAB_RECORDER, OWN], [])
+    found, said = program.find_programs(tmp_path)
+    assert ([*found], said) == ([LAB_RECORDER, OWN], [])
     named[0] = None
-    found, said = program.find_ways(tmp_path)
-    assert [each.title for each in found] == [OWN]
+    found, said = program.find_programs(tmp_path)
+    assert [*found] == [OWN]
     assert str(tmp_path) in said[0]

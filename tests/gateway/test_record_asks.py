@@ -9,11 +9,9 @@ import pytest
 import typer
 
 from biosensor_gateway.cli import recording_here
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.request import Place
-from biosensor_gateway.recording.recorder.result import SensorsAwayError
+from biosensor_gateway.recording.recorder.request import RecordingRequest, SensorsAwayError
 
-ORDER = Order(Place(Path("/data")))
+ORDER = RecordingRequest(Path("/data"))
 AWAY = SensorsAwayError(["P03's strap is paused since 14:03"])
 
 

@@ -17,7 +17,7 @@ from biosensor_gateway.agent.fleet import Fleet, FleetChanges
 from biosensor_gateway.cli import reloading, settings
 from biosensor_gateway.cli.settings import edit
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.room import Room
 
@@ -51,7 +51,7 @@ def recording(tmp_path: Path) -> Generator[Path]:
     folder = RecorderFolder(tmp_path)
     folder.path.mkdir()
     file = tmp_path / "sub-P01_task-walk.xdf"
-    folder.keep(Kept(str(file), (), 1.0))
+    folder.save(SavedRecording(str(file), (), 1.0))
     lock = folder.try_lock()
     assert lock is not None
     yield file

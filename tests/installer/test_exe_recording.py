@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from biosensor_gateway.recording.recorder.live_file import glance
+from biosensor_gateway.recording.recorder.recording_file import summarize
 from installer.wine.prefix import Prefix
 from tests.rigs.windows.pc import PIPE_ENCODING, WindowsPc
 from tests.rigs.windows.program import RunningProgram, lively, lsl_environment, wait_until
@@ -104,7 +104,7 @@ def recording(pc: Pc, sensors: str, task: str) -> Generator[tuple[RunningProgram
 
 
 def _is_whole(file: Path) -> bool:
-    return glance(file).is_closed
+    return summarize(file).is_closed
 
 
 def test_all_virtual_sensors_are_recorded(pc: Pc) -> None:
@@ -118,7 +118,7 @@ def test_all_virtual_sensors_are_recorded(pc: Pc) -> None:
     verdict = ended["verdict"]
     broken = [each for each in verdict["findings"] if each["code"] in OF_THE_RECORDER]
     assert [f"{each['code']} {each['stream']}: {each['text']}" for each in broken] == []
-    seen = glance(file)
+    seen = summarize(file)
     assert seen.is_closed
     assert len(seen.streams) == len(begun["streams"])
     checked = pc.gateway("xdf", "check", begun["file"], "--json").json

@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.recording.recorder import local
-from biosensor_gateway.recording.recorder.result import StartedHere, StoppedHere
+from biosensor_gateway.recording.recorder.result import LocalStarted, LocalStopped
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings import models as settings
@@ -329,8 +329,8 @@ def test_the_smoke_test_wants_a_green_recording_of_labrecorder() -> None:
     assert taken_over in getsource(local)
     assert "Test-Recording (" in SMOKE_TEST
     # As JSON has them.
-    assert {"warnings", "verdict"} <= {each.name for each in fields(StartedHere)} | {
-        each.name for each in fields(StoppedHere)
+    assert {"warnings", "verdict"} <= {each.name for each in fields(LocalStarted)} | {
+        each.name for each in fields(LocalStopped)
     }
     assert f"'{Level.NOTE.value}'" in SMOKE_TEST
 

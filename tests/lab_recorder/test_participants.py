@@ -5,56 +5,63 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from biosensor_common.errors import ConfigReason
 from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn
-from biosensor_gateway.recording.recorder.labrecorder import (
-    Order,
-    require_participant,
-    require_sensors,
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    BidsLabels,
+    RecorderReason,
+    RecordingRequest,
+    SensorsAwayError,
 )
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.request import BidsLabels, Place
-from biosensor_gateway.recording.recorder.result import LabRecorderReason, SensorsAwayError
-from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream, expected_devices
+from biosensor_gateway.recording.recorder.streams import (
+    Presence,
+    VisibleStream,
+    expected_devices,
+    require_startable,
+)
 from biosensor_gateway.settings.models import GatewaySettings
 
 SEEN = VisibleStream("P01-polar_h10-A1-ecg", "P01@polar_h10-ecg", "lab-pc")
 PRESENCE = Presence((SEEN,), (), (), (Worn("polar_h10/A1", "P01"),))
 
 
-def place(participant: str) -> Place:
-    return Place(Path("/data"), labels=BidsLabels(participant))
+def request(participant: str, **more: Any) -> RecordingRequest:
+    return RecordingRequest(Path("/data"), labels=BidsLabels(participant), **more)
 
 
 @pytest.mark.parametrize(
-    "order",
+    "confirmed",
     [
-        Order(place("P01")),
-        Order(Place(file=Path("walk.xdf"))),
-        Order(Place(Path("/data"))),
-        Order(place("P03"), other_participants=True),
+        request("P01"),
+        RecordingRequest(file=Path("walk.xdf")),
+        RecordingRequest(Path("/data")),
+        request("P03", other_participants=True),
     ],
 )
-def test_what_agrees_or_is_confirmed_is_recorded(order: Order) -> None:
-    require_participant(PRESENCE, order)
+def test_what_agrees_or_is_confirmed_is_recorded(confirmed: RecordingRequest) -> None:
+    require_startable(PRESENCE, PRESENCE.visible, confirmed)
 
 
-@pytest.mark.parametrize("where", [place("P03"), Place(file=Path("/data/sub-P03_task-a.xdf"))])
-def test_another_participant_is_refused_and_the_option_named(where: Place) -> None:
+@pytest.mark.parametrize(
+    "where", [request("P03"), RecordingRequest(file=Path("/data/sub-P03_task-a.xdf"))]
+)
+def test_another_participant_is_refused_and_the_option_named(where: RecordingRequest) -> None:
     with pytest.raises(OtherParticipantsError, match="--other-participants") as caught:
-        require_participant(PRESENCE, Order(where))
+        require_startable(PRESENCE, PRESENCE.visible, where)
     # The command line makes exit code 2 of it.
     assert caught.value.reason is ConfigReason.WRONG_VALUE
     assert "the file is called P03, but its sensors are worn by P01" in str(caught.value)
 
 
 def test_nothing_is_made_of_a_recording_that_is_refused(tmp_path: Path) -> None:
-    order = Order(Place(tmp_path, labels=BidsLabels("P03")))
-    recording = Recording(tmp_path / "state")
+    order = RecordingRequest(tmp_path, labels=BidsLabels("P03"))
+    recording = LocalRecorder(tmp_path / "state")
     with pytest.raises(OtherParticipantsError):
         recording.start(order, lambda: PRESENCE)
     assert list(tmp_path.rglob("*.xdf")) == []
@@ -63,13 +70,13 @@ def test_nothing_is_made_of_a_recording_that_is_refused(tmp_path: Path) -> None:
 
 def test_a_sensor_that_does_not_stream_refuses_and_the_option_is_named(tmp_path: Path) -> None:
     presence = replace(PRESENCE, away=("P01's strap is paused since 14:03",))
-    recording = Recording(tmp_path / "state")
+    recording = LocalRecorder(tmp_path / "state")
     with pytest.raises(SensorsAwayError, match="P01's strap is paused since 14:03") as caught:
-        recording.start(Order(Place(tmp_path, labels=BidsLabels("P01"))), lambda: presence)
+        recording.start(RecordingRequest(tmp_path, labels=BidsLabels("P01")), lambda: presence)
     assert "--allow-missing" in str(caught.value)
-    assert caught.value.reason is LabRecorderReason.STREAMS_MISSING
+    assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert list(tmp_path.rglob("*.xdf")) == []
-    require_sensors(presence, Order(place("P01"), without_away=True))
+    require_startable(presence, presence.visible, request("P01", without_away=True))
 
 
 def test_what_the_agent_says_of_a_pause_is_known_before_it_begins(tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.recorder import live_file
-from biosensor_gateway.recording.recorder.live_file import (
-    glance,
+from biosensor_gateway.recording.recorder.recording_file import (
     grows,
     sizes,
+    summarize,
     wait_for_growth,
     wait_until_closed,
 )
@@ -112,7 +112,7 @@ def test_a_recording_is_closed_once_all_its_streams_are(
 ) -> None:
     path = tmp_path / "a.xdf"
     path.write_bytes(content)
-    seen = glance(path)
+    seen = summarize(path)
     assert seen.is_closed is is_closed
     assert seen.bytes == len(content)
     still = wait_until_closed(path, 0.5, DEADLINE_S)

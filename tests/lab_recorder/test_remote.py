@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
-from biosensor_gateway.recording.recorder.result import LabRecorderError, LabRecorderReason
+from biosensor_gateway.recording.recorder.request import RecorderError, RecorderReason
 from tests.lab_recorder.remote_control import LabRecorderPeer
 
 LOCAL = "127.0.0.1"
@@ -41,8 +41,8 @@ def serve() -> Generator[Serve]:
         assert not thread.is_alive()
 
 
-def reason_of(port: int, line: str = "update", limit_s: float = DEADLINE_S) -> LabRecorderError:
-    with RemoteControl(LOCAL, port) as remote, pytest.raises(LabRecorderError) as caught:
+def reason_of(port: int, line: str = "update", limit_s: float = DEADLINE_S) -> RecorderError:
+    with RemoteControl(LOCAL, port) as remote, pytest.raises(RecorderError) as caught:
         remote.command(line, limit_s)
     return caught.value
 
@@ -59,17 +59,17 @@ def test_each_command_waits_for_the_answer_to_the_one_before(recorder: LabRecord
 def test_nobody_there_is_said_with_what_to_do() -> None:
     with socket.create_server((LOCAL, 0)) as server:
         port = server.getsockname()[1]
-    with pytest.raises(LabRecorderError, match="EnableRCS") as caught, RemoteControl(LOCAL, port):
+    with pytest.raises(RecorderError, match="EnableRCS") as caught, RemoteControl(LOCAL, port):
         pass
-    assert caught.value.reason is LabRecorderReason.UNREACHABLE
+    assert caught.value.reason is RecorderReason.UNREACHABLE
     assert f"{LOCAL}:{port}" in str(caught.value)
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "a" * 70, "a..b"])
 def test_a_host_that_cannot_be_found_is_unreachable(host: str) -> None:
-    with pytest.raises(LabRecorderError) as caught, RemoteControl(host, 22345):
+    with pytest.raises(RecorderError) as caught, RemoteControl(host, 22345):
         pass
-    assert caught.value.reason is LabRecorderReason.UNREACHABLE
+    assert caught.value.reason is RecorderReason.UNREACHABLE
 
 
 @pytest.mark.nightly
@@ -79,7 +79,7 @@ def test_a_message_box_is_suspected_behind_silence(tmp_path: Path) -> None:
     with LabRecorderPeer(root) as recorder:
         error = reason_of(recorder.port, "start", 5.0)
         assert "Can not create the directory" in recorder.box
-    assert error.reason is LabRecorderReason.NO_REPLY
+    assert error.reason is RecorderReason.NO_REPLY
     assert "window" in str(error)
 
 
@@ -91,7 +91,7 @@ def test_another_answer_is_no_labrecorder(serve: Serve) -> None:
         client.recv(100)
 
     error = reason_of(serve(greet))
-    assert error.reason is LabRecorderReason.REFUSED
+    assert error.reason is RecorderReason.REFUSED
     assert "220 mail" in str(error)
 
 
@@ -101,5 +101,5 @@ def test_an_end_of_the_connection_is_no_answer(serve: Serve) -> None:
         client.recv(100)
 
     error = reason_of(serve(hang_up))
-    assert error.reason is LabRecorderReason.UNREACHABLE
+    assert error.reason is RecorderReason.UNREACHABLE
     assert "went away at 'update'" in str(error)

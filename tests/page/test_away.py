@@ -10,7 +10,7 @@ import pytest
 
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.page.recorder import Story
-from biosensor_gateway.recording.recorder.result import By, StandingHere, StartedHere
+from biosensor_gateway.recording.recorder.result import By, LocalStarted, LocalStatus
 from biosensor_gateway.recording.recorder.streams import VisibleStream
 from tests.page.test_whose import BELT, Page
 
@@ -60,9 +60,7 @@ def test_several_are_one_question(tmp_path: Path) -> None:
 
 
 def told(story: Story, *devices: DeviceStatus) -> list[str]:
-    standing = StandingHere(
-        by=By.GATEWAY, recording=True, file=Path("/data/a.xdf"), started=STARTED
-    )
+    standing = LocalStatus(by=By.GATEWAY, recording=True, file=Path("/data/a.xdf"), started=STARTED)
     story.look([each.model_dump() for each in devices], standing)
     return story.notes
 
@@ -82,13 +80,13 @@ def test_what_is_over_stays_said() -> None:
 def test_another_recording_has_a_story_of_its_own() -> None:
     story = Story()
     told(story, belt())
-    standing = StandingHere(by=By.GATEWAY, recording=True, file=Path("/b.xdf"), started=STARTED)
+    standing = LocalStatus(by=By.GATEWAY, recording=True, file=Path("/b.xdf"), started=STARTED)
     assert not story.is_of(standing)
 
 
-def begun(*foreign: VisibleStream) -> StartedHere:
+def begun(*foreign: VisibleStream) -> LocalStarted:
     own = VisibleStream("P01-polar_h10-A1-ecg", "P01@polar_h10-ecg", "lab-pc")
-    return StartedHere(
+    return LocalStarted(
         by=By.GATEWAY, verified=True, file=Path("/data/a.xdf"), bytes=1, took_s=1.0,
         streams=(own, *foreign), foreign=foreign, warnings=(), left_out=(),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.xdf.verdict import check
 from tests.page.test_whose import Page
 from tests.xdf import xdf_file as x
@@ -30,12 +30,12 @@ def ended(folder: Path, content: bytes) -> tuple[Page, Path]:
     file = folder / "recordings" / "sub-P01_task-walk.xdf"
     file.parent.mkdir()
     file.write_bytes(content)
-    kept = Kept(
+    kept = SavedRecording(
         str(file), ("ecg-id",), 1.0, ended=2.0, code=1, problem="LabRecorder's program ended"
     )
     memory = RecorderFolder(folder)
     memory.path.mkdir()
-    memory.keep(kept)
+    memory.save(kept)
     return Page(folder, ""), file
 
 

@@ -13,9 +13,12 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.page import devices, recorder
 from biosensor_gateway.page.models import NewRecording
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    RecorderError,
+    RecorderReason,
+    RecordingRequest,
+)
 
 SETTINGS = '[lsl]\nsession_id = "lab7"\nknown_peers = ["192.168.1.20"]\n'
 
@@ -26,12 +29,15 @@ def test_a_recording_looks_where_the_settings_say(
     told: list[LslOverrides | None] = []
 
     def start(
-        _self: Recording, _order: Order, _look: object, lsl: LslOverrides | None = None
+        _self: LocalRecorder,
+        _request: RecordingRequest,
+        _look: object,
+        lsl: LslOverrides | None = None,
     ) -> None:
         told.append(lsl)
         raise RecorderError(RecorderReason.NOT_BEGUN, "not in this test")
 
-    monkeypatch.setattr(Recording, "start", start)
+    monkeypatch.setattr(LocalRecorder, "start", start)
     settings = tmp_path / "settings.toml"
     settings.write_text(SETTINGS)
 

@@ -14,7 +14,7 @@ import pytest
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.page.service import Service
 from biosensor_gateway.page.steering import Steering
-from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 
 STRAP = '[[device]]\nsensor = "polar_h10"\nunit = "A"\nparticipant = "{}"\nenabled = {}\n'
 BELT = '[[device]]\nsensor = "zephyr"\nunit = "B"\nport = "COM4"\nparticipant = "{}"\n'
@@ -90,7 +90,7 @@ def recording(tmp_path: Path) -> Generator[Path]:
     folder = RecorderFolder(tmp_path)
     folder.path.mkdir()
     file = tmp_path / "sub-P01_task-walk.xdf"
-    folder.keep(Kept(str(file), (), 1.0))
+    folder.save(SavedRecording(str(file), (), 1.0))
     lock = folder.try_lock()
     assert lock is not None
     yield file

@@ -88,6 +88,6 @@ def state(tmp_path: Path) -> Generator[Path]:
     path = tmp_path / "state"
     yield path
     folder = RecorderFolder(path)
-    if folder.is_kept():
+    if folder.is_running:
         folder.ask_to_stop()
     assert folder.wait_until_free(60.0)

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.state import Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.xdf.findings import Level
 from tests.recording_here.test_growth import HEAD, TWO, data
 
@@ -32,13 +32,13 @@ class Running:
         first = [101.0 + k / 10 for k in range(10)]
         seconds = [data(2, *(each + second for each in first)) for second in range(30)]
         file.write_bytes(HEAD + TWO + data(1, *first) + b"".join(seconds))
-        self._recording = Recording(folder)
+        self._recording = LocalRecorder(folder)
         self._recorder = RecorderFolder(folder)
         self._recorder.path.mkdir()
-        self._recorder.keep(Kept(str(file), (), STARTED))
+        self._recorder.save(SavedRecording(str(file), (), STARTED))
 
     def findings(self, devices: list[dict[str, Any]] | None) -> list[tuple[Level, str, str]]:
-        standing = self._recording.standing(devices)
+        standing = self._recording.status(devices)
         assert standing is not None
         found = [each for each in standing.problems if each.code not in ("no-offsets", "still")]
         return [(each.level, each.code, each.text) for each in found]
@@ -81,7 +81,7 @@ def test_who_streams_and_came_too_late_is_red(running: Running) -> None:
 
 def test_without_their_agent_nothing_is_green(running: Running, tmp_path: Path) -> None:
     sources = ("one-id", "two-id")
-    RecorderFolder(tmp_path).keep(Kept(str(tmp_path / "a.xdf"), sources, STARTED))
+    RecorderFolder(tmp_path).save(SavedRecording(str(tmp_path / "a.xdf"), sources, STARTED))
     assert (Level.ERROR, "no-agent") in [each[:2] for each in running.findings(None)]
 
 

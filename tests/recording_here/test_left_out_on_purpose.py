@@ -8,9 +8,9 @@ import pytest
 
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.recorder import local
-from biosensor_gateway.recording.recorder.live_file import Glance, glance
-from biosensor_gateway.recording.recorder.local import end
-from biosensor_gateway.recording.recorder.state import Job, Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.recording_file import FileSummary, summarize
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
@@ -24,8 +24,8 @@ def empty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(local, "wait_until_closed", _closed)
 
 
-def _closed(file: Path, *_: object) -> Glance:
-    return glance(file)
+def _closed(file: Path, *_: object) -> FileSummary:
+    return summarize(file)
 
 
 def ended(folder: Path, *without: str) -> Verdict:
@@ -34,11 +34,11 @@ def ended(folder: Path, *without: str) -> Verdict:
     other = DeviceIdentity("zephyr", "B", "P01")
     events: list[object] = [heartbeat(polar_h10__A1="paused", zephyr__B="streaming")]
     file.write_bytes(recorded(strap("P01"), other, events=events))
-    kept = Kept(str(file), (), started=1.0, ended=2.0, code=0, without=without)
+    kept = SavedRecording(str(file), (), started=1.0, ended=2.0, code=0, without=without)
     recorder = RecorderFolder(folder)
-    recorder.give(Job((), kept), "")
-    recorder.keep(kept)
-    return end(recorder).verdict
+    recorder.hand_over(kept, "")
+    recorder.save(kept)
+    return LocalRecorder(folder).stop().verdict
 
 
 def test_it_is_amber_with_a_sentence(tmp_path: Path) -> None:

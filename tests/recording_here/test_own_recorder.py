@@ -25,12 +25,15 @@ from numpy.typing import NDArray
 
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder import local, receiver
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, Way, find_ways
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, find_programs
 from biosensor_gateway.recording.recorder.receiver import ReceivedStream
-from biosensor_gateway.recording.recorder.request import BidsLabels, Place
-from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
+from biosensor_gateway.recording.recorder.request import (
+    BidsLabels,
+    RecorderError,
+    RecorderReason,
+    RecordingRequest,
+)
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
@@ -46,7 +49,7 @@ from tests.rigs.lsl_streams import note_askers, wait_until
 pytestmark = pytest.mark.nightly
 
 FORMATS = ("float32", "double64", "string", "int32", "int16", "int8", "int64")
-OWN_WAY = find_ways(Path())[0][-1]
+OWN_COMMAND = find_programs(Path())[0][OWN]
 
 
 class Content:
@@ -143,7 +146,7 @@ def own_recorder(file: Path) -> Generator[None]:
     log = file.with_suffix(".log")
     with log.open("wb") as said:
         process = subprocess.Popen(
-            [*OWN_WAY.command, file.name, "(true())"],
+            [*OWN_COMMAND, file.name, "(true())"],
             cwd=file.parent,
             stdin=subprocess.PIPE,
             stdout=said,
@@ -183,16 +186,16 @@ def test_it_writes_what_labrecorder_writes_bit_by_bit(tmp_path: Path) -> None:
         assert our.footer.count(b"<offset>") >= 2
 
 
-def order(folder: Path) -> Order:
-    return Order(Place(folder, labels=BidsLabels("P07")), growth_s=60.0)
+def request(folder: Path) -> RecordingRequest:
+    return RecordingRequest(folder, labels=BidsLabels("P07"), growth_s=60.0)
 
 
 @pytest.fixture
 def only_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    def ways(_folder: Path) -> tuple[list[Way], list[str]]:
-        return [OWN_WAY], []
+    def programs(_folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+        return {OWN: OWN_COMMAND}, []
 
-    monkeypatch.setattr(local, "find_ways", ways)
+    monkeypatch.setattr(local, "find_programs", programs)
 
 
 def _program(folder: Path, script: str) -> str:
@@ -219,19 +222,19 @@ def test_it_takes_over_from_a_program_that_does_not_record(
     script: str,
     said: str,
 ) -> None:
-    broken = Way(LAB_RECORDER, (_program(tmp_path, script),))
+    broken = (_program(tmp_path, script),)
 
-    def ways(_folder: Path) -> tuple[list[Way], list[str]]:
-        return [broken, OWN_WAY], []
+    def programs(_folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+        return {LAB_RECORDER: broken, OWN: OWN_COMMAND}, []
 
-    monkeypatch.setattr(local, "find_ways", ways)
-    monkeypatch.setattr(local, "WAY_S", 5.0)
-    recording = Recording(state)
-    begun = recording.start(order(tmp_path), sources.presence)
+    monkeypatch.setattr(local, "find_programs", programs)
+    monkeypatch.setattr(local, "PROGRAM_S", 5.0)
+    recording = LocalRecorder(state)
+    begun = recording.start(request(tmp_path), sources.presence)
     (warning,) = (each for each in begun.warnings if OWN in each)
     assert LAB_RECORDER in warning
     assert said in warning
-    kept = RecorderFolder(state).kept()
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     assert kept.recorder == OWN
     ended = recording.stop()
@@ -246,8 +249,8 @@ def test_a_stream_that_does_not_answer_is_named(
     seen = sources.presence().visible
     gone = VisibleStream("gone", "gone-id", socket.gethostname())
     presence = Presence((*seen, gone), (gone,), ())
-    short = Order(Place(tmp_path, labels=BidsLabels("P07")), growth_s=5.0)
-    begun = Recording(state).start(short, lambda: presence)
+    short = RecordingRequest(tmp_path, labels=BidsLabels("P07"), growth_s=5.0)
+    begun = LocalRecorder(state).start(short, lambda: presence)
     assert any("not recorded: gone" in each for each in begun.warnings)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
 
@@ -256,9 +259,9 @@ def test_a_stream_that_does_not_answer_is_named(
 def test_its_file_is_closed_if_its_keeper_is_killed(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     keeper = psutil.Process(kept.program).parent()
     assert keeper is not None
@@ -271,9 +274,9 @@ def test_its_file_is_closed_if_its_keeper_is_killed(
 
 @pytest.mark.usefixtures("only_own")
 def test_a_service_that_ends_closes_its_file(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     receiver = psutil.Process(kept.program)
     keeper = receiver.parent()
@@ -286,13 +289,13 @@ def test_a_service_that_ends_closes_its_file(sources: Sources, state: Path, tmp_
 
 @pytest.mark.usefixtures("only_own")
 def test_a_full_disk_is_said_at_once(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (100_000, 100_000))
     wait_until(lambda: not recording.is_running, "it has ended")
-    standing = recording.standing()
+    standing = recording.status()
     assert standing is not None
     assert "cannot be written: File too large" in standing.problems[0].text
     with pytest.raises(RecorderError, match="File too large") as caught:
@@ -302,9 +305,9 @@ def test_a_full_disk_is_said_at_once(sources: Sources, state: Path, tmp_path: Pa
 
 @pytest.mark.usefixtures("only_own")
 def test_a_killed_one_is_said(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     os.kill(kept.program, signal.SIGKILL)
     wait_until(lambda: not recording.is_running, "its keeper has noticed")
@@ -314,7 +317,7 @@ def test_a_killed_one_is_said(sources: Sources, state: Path, tmp_path: Path) -> 
 
 def test_without_a_stream_it_says_so_and_ends(tmp_path: Path) -> None:
     ended = subprocess.run(
-        [*OWN_WAY.command, "none.xdf", "(false())"],
+        [*OWN_COMMAND, "none.xdf", "(false())"],
         cwd=tmp_path,
         stdin=subprocess.PIPE,
         check=False,
@@ -492,9 +495,9 @@ def test_what_changed_under_way_is_a_warning_of_the_verdict(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
     outlet = start("microvolts")
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    said = RecorderFolder(state).said
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    said = RecorderFolder(state).output
     wait_until(lambda: "collection for stream unit" in said.read_text(), "it is recorded")
     del outlet
     _again = start("volts")

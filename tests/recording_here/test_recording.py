@@ -19,15 +19,15 @@ import pylsl
 import pytest
 import pyxdf
 
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.request import BidsLabels, Place
-from biosensor_gateway.recording.recorder.result import (
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    BidsLabels,
     NotClosedError,
     RecorderError,
     RecorderReason,
-    StandingHere,
+    RecordingRequest,
 )
+from biosensor_gateway.recording.recorder.result import LocalStatus
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.findings import Level
@@ -43,18 +43,18 @@ NAME = "sub-P07/ses-S001/beh/sub-P07_ses-S001_task-Walk_run-{run:03}_beh.xdf"
 _load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
 
 
-def order(folder: Path, **more: Any) -> Order:
-    return Order(Place(folder, labels=BIDS), growth_s=60.0, **more)
+def request(folder: Path, **more: Any) -> RecordingRequest:
+    return RecordingRequest(folder, labels=BIDS, growth_s=60.0, **more)
 
 
-def standing(recording: Recording) -> StandingHere:
-    found = recording.standing()
+def standing(recording: LocalRecorder) -> LocalStatus:
+    found = recording.status()
     assert found is not None
     json.dumps(asdict(found), allow_nan=False, default=str)
     return found
 
 
-def codes(recording: Recording) -> dict[str, str]:
+def codes(recording: LocalRecorder) -> dict[str, str]:
     return {each.stream: each.code for each in standing(recording).problems}
 
 
@@ -66,13 +66,13 @@ def loaded(file: Path) -> dict[str, int]:
 def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(state)
-    assert recording.standing() is None
-    begun = recording.start(order(tmp_path), sources.presence)
+    recording = LocalRecorder(state)
+    assert recording.status() is None
+    begun = recording.start(request(tmp_path), sources.presence)
     assert begun.file == tmp_path / NAME.format(run=1)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
     with pytest.raises(RecorderError) as caught:
-        recording.start(order(tmp_path), sources.presence)
+        recording.start(request(tmp_path), sources.presence)
     assert caught.value.reason is RecorderReason.RECORDING
 
     def samples(name: str) -> int:
@@ -86,7 +86,7 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     wait_until(lambda: codes(recording) == {"wrist": "stopped"}, "it is said")
     before = samples("wrist")
     # Another process reads the file from its beginning, and finds the same.
-    assert codes(Recording(state)) == {"wrist": "stopped"}
+    assert codes(LocalRecorder(state)) == {"wrist": "stopped"}
     sources.add("wrist")
     wait_until(lambda: samples("wrist") > before, "it is recorded again")
     # It stays said to the end that there is a gap, which of another program's stream is known once
@@ -101,7 +101,7 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     assert {each.code for each in ended.verdict.findings} >= {"gaps"}
     read = loaded(ended.file)
     assert read["chest-id"] > read["wrist-id"] > before
-    assert recording.standing() is None
+    assert recording.status() is None
     with pytest.raises(RecorderError) as caught:
         recording.stop()
     assert caught.value.reason is RecorderReason.NOT_RECORDING
@@ -113,11 +113,11 @@ def test_a_name_that_is_taken_counts_up_or_refuses(
     taken = tmp_path / NAME.format(run=1)
     taken.parent.mkdir(parents=True)
     taken.write_bytes(b"of somebody")
-    recording = Recording(state)
+    recording = LocalRecorder(state)
     with pytest.raises(RecorderError) as caught:
-        recording.start(order(tmp_path), sources.presence, counts_up=False)
+        recording.start(request(tmp_path, counts_up=False), sources.presence)
     assert caught.value.reason is RecorderReason.EXISTS
-    begun = recording.start(order(tmp_path), sources.presence)
+    begun = recording.start(request(tmp_path), sources.presence)
     assert begun.file == tmp_path / NAME.format(run=2)
     assert recording.stop().file == tmp_path / NAME.format(run=2)
     assert taken.read_bytes() == b"of somebody"
@@ -127,10 +127,10 @@ def test_a_name_that_is_taken_counts_up_or_refuses(
 def test_a_required_stream_that_is_missing_refuses(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(state)
+    recording = LocalRecorder(state)
     missing = "p01 zephyr (x), none of its 13 streams"
     with pytest.raises(RecorderError, match="p01 zephyr") as caught:
-        recording.start(order(tmp_path / "data"), lambda: sources.presence(missing))
+        recording.start(request(tmp_path / "data"), lambda: sources.presence(missing))
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not (tmp_path / "data").exists()
 
@@ -140,8 +140,8 @@ def test_a_required_stream_that_the_program_does_not_find_refuses(
 ) -> None:
     gone = sources.presence()
     sources.remove("wrist")
-    recording = Recording(state)
-    short = Order(Place(tmp_path, labels=BIDS), growth_s=5.0)
+    recording = LocalRecorder(state)
+    short = RecordingRequest(tmp_path, labels=BIDS, growth_s=5.0)
     with pytest.raises(RecorderError, match="wrist") as caught:
         recording.start(short, lambda: gone)
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
@@ -153,9 +153,9 @@ def test_a_refusal_gives_the_name_back_if_no_sample_came(state: Path, tmp_path: 
     host = socket.gethostname()
     seen = tuple(VisibleStream(each, f"{each}-id", host) for each in ("silent", "gone"))
     presence = Presence(seen, (), ())
-    short = Order(Place(tmp_path, labels=BIDS), growth_s=5.0)
+    short = RecordingRequest(tmp_path, labels=BIDS, growth_s=5.0)
     with pytest.raises(RecorderError, match="gone") as caught:
-        Recording(state).start(short, lambda: presence)
+        LocalRecorder(state).start(short, lambda: presence)
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not list(tmp_path.rglob("*.xdf"))
     del silent
@@ -169,7 +169,7 @@ def test_where_nothing_can_be_written_it_says_so(
         if folder.parent == tmp_path:
             folder.touch()
         with pytest.raises(RecorderError, match=r"no folder|cannot be written") as caught:
-            Recording(state).start(order(folder), sources.presence)
+            LocalRecorder(state).start(request(folder), sources.presence)
         assert caught.value.reason is RecorderReason.UNWRITABLE
 
 
@@ -177,9 +177,9 @@ def test_where_nothing_can_be_written_it_says_so(
 def test_a_killed_program_is_said_with_what_it_said(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     os.kill(kept.program, signal.SIGKILL)
     wait_until(lambda: not recording.is_running, "its keeper has noticed")
@@ -193,15 +193,14 @@ def test_a_killed_program_is_said_with_what_it_said(
 STARTER = """
 import sys, time
 from pathlib import Path
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.request import BidsLabels, Place
-from biosensor_gateway.recording.recorder.labrecorder import Order
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import BidsLabels, RecordingRequest
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 import socket
 
 seen = [VisibleStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]
-place = Place(Path(sys.argv[2]), labels=BidsLabels("P07", task="Walk"))
-Recording(Path(sys.argv[1])).start(Order(place), lambda: Presence(tuple(seen), (), ()))
+request = RecordingRequest(Path(sys.argv[2]), labels=BidsLabels("P07", task="Walk"))
+LocalRecorder(Path(sys.argv[1])).start(request, lambda: Presence(tuple(seen), (), ()))
 print("begun", flush=True)
 time.sleep(600)
 """
@@ -216,7 +215,7 @@ def test_a_recording_outlives_who_began_it(state: Path, tmp_path: Path) -> None:
         assert parent.stdout is not None
         assert parent.stdout.readline() == b"begun\n"
         parent.kill()
-    recording = Recording(state)
+    recording = LocalRecorder(state)
     first = standing(recording).sight
     assert first is not None
     wait_until(lambda: _bytes(recording) > first.bytes, "it goes on")
@@ -224,16 +223,16 @@ def test_a_recording_outlives_who_began_it(state: Path, tmp_path: Path) -> None:
     assert set(loaded(ended.file)) == {"chest-id", "wrist-id"}
 
 
-def _bytes(recording: Recording) -> int:
+def _bytes(recording: LocalRecorder) -> int:
     sight = standing(recording).sight
     return 0 if sight is None else sight.bytes
 
 
 @pytest.mark.seam
 def test_a_killed_keeper_closes_the_file(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     keeper = psutil.Process(kept.program).parent()
     assert keeper is not None
@@ -247,9 +246,9 @@ def test_a_killed_keeper_closes_the_file(sources: Sources, state: Path, tmp_path
 def test_a_keeper_that_its_service_ends_closes_the_file(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     program = psutil.Process(kept.program)
     keeper = program.parent()
@@ -264,9 +263,9 @@ def test_a_keeper_that_its_service_ends_closes_the_file(
 def test_a_full_disk_is_said_though_the_program_says_nothing(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(state)
-    recording.start(order(tmp_path), sources.presence)
-    kept = RecorderFolder(state).kept()
+    recording = LocalRecorder(state)
+    recording.start(request(tmp_path), sources.presence)
+    kept = RecorderFolder(state).saved()
     assert kept is not None
     limit = 100_000
     resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (limit, limit))

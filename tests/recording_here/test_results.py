@@ -7,20 +7,20 @@ from dataclasses import fields
 import pytest
 
 from biosensor_gateway.recording.recorder.result import (
-    Standing,
-    StandingHere,
+    LocalStarted,
+    LocalStatus,
+    LocalStopped,
     Started,
-    StartedHere,
+    Status,
     Stopped,
-    StoppedHere,
 )
 
 
 @pytest.mark.parametrize(
     ("of_a_window", "of_ours"),
-    [(Started, StartedHere), (Standing, StandingHere), (Stopped, StoppedHere)],
+    [(Started, LocalStarted), (Status, LocalStatus), (Stopped, LocalStopped)],
 )
 def test_a_recording_is_told_of_in_one_form(
-    of_a_window: type[Started | Standing | Stopped], of_ours: type[Started | Standing | Stopped]
+    of_a_window: type[Started | Status | Stopped], of_ours: type[Started | Status | Stopped]
 ) -> None:
     assert [each.name for each in fields(of_ours)] == [each.name for each in fields(of_a_window)]

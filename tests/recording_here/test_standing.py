@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.state import Job, Kept, RecorderFolder
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 
 
 @pytest.fixture
@@ -30,12 +30,12 @@ def test_an_end_that_was_asked_for_is_no_problem(
     tmp_path: Path, file: Path, ended: float, is_asked: bool, said: str
 ) -> None:
     folder = RecorderFolder(tmp_path)
-    kept = Kept(str(file), (), started=1.0, program=1, ended=ended, code=0)
-    folder.give(Job((), kept), "")
-    folder.keep(kept)
+    kept = SavedRecording(str(file), (), started=1.0, program=1, ended=ended, code=0)
+    folder.hand_over(kept, "")
+    folder.save(kept)
     if is_asked:
         folder.ask_to_stop()
-    standing = Recording(tmp_path).standing()
+    standing = LocalRecorder(tmp_path).status()
     assert standing is not None
     assert not standing.recording
     problems = [each.text for each in standing.problems]

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.recording.recorder import local
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.request import Place
-from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
+from biosensor_gateway.recording.recorder.request import (
+    RecorderError,
+    RecorderReason,
+    RecordingRequest,
+)
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 
@@ -29,17 +30,13 @@ def test_the_next_try_begins_with_an_empty_file(
             raise OSError("enough")
         file.write_bytes(b"XDF: and what was found")
         folder = RecorderFolder(state)
-        folder.keep(replace(folder.job().kept, started=time.time(), ended=time.time(), code=2))
+        folder.save(replace(folder.requested(), started=time.time(), ended=time.time(), code=2))
 
     monkeypatch.setattr(local, "launch", launch)
     stream = VisibleStream("a", "a-id", "here")
     with pytest.raises(RecorderError) as refused:
-        local.begin(
-            tmp_path / "state",
-            Order(Place(file=file)),
-            lambda: Presence((stream,), (), ()),
-            LslOverrides(),
-            counts_up=True,
+        local.LocalRecorder(tmp_path / "state").start(
+            RecordingRequest(file=file), lambda: Presence((stream,), (), ())
         )
     assert refused.value.reason is RecorderReason.UNWRITABLE
     assert sizes == [0, 0]

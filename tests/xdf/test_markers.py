@@ -17,7 +17,7 @@ import pytest
 from biosensor_common.naming import lsl_name
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.recording.recorder.live_file import glance
+from biosensor_gateway.recording.recorder.recording_file import summarize
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
@@ -134,7 +134,7 @@ def test_a_stream_without_a_marker_is_closed_as_any_other(
     assert found.stream.footer is not None
     assert found.stream.footer.sample_count == 0
     assert len(found.stream.clock_offsets) >= 1
-    assert glance(path).is_closed
+    assert summarize(path).is_closed
     assert report.is_good
     assert {each for each in codes(report) if each[1] == NAME} == {("no-samples", NAME)}
     assert not codes(report, Level.ERROR) | codes(report, Level.WARNING)

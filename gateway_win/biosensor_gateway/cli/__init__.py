@@ -45,9 +45,9 @@ def _run() -> None:
     if len(sys.argv) == 1:
         _lead_after_a_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:
-        from biosensor_gateway.recording.recorder.supervisor import keep  # only then
+        from biosensor_gateway.recording.recorder.supervisor import supervise  # only then
 
-        sys.exit(keep(Path(sys.argv[2])))
+        sys.exit(supervise(Path(sys.argv[2])))
     if sys.argv[1:2] == [RECORD_STREAMS]:
         from biosensor_gateway.recording.recorder.receiver import record_streams  # only then
 

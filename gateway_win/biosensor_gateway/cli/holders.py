@@ -16,7 +16,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.page.running import LOCK_FILE, page_folder
-from biosensor_gateway.recording.recorder.local import Recording
+from biosensor_gateway.recording.recorder.local import LocalRecorder
 
 _PROGRAMS = frozenset({"biosensor-gateway.exe", "biosensor gateway.exe"})
 _OF_PAGE = frozenset({"page", "play-recording"})
@@ -83,7 +83,7 @@ def what_cannot_be_closed(state: Path) -> list[str]:
         own.username(),
         _agent(state),
         is_held(page_folder(state), LOCK_FILE),
-        Recording(state).is_running,
+        LocalRecorder(state).is_running,
     )
     programs = [each for each in _programs() if each.number not in beside]
     return [sentence(each) for each in programs if not closing.closes(each)]

@@ -13,30 +13,26 @@ import typer
 from biosensor_gateway.cli import recording_here
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.cli.recording_here import look_for
 from biosensor_gateway.cli.recording_words import as_text, start_text, stop_text, warn, window_text
-from biosensor_gateway.recording.recorder.labrecorder import (
-    DEFAULT_PORT,
+from biosensor_gateway.recording.recorder.labrecorder import DEFAULT_PORT, LOCAL_HOST, LabRecorder
+from biosensor_gateway.recording.recorder.local import LocalRecorder, not_recording
+from biosensor_gateway.recording.recorder.request import (
     GROWTH_S,
-    Order,
-    RemoteControl,
+    MAX_RUN,
+    BidsLabels,
+    RecordingRequest,
+    SensorsAwayError,
 )
-from biosensor_gateway.recording.recorder.labrecorder import standing as window_standing
-from biosensor_gateway.recording.recorder.labrecorder import start as start_recording
-from biosensor_gateway.recording.recorder.labrecorder import stop as stop_recording
-from biosensor_gateway.recording.recorder.local import Recording, not_recording
-from biosensor_gateway.recording.recorder.request import MAX_RUN, BidsLabels, Place
-from biosensor_gateway.recording.recorder.result import SensorsAwayError, Started
+from biosensor_gateway.recording.recorder.result import Started
+from biosensor_gateway.recording.recorder.streams import look
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system.cloud_folders import usual_recordings_folder
-
-_LOCAL = "127.0.0.1"
 
 app = typer.Typer(help="Start, watch and stop recordings.", no_args_is_help=True)
 
 HostOption = Annotated[
     str | None,
-    typer.Option(help="Computer on which LabRecorder's window is open.", show_default=_LOCAL),
+    typer.Option(help="Computer on which LabRecorder's window is open.", show_default=LOCAL_HOST),
 ]
 PortOption = Annotated[
     int | None,
@@ -136,30 +132,43 @@ def start(
         {"session": session, "task": task, "acquisition": acquisition, "modality": modality},
         run,
     )
-    place = Place(folder, recorder_folder, file, labels)
-    order = Order(
-        place, all_streams, only_ours, allow_missing, timeout, other_participants, allow_missing
+    request = RecordingRequest(
+        folder,
+        recorder_folder,
+        file,
+        labels,
+        all_streams=all_streams,
+        only_ours=only_ours,
+        allow_missing=allow_missing,
+        without_away=allow_missing,
+        other_participants=other_participants,
+        growth_s=timeout,
+        counts_up=run is None,
     )
     loaded = settings_or_defaults(settings)
     is_here = here or not (
-        window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)
+        window or host or port or recording_here.has_window(LOCAL_HOST, DEFAULT_PORT)
     )
 
     if is_here and file is None and folder is None:
-        order = replace(order, place=replace(place, folder=usual_recordings_folder()))
+        request = replace(request, folder=usual_recordings_folder())
 
-    def begin(order: Order) -> Started:
+    def begin(request: RecordingRequest) -> Started:
+        streams = partial(look, loaded, state_folder())
         if is_here:
-            return recording_here.start(order, loaded, counts_up=run is None)
-        with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
-            return start_recording(remote, order, partial(look_for, loaded), state_folder())
+            return LocalRecorder(state_folder()).start(request, streams, loaded.lsl.overrides)
+        return _window(host, port).start(request, streams)
 
     try:
-        started = begin(order)
+        started = begin(request)
     except SensorsAwayError as error:
-        started = begin(recording_here.without_sensors(order, error))
+        started = begin(recording_here.without_sensors(request, error))
     warn(started.warnings, silent=as_json)
     typer.echo(as_text(started) if as_json else start_text(started))
+
+
+def _window(host: str | None, port: int | None) -> LabRecorder:
+    return LabRecorder(host or LOCAL_HOST, port or DEFAULT_PORT, state_folder())
 
 
 def _labels(
@@ -182,17 +191,16 @@ def stop(
 ) -> None:
     """End the recording, and see its file closed; exit code 1 if it is not."""
     if not (host or port) and (recording_here.is_of(file) or _is_nothing(file)):
-        stopped = Recording(state_folder()).stop()
+        stopped = LocalRecorder(state_folder()).stop()
     else:
-        with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
-            stopped = stop_recording(remote, file, state_folder())
+        stopped = _window(host, port).stop(file)
     warn(stopped.warnings, silent=as_json)
     typer.echo(as_text(stopped) if as_json else stop_text(stopped))
 
 
 def _is_nothing(file: Path | None) -> bool:
     """Whether nobody here records or was told to."""
-    return file is None and not recording_here.may_be_of_window(_LOCAL, DEFAULT_PORT)
+    return file is None and not recording_here.may_be_of_window(LOCAL_HOST, DEFAULT_PORT)
 
 
 @app.command("status")
@@ -214,9 +222,9 @@ def status(
         return
     if not (host or port) and _is_nothing(file):
         raise not_recording()
-    host, port = host or _LOCAL, port or DEFAULT_PORT
-    known = window_standing(host, port, file, state_folder())
-    typer.echo(as_text(known) if as_json else window_text(f"{host}:{port}", known))
+    known = _window(host, port).status(file)
+    where = f"{host or LOCAL_HOST}:{port or DEFAULT_PORT}"
+    typer.echo(as_text(known) if as_json else window_text(where, known))
     if watch and known.file is not None and known.recording:
         recording_here.watch_file(known.file, as_json=as_json)
     if not known.answers:

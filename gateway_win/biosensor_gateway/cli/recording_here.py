@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import typer
@@ -14,18 +12,17 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.questions import can_ask, menu
 from biosensor_gateway.cli.recording_words import as_line, as_text, sight_text, standing_text
-from biosensor_gateway.recording.recorder.labrecorder import Order, RemoteControl
+from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
 from biosensor_gateway.recording.recorder.live_file import Growth
-from biosensor_gateway.recording.recorder.local import Devices, Recording
-from biosensor_gateway.recording.recorder.result import (
-    LabRecorderError,
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    RecorderError,
+    RecordingRequest,
     SensorsAwayError,
-    StartedHere,
 )
-from biosensor_gateway.recording.recorder.state import last_started
-from biosensor_gateway.recording.recorder.streams import Presence, expected_devices, look
+from biosensor_gateway.recording.recorder.state import WindowRecording
+from biosensor_gateway.recording.recorder.streams import Devices
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder
 
 _WATCH_S = 2.0
@@ -36,37 +33,22 @@ def has_window(host: str, port: int) -> bool:
     try:
         with RemoteControl(host, port):
             return True
-    except LabRecorderError:
+    except RecorderError:
         return False
 
 
 def may_be_of_window(host: str, port: int) -> bool:
     """Whether LabRecorder's window may be recording: it is open, or was told to."""
-    return last_started(state_folder()) is not None or has_window(host, port)
+    return WindowRecording.last(state_folder()) is not None or has_window(host, port)
 
 
 def is_of(file: Path | None) -> bool:
     """Whether a file, or whatever is recorded, is what this computer records by itself."""
-    recorded = Recording(state_folder()).file
+    recorded = LocalRecorder(state_folder()).file
     return recorded is not None and (file is None or file.absolute() == recorded)
 
 
-def look_for(settings: GatewaySettings) -> Presence:
-    """Look for the streams that are to be recorded."""
-    return look(settings, expected_devices(settings, state_folder()), socket.gethostname())
-
-
-def start(order: Order, settings: GatewaySettings, *, counts_up: bool) -> StartedHere:
-    """Record by this computer itself."""
-    return Recording(state_folder()).start(
-        order,
-        partial(look_for, settings),
-        settings.lsl.overrides,
-        counts_up=counts_up,
-    )
-
-
-def without_sensors(order: Order, error: SensorsAwayError) -> Order:
+def without_sensors(request: RecordingRequest, error: SensorsAwayError) -> RecordingRequest:
     """Ask whether to record without sensors that do not stream.
 
     Raises
@@ -81,7 +63,7 @@ def without_sensors(order: Order, error: SensorsAwayError) -> Order:
     said = " ".join(f"{each.rstrip('.')}." for each in error.sentences)
     if menu(said, ["Do not record yet", "Record without that"]) == 0:
         raise typer.Exit(2)
-    return replace(order, without_away=True)
+    return replace(request, without_away=True)
 
 
 def _devices() -> Devices | None:
@@ -93,16 +75,16 @@ def _devices() -> Devices | None:
 
 def status(*, watch: bool, as_json: bool) -> None:
     """Say how the recording of this computer itself stands; exit code 1 if not well."""
-    recording = Recording(state_folder())
+    recording = LocalRecorder(state_folder())
     in_json = as_line if watch else as_text
-    standing = recording.standing(_devices())
+    standing = recording.status(_devices())
     while standing is not None:
         typer.echo(in_json(standing) if as_json else standing_text(standing))
         if not watch or not standing.recording:
             break
         time.sleep(_WATCH_S)
         # Who ends it in the meantime has seen the end of it.
-        standing = recording.standing(_devices())
+        standing = recording.status(_devices())
     errors = () if standing is None else standing.problems
     if any(each.level is Level.ERROR for each in errors):
         raise typer.Exit(1)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from biosensor_gateway.recording.recorder.live_file import GrowingStream, Sight
-from biosensor_gateway.recording.recorder.result import By, Standing, Started, Stopped
+from biosensor_gateway.recording.recorder.live_file import Progress, StreamProgress
+from biosensor_gateway.recording.recorder.result import By, Started, Status, Stopped
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 
 if TYPE_CHECKING:
@@ -49,19 +49,19 @@ def stop_text(stopped: Stopped) -> str:
     return "\n".join([closed, *said, f"{verdict.colour}: {verdict.sentence}"])
 
 
-def standing_text(standing: Standing) -> str:
+def standing_text(standing: Status) -> str:
     """Say how a recording of this computer itself stands."""
     state = "recording to" if standing.recording else "not recording any more to"
     return sight_text(f"{state} {standing.file}", standing.sight, standing.problems)
 
 
-def window_text(where: str, standing: Standing) -> str:
+def window_text(where: str, standing: Status) -> str:
     """Say how a recording of LabRecorder's window stands, which listens there."""
     said = "; ".join(each.text for each in standing.problems) or "LabRecorder answers"
     return f"{where}: {said}\n{_window_recording(standing)}"
 
 
-def _window_recording(known: Standing) -> str:
+def _window_recording(known: Status) -> str:
     if known.file is None:
         return (
             "whether it records is not known: it cannot be asked, and no file is known here "
@@ -75,7 +75,7 @@ def _window_recording(known: Standing) -> str:
     return f"{known.file} does not grow ({size}): most likely it is not being recorded"
 
 
-def sight_text(head: str, sight: Sight | None, problems: Sequence[Finding]) -> str:
+def sight_text(head: str, sight: Progress | None, problems: Sequence[Finding]) -> str:
     """Say what is in a growing file, and what is wrong with it."""
     if sight is None:
         return "\n".join([head, *map(_finding, problems)])
@@ -83,7 +83,7 @@ def sight_text(head: str, sight: Sight | None, problems: Sequence[Finding]) -> s
     return "\n".join([f"{head}: {size}", *map(_row, sight.streams), *map(_finding, problems)])
 
 
-def _row(stream: GrowingStream) -> str:
+def _row(stream: StreamProgress) -> str:
     if stream.age_s is None:
         return f"    {_safe(stream.name)}: nothing yet"
     return (

@@ -10,8 +10,8 @@ import typer
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.cli.questions import can_ask, menu
-from biosensor_gateway.recording.going_on import file_going_on
 from biosensor_gateway.recording.participants import listed
+from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings.places import state_folder
 
 _SENTENCES = {

@@ -16,7 +16,7 @@ from biosensor_common.system_programs import full_path
 from biosensor_gateway.cli import lsl_file
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.going_on import file_going_on
+from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings import template as settings_template
 from biosensor_gateway.settings.places import settings_path, state_folder

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import socket
 import sys
 import tempfile
 import time
@@ -43,10 +42,9 @@ from biosensor_gateway.page.running import ADDRESS, ask_for_window, ask_to_end
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import printing
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.request import Place
-from biosensor_gateway.recording.recorder.streams import Presence, expected_devices, look
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import RecordingRequest
+from biosensor_gateway.recording.recorder.streams import Presence, look
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict, check
@@ -98,7 +96,7 @@ class Trial:
             self._work = Path(work)
             self._state = state_of(self._work)
             self._programs = Programs(self._work)
-            self._recording = Recording(self._state)
+            self._recording = LocalRecorder(self._state)
             stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
             try:
                 with _requests_interrupt():
@@ -176,8 +174,10 @@ class Trial:
     def _record(self, devices: Mapping[str, str]) -> bool:
         """Make a recording and its tables; return whether all that can be in it is in it."""
         expected = [*expected_streams(running_status(self._state), devices, self._recorded_s)]
-        order = Order(Place(self._kept), only_ours=True, allow_missing=True, without_away=True)
-        started = self._recording.start(order, self._look, self._settings.lsl.overrides)
+        request = RecordingRequest(
+            self._kept, only_ours=True, allow_missing=True, without_away=True
+        )
+        started = self._recording.start(request, self._look, self._settings.lsl.overrides)
         for warning in started.warnings:
             say(f"! {warning}")
         say(f"Recording for {self._recorded_s:g} s, as by the page's button ...")
@@ -191,8 +191,7 @@ class Trial:
         return verdict.colour is not Colour.RED and outcome.is_certain
 
     def _look(self) -> Presence:
-        expected = expected_devices(self._settings, self._state)
-        return look(self._settings, expected, socket.gethostname())
+        return look(self._settings, self._state)
 
     def _go_on(self, devices: Mapping[str, str], begun: float) -> int:
         # By the page's buttons.

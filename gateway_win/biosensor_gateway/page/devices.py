@@ -25,7 +25,7 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.going_on import file_going_on
+from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings import editing
 from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import time
 from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -22,20 +21,17 @@ from biosensor_gateway.page.models import (
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
-from biosensor_gateway.recording.recorder.labrecorder import Order
-from biosensor_gateway.recording.recorder.local import Recording
-from biosensor_gateway.recording.recorder.request import BidsLabels, Place
-from biosensor_gateway.recording.recorder.result import (
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    BidsLabels,
     NotClosedError,
+    RecordingRequest,
     SensorsAwayError,
-    StandingHere,
-    StartedHere,
-    StoppedHere,
 )
+from biosensor_gateway.recording.recorder.result import LocalStarted, LocalStatus, LocalStopped
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
     VisibleStream,
-    expected_devices,
     look,
     titles,
 )
@@ -65,7 +61,7 @@ class Recorder:
     ) -> None:
         self._session = session
         self._set_participant = set_participant
-        self._recording = Recording(session.folder)
+        self._recording = LocalRecorder(session.folder)
         self._busy = ""
         self._looking = asyncio.Lock()
         self._verdict: VerdictView | None = None
@@ -184,7 +180,7 @@ class Recorder:
     def _tell_busy(self, what: str) -> None:
         self._session.recording = self._session.recording.model_copy(update={"busy": what})
 
-    def _start(self, wanted: NewRecording, labels: BidsLabels) -> StartedHere:
+    def _start(self, wanted: NewRecording, labels: BidsLabels) -> LocalStarted:
         folder = Path(wanted.folder).expanduser() if wanted.folder else self._folder
         if not folder.is_absolute():
             message = f"the folder {wanted.folder!r} is not a whole path, such as {self._folder}"
@@ -195,8 +191,9 @@ class Recorder:
             message = f"cannot make the folder {folder}: {error.strerror or error}"
             raise ConfigError(ConfigReason.UNREADABLE, message) from error
         self._used.add(folder)
-        order = Order(
-            Place(folder, labels=labels),
+        request = RecordingRequest(
+            folder,
+            labels=labels,
             # Those of others are named as long as it goes on.
             all_streams=not wanted.only_ours,
             only_ours=wanted.only_ours,
@@ -204,7 +201,7 @@ class Recorder:
             other_participants=wanted.other_participants,
             without_away=wanted.without_away,
         )
-        return self._recording.start(order, self._streams, self._session.loaded().lsl.overrides)
+        return self._recording.start(request, self._streams, self._session.loaded().lsl.overrides)
 
     def _question(self, mismatch: Mismatch) -> QuestionError:
         choices = [Choice(words="Record as it is", more={"other_participants": True})]
@@ -215,13 +212,11 @@ class Recorder:
         return QuestionError("Who wears the sensors?", sentence, choices)
 
     def _streams(self) -> Presence:
-        settings = self._session.loaded()
-        expected = expected_devices(settings, self._session.folder)
-        return look(settings, expected, socket.gethostname())
+        return look(self._session.loaded(), self._session.folder)
 
     def _look(self) -> RecordingView:
         devices = self._session.device_facts()
-        standing = self._recording.standing(devices)
+        standing = self._recording.status(devices)
         view = RecordingView(folder=str(self._folder), verdict=self._verdict)
         if standing is None:
             return view
@@ -249,7 +244,7 @@ class Recorder:
         )
 
 
-def _view(ended: StoppedHere) -> VerdictView:
+def _view(ended: LocalStopped) -> VerdictView:
     verdict = ended.verdict
     return VerdictView(
         colour=str(verdict.colour.value),
@@ -316,7 +311,7 @@ class Story:
         What is good to know, and nothing is wrong with it.
     """
 
-    def __init__(self, begun: StartedHere | None = None) -> None:
+    def __init__(self, begun: LocalStarted | None = None) -> None:
         self._file = begun.file if begun else None
         self._started: float | None = None
         self._warnings = [] if begun is None else [*begun.left_out]
@@ -331,13 +326,13 @@ class Story:
         """What is not as it should be, or was not for a while."""
         return [*self._warnings, *self._over]
 
-    def is_of(self, standing: StandingHere) -> bool:
+    def is_of(self, standing: LocalStatus) -> bool:
         """Whether it is that of this recording."""
         if self._started is None:
             return self._file in (None, standing.file)
         return (self._file, self._started) == (standing.file, standing.started)
 
-    def look(self, devices: Sequence[Mapping[str, Any]], standing: StandingHere) -> None:
+    def look(self, devices: Sequence[Mapping[str, Any]], standing: LocalStatus) -> None:
         """Note which sensors are away, and which have come back since the last look."""
         self._file, self._started = standing.file, standing.started
         now = {each.device: each for each in absences(devices)}
@@ -350,7 +345,7 @@ class Story:
         self._away = kept | now
 
 
-def _others_streams(begun: StartedHere) -> Iterator[str]:
+def _others_streams(begun: LocalStarted) -> Iterator[str]:
     """Name what is recorded besides the agent's streams; of live features only how many."""
     own = {_sender(each) for each in begun.streams if each not in begun.foreign}
     features = [each for each in begun.foreign if _sender(each) in own]

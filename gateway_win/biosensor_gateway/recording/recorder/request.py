@@ -1,23 +1,32 @@
-"""Builds the commands that tell LabRecorder where to record, and the path it will use.
+"""Request of a recording: what to record, to which file, and the errors that refuse it.
 
-It keeps a folder ("study root") and a name below it with placeholders, which it fills
-from the fields of its window. A name that is set by remote control is taken in lower
-case, unlike what its placeholders stand for. Its own BIDS mode can only be left by
-remote control, not entered, so a BIDS name is set as a name with placeholders.
+LabRecorder keeps a folder ("study root") and a name below it with placeholders, which it fills
+from the fields of its window. A name that is set by remote control is taken in lower case, unlike
+what its placeholders stand for. Its own BIDS mode can only be left by remote control, not entered,
+so a BIDS name is set as a name with placeholders.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum, unique
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_gateway.recording.participants import participant_of
 from biosensor_gateway.settings.names import LABEL, require_participant
+
+if TYPE_CHECKING:
+    from biosensor_gateway.recording.xdf.verdict import Verdict
 
 SUFFIXES = (".xdf", ".xdfz")
 MAX_RUN = 1000
-"""What the field in its window takes."""
+"""What the field in LabRecorder's window takes."""
+GROWTH_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +50,13 @@ class BidsLabels:
         require_participant(self.participant)
         for name, value in self._labels().items():
             if not LABEL.fullmatch(value) and (value or name != "acquisition"):
-                message = (
+                raise _wrong(
                     f"{value!r} cannot be the {name} in a file's name: use letters and digits only"
                 )
-                raise ConfigError(ConfigReason.WRONG_VALUE, message)
         if not 1 <= self.run <= MAX_RUN:
-            message = f"--run {self.run} is out of range: LabRecorder counts from 1 to {MAX_RUN}"
-            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+            raise _wrong(
+                f"--run {self.run} is out of range: LabRecorder counts from 1 to {MAX_RUN}"
+            )
 
     @property
     def template(self) -> str:
@@ -57,11 +66,9 @@ class BidsLabels:
 
     @property
     def fields(self) -> dict[str, str]:
-        """What the placeholders stand for.
-
-        The run comes last: whenever the task or the modality is set, LabRecorder sets the
-        run to the first number that it believes to be free.
-        """
+        """What the placeholders stand for."""
+        # The run comes last: whenever the task or the modality is set, LabRecorder sets the run to
+        # the first number that it believes to be free.
         labels = {name: value for name, value in self._labels().items() if value}
         return labels | {"run": str(self.run)}
 
@@ -93,8 +100,58 @@ class BidsLabels:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordingRequest:
+    """What to record where, and what to do about what is not as it should be.
+
+    Attributes
+    ----------
+    folder
+        As this computer sees it.
+    recorder_folder
+        The same in the words of LabRecorder's computer; empty if it calls it the same.
+    file
+        Name below the folder, or a whole path on this computer.
+    labels
+        A BIDS name below the folder instead.
+    all_streams
+        Streams of others are meant to be recorded, too.
+    only_ours
+        No streams of others: a window refuses if there are some.
+    allow_missing
+        Start although streams are missing.
+    without_away
+        Start although sensors of the agent do not stream.
+    other_participants
+        Start although the file is called after somebody else than who wears the sensors.
+    growth_s
+        How long the file may take to grow, or all streams to open.
+    counts_up
+        Whether a BIDS name whose run is taken gets the next one.
+    """
+
+    folder: Path | None = None
+    recorder_folder: str = ""
+    file: Path | None = None
+    labels: BidsLabels | None = None
+    all_streams: bool = False
+    only_ours: bool = False
+    allow_missing: bool = False
+    without_away: bool = False
+    other_participants: bool = False
+    growth_s: float = GROWTH_S
+    counts_up: bool = True
+
+    @property
+    def participant(self) -> str:
+        """Whose recording the file will say it is; empty if it says nobody."""
+        if self.labels is not None:
+            return self.labels.participant
+        return "" if self.file is None else participant_of(self.file)
+
+
+@dataclass(frozen=True, slots=True)
 class Target:
-    """Where to record.
+    """Where LabRecorder is to record.
 
     Attributes
     ----------
@@ -123,59 +180,55 @@ class Target:
         return f"filename {options}" if options else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """What the user says of where to record.
-
-    Attributes
-    ----------
-    folder
-        As this computer sees it.
-    recorder_folder
-        The same in the words of LabRecorder's computer; empty if it calls it the same.
-    file
-        Name below the folder, or a whole path on this computer.
-    labels
-        A BIDS name below the folder instead.
-    """
-
-    folder: Path | None = None
-    recorder_folder: str = ""
-    file: Path | None = None
-    labels: BidsLabels | None = None
-
-
-def choose_target(place: Place, *, is_local: bool) -> Target:
-    """Work out what to tell LabRecorder, and which file to look for.
-
-    Parameters
-    ----------
-    place
-        What the user says.
-    is_local
-        Whether LabRecorder runs on this computer.
+def choose_target(request: RecordingRequest, *, is_local: bool) -> Target:
+    """Work out what to tell LabRecorder, which may run on this computer, and which file to expect.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if that says too little or contradicts itself.
+        ``WRONG_VALUE``, if the request says too little or contradicts itself.
     """
-    _require_sense(place, is_local=is_local)
-    folder = place.folder.expanduser().absolute() if place.folder else None
-    if place.file is not None:
-        return _plain(place.file.expanduser(), folder, place.recorder_folder, is_local=is_local)
-    root = place.recorder_folder or (str(folder) if folder else "")
+    _require_sense(request, is_local=is_local)
+    folder = request.folder.expanduser().absolute() if request.folder else None
+    if request.file is not None:
+        return _plain(request.file.expanduser(), folder, request.recorder_folder, is_local=is_local)
+    root = request.recorder_folder or (str(folder) if folder else "")
     _require_tellable(root)
-    if place.labels is None:
+    if request.labels is None:
         return Target(root, folder=folder)
-    files = (folder / place.labels.path,) if folder else ()
-    return Target(root, place.labels.template, place.labels.fields, folder, files)
+    files = (folder / request.labels.path,) if folder else ()
+    return Target(root, request.labels.template, request.labels.fields, folder, files)
+
+
+def local_files(request: RecordingRequest) -> Iterator[Path]:
+    """Return the files on this computer that will do, the first best.
+
+    A BIDS name has its run and all after it, unless its run was asked for. In a folder without
+    a name, the time is the name.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, if the request says too little or contradicts itself.
+    """
+    if request.recorder_folder:
+        raise _wrong("--recorder-folder is for a LabRecorder on another computer; leave it out")
+    target = choose_target(request, is_local=True)
+    labels, folder = request.labels, target.folder
+    if folder is None:
+        raise AssertionError("a request of this computer has a folder")
+    if request.file is not None:
+        # As it was written: only LabRecorder's window makes it lower-case.
+        return iter([_speakable(target.files[-1])])
+    if labels is None:
+        return iter([folder / time.strftime("recording-%Y%m%d-%H%M%S.xdf")])
+    runs = range(labels.run, (MAX_RUN if request.counts_up else labels.run) + 1)
+    return (folder / replace(labels, run=run).path for run in runs)
 
 
 def _plain(file: Path, folder: Path | None, recorder_folder: str, *, is_local: bool) -> Target:
     if file.suffix.lower() not in SUFFIXES or "%" in file.name:
-        message = f"--file {file}: the name must end in .xdf and have no '%'"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        raise _wrong(f"--file {file}: the name must end in .xdf and have no '%'")
     name = file.name.lower()
     _require_tellable(file.name)
     here = (folder or Path()) / file if folder or is_local else None
@@ -192,33 +245,109 @@ def _plain(file: Path, folder: Path | None, recorder_folder: str, *, is_local: b
     return Target(root, name, {}, here.parent, files)
 
 
-def _require_sense(place: Place, *, is_local: bool) -> None:
-    problem = ""
-    if place.file is not None and place.labels is not None:
-        problem = "give either --file or a BIDS name (--participant ...), not both"
-    elif (
-        place.file is not None
-        and place.file.is_absolute()
-        and not _may_be_absolute(place, is_local=is_local)
-    ):
-        problem = (
-            f"--file {place.file} is a path on this computer; name it relative to --folder or "
+def _require_sense(request: RecordingRequest, *, is_local: bool) -> None:
+    file = request.file
+    may_be_absolute = is_local and request.folder is None and not request.recorder_folder
+    if file is not None and request.labels is not None:
+        raise _wrong("give either --file or a BIDS name (--participant ...), not both")
+    if file is not None and file.is_absolute() and not may_be_absolute:
+        raise _wrong(
+            f"--file {file} is a path on this computer; name it relative to --folder or "
             "--recorder-folder"
         )
-    elif is_local and place.file is None and place.folder is None:
-        problem = (
+    if is_local and file is None and request.folder is None:
+        raise _wrong(
             "say where to record, else nobody could look whether it does: --file FILE, or "
             "--folder FOLDER, best with --participant"
         )
-    if problem:
-        raise ConfigError(ConfigReason.WRONG_VALUE, problem)
-
-
-def _may_be_absolute(place: Place, *, is_local: bool) -> bool:
-    return is_local and place.folder is None and not place.recorder_folder
 
 
 def _require_tellable(text: str) -> None:
     if not text.isprintable() or "{" in text or "}" in text:
-        message = f"{text!r} cannot be told to LabRecorder: leave out braces and control characters"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        raise _wrong(
+            f"{text!r} cannot be told to LabRecorder: leave out braces and control characters"
+        )
+
+
+def _speakable(file: Path) -> Path:
+    if file.suffix.lower() != SUFFIXES[0]:
+        raise _wrong(f"--file {file}: the name must end in .xdf")
+    # It is run in the file's folder, so that only the name must be of such letters.
+    if sys.platform == "win32" and not file.name.isascii():
+        raise _wrong(
+            f"--file {file.name}: on Windows LabRecorder's program takes names of English letters "
+            "only; the folder may have any"
+        )
+    return file
+
+
+def _wrong(message: str) -> ConfigError:
+    return ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+@unique
+class RecorderReason(Enum):
+    """Why a recording was not started, or not ended as it should be."""
+
+    NO_PROGRAM = "no_program"
+    """LabRecorder's program is not here."""
+    UNREACHABLE = "unreachable"
+    """Nothing listens at LabRecorder's remote control, or it went away."""
+    NO_REPLY = "no_reply"
+    """LabRecorder listens and does not answer: a message in its window waits for a click."""
+    REFUSED = "refused"
+    """LabRecorder answers something else than ``OK``."""
+    RECORDING = "recording"
+    """It is recording already."""
+    NOT_RECORDING = "not_recording"
+    EXISTS = "exists"
+    """The file is there already."""
+    UNWRITABLE = "unwritable"
+    """The file or the state folder cannot be written."""
+    STREAMS_MISSING = "streams_missing"
+    FOREIGN_STREAMS = "foreign_streams"
+    NOT_BEGUN = "not_begun"
+    """The program ended, or did not open all streams in time."""
+    NO_GROWTH = "no_growth"
+    """The file does not come, or does not grow."""
+    STILL_GROWING = "still_growing"
+    NOT_CLOSED = "not_closed"
+    """Nothing is written to the file any more, and it was not closed."""
+
+
+class RecorderError(GatewayError):
+    """A recording was not started, or not ended as it should be."""
+
+
+class NotClosedError(RecorderError):
+    """A recording ended, and its file was not closed.
+
+    Attributes
+    ----------
+    why
+        Why that is, as far as it is known.
+    verdict
+        What can be said of the file; None if nothing of it can be read.
+    """
+
+    def __init__(self, message: str, why: str, verdict: Verdict | None) -> None:
+        super().__init__(RecorderReason.NOT_CLOSED, message)
+        self.why, self.verdict = why, verdict
+
+
+class SensorsAwayError(RecorderError):
+    """Nobody has confirmed that a recording is to begin without sensors that do not stream.
+
+    Attributes
+    ----------
+    sentences
+        One for each sensor, without a full stop.
+    """
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        message = (
+            f"{'; '.join(sentences)}. Wait for that with: biosensor-gateway wait-ready, or record "
+            "without it with --allow-missing"
+        )
+        super().__init__(RecorderReason.STREAMS_MISSING, message)
+        self.sentences = tuple(sentences)

@@ -1,8 +1,9 @@
-"""Lists the streams in the network, whose they are, and which are missing."""
+"""Lists the streams in the network, whose they are, and what a recording of them would miss."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import socket
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,19 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.absences import absences
+from biosensor_gateway.agent.absences import Absence, absences, names
 from biosensor_gateway.agent.declared_streams import declared_streams
+from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.agent.status import DeclaredStream
 from biosensor_gateway.devices.registry import declared
-from biosensor_gateway.recording.participants import Worn
+from biosensor_gateway.recording.participants import OtherParticipantsError, Worn, compare
+from biosensor_gateway.recording.recorder.request import (
+    RecorderError,
+    RecorderReason,
+    RecordingRequest,
+    SensorsAwayError,
+)
+from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.gateway import GATEWAY
 
@@ -24,6 +33,9 @@ SEARCH_S = 2.0
 SEARCH_LIMIT_S = 8.0
 """For those that are expected."""
 _MOST_NAMED = 20
+
+Devices = Sequence[Mapping[str, Any]]
+"""The devices of the agent, as its status has them; None in their place if no agent runs."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -46,14 +58,8 @@ class ExpectedDevice:
 
     Attributes
     ----------
-    title
-        For a person.
     why
         What the agent says of it, if it does not stream.
-    source_ids
-        Of all its streams.
-    worn
-        Who wears it.
     away
         How and since when it does not stream, as the agent says; empty if it does.
     """
@@ -71,8 +77,6 @@ class Presence:
 
     Attributes
     ----------
-    visible
-        All, by name.
     foreign
         Those of other programs, or of agents on other computers.
     missing
@@ -120,11 +124,11 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
 
 
 def _of_status(device: Mapping[str, Any], away: Mapping[str, str]) -> ExpectedDevice:
-    names = (device["sensor"], device["unit"], device["participant"], device["label"])
+    identity = (device["sensor"], device["unit"], device["participant"], device["label"])
     why = " - ".join(part for part in (device["state"], device["error"]) if part)
     own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
     data_names = [each.data_name for each in declared_streams(device["sensor"], own)]
-    expected = _expected(DeviceIdentity(*names), data_names, why)
+    expected = _expected(DeviceIdentity(*identity), data_names, why)
     return replace(expected, away=away.get(f"{device['sensor']}/{device['unit']}", ""))
 
 
@@ -135,25 +139,24 @@ def _expected(identity: DeviceIdentity, data_names: Iterable[str], why: str) -> 
     return ExpectedDevice(title, why, ids, Worn.by(identity))
 
 
-def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host: str) -> Presence:
+def look(settings: GatewaySettings, state: Path) -> Presence:
     """Look for streams until all expected ones are seen, at least for two seconds.
 
     Parameters
     ----------
     settings
         Its LSL section is how this process takes part, if it did not before.
-    expected
-        Whose streams are ours.
-    own_host
-        Name of this computer, by which the agent's own streams are known.
+    state
+        The state folder of the agent, whose streams are ours.
     """
     from biosensor_gateway.streaming.outlets import configure_lsl  # noqa: PLC0415 - as pylsl
 
+    expected = expected_devices(settings, state)
     configure_lsl(settings.lsl.overrides)
     there = [device for device in expected if not device.away]
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
     seen = _search(frozenset[str]().union(*(device.source_ids for device in there)))
-    agent = DeviceIdentity(naming.AGENT, own_host)
+    agent = DeviceIdentity(naming.AGENT, socket.gethostname())
     ours = needed | {naming.source_id(agent, each.data_name) for each in GATEWAY.streams}
     present = {each.source_id for each in seen}
     return Presence(
@@ -193,3 +196,92 @@ def titles(streams: Iterable[VisibleStream]) -> str:
     named = [stream.title for stream in streams]
     more = len(named) - _MOST_NAMED
     return ", ".join(named[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def require_startable(
+    presence: Presence, wanted: Sequence[VisibleStream], request: RecordingRequest
+) -> None:
+    """Refuse to record the wanted streams if something is amiss that the request does not confirm.
+
+    Raises
+    ------
+    SensorsAwayError
+        If a sensor of the agent is paused or does not stream.
+    RecorderError
+        ``STREAMS_MISSING``.
+    OtherParticipantsError
+        If the file is called after somebody else than who wears the sensors.
+    """
+    if presence.away and not request.without_away:
+        raise SensorsAwayError(presence.away)
+    if not wanted:
+        whose = "of this agent " if presence.visible else ""
+        message = (
+            f"this computer sees no LSL stream {whose}at all, so there is nothing to record; "
+            "start an agent with: biosensor-gateway run"
+        )
+        raise RecorderError(RecorderReason.STREAMS_MISSING, message)
+    if presence.missing and not request.allow_missing:
+        message = (
+            f"streams are missing, and what is not there at the start is not recorded: "
+            f"{'; '.join(presence.missing)}. Wait for them with: biosensor-gateway wait-ready, or "
+            "do without with --allow-missing"
+        )
+        raise RecorderError(RecorderReason.STREAMS_MISSING, message)
+    mismatch = compare(request.participant, presence.worn)
+    if mismatch is not None and not request.other_participants:
+        raise OtherParticipantsError(mismatch)
+
+
+def recorded_without(what: Sequence[str]) -> Iterator[str]:
+    """Name what is missing in a recording that begins all the same."""
+    if what:
+        yield f"recorded without: {'; '.join(what)}"
+
+
+def excused(devices: Devices | None, started: float) -> frozenset[str]:
+    """Return the source_ids that may say nothing: switched off, or of a sensor known to be away."""
+    away = (each.sources for each in absences(devices or ()) if _is_known(each, started))
+    silent = (
+        source
+        for device in devices or ()
+        for source, stream in device["streams"].items()
+        if stream["silent"]
+    )
+    return frozenset(silent).union(*away)
+
+
+def away_findings(
+    devices: Devices | None, recorded: Collection[str], started: float
+) -> Iterator[Finding]:
+    """Name the sensors of which nothing is recorded now.
+
+    Parameters
+    ----------
+    recorded
+        The source_ids that the file has; empty while nobody knows them.
+    started
+        When the recording began, in Unix time.
+    """
+    if devices is None:
+        text = "the agent does not run, so nothing of its sensors is recorded"
+        yield Finding(Level.ERROR, "no-agent", "", text)
+        return
+    for each in absences(devices):
+        level = Level.WARNING if _is_known(each, started) else Level.ERROR
+        yield Finding(level, "away", "", each.sentence)
+    for device, name in zip(devices, names(devices, "'s "), strict=True):
+        sources = device["streams"].keys()
+        sends = sources and is_sending(device["state"], paused=device["paused"])
+        if sends and recorded and not sources & set(recorded):
+            text = (
+                f"{name} streams, and is not in the file: it was not there under this name when "
+                "the recording began; stop it and record anew"
+            )
+            yield Finding(Level.ERROR, "left-out", "", text)
+
+
+def _is_known(absence: Absence, started: float) -> bool:
+    """Whether a person has wanted it: paused it, or begun to record without it."""
+    was_before = absence.since is not None and absence.since <= started
+    return absence.is_paused or absence.is_partial or was_before

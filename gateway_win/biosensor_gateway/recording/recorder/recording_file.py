@@ -1,0 +1,159 @@
+"""Looks at a recording's file from outside: whether it holds samples, grows, and is closed.
+
+LabRecorder makes the file at once and writes it in blocks of some kilobytes (8 KiB on Linux), so a
+single slow stream shows nothing for a minute.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from biosensor_gateway.recording.recorder.request import SUFFIXES, Target
+from biosensor_gateway.recording.xdf.container import (
+    Chunk,
+    ChunkError,
+    RecordingError,
+    open_recording,
+    read_chunks,
+)
+from biosensor_gateway.recording.xdf.framing import Tag
+from biosensor_gateway.recording.xdf.header import parse_stream_header
+
+_POLL_S = 0.25
+
+
+@dataclass(slots=True)
+class FileSummary:
+    """What is in a recording, without its samples being decoded.
+
+    Attributes
+    ----------
+    bytes
+        Size of the file.
+    streams
+        Numbers of the streams that have a header.
+    with_samples, with_footer
+        Those of them that have samples, that were closed.
+    without_footer_due
+        Those that LabRecorder cannot record, so that it never closes them either.
+    is_whole
+        Whether it can be read to its end.
+    """
+
+    bytes: int = 0
+    streams: set[int] = field(default_factory=set[int])
+    with_samples: set[int] = field(default_factory=set[int])
+    with_footer: set[int] = field(default_factory=set[int])
+    without_footer_due: set[int] = field(default_factory=set[int])
+    is_whole: bool = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the recorder came to its end with it."""
+        due = self.streams - self.without_footer_due
+        return self.is_whole and bool(self.streams) and due <= self.with_footer
+
+    def take(self, chunk: Chunk) -> None:
+        """Take in one chunk of the file."""
+        if chunk.tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
+            return
+        stream = chunk.stream_id
+        if chunk.tag is Tag.SAMPLES:
+            self.with_samples.add(stream)
+        elif chunk.tag is Tag.STREAM_FOOTER:
+            self.with_footer.add(stream)
+        elif chunk.tag is Tag.STREAM_HEADER:
+            self.streams.add(stream)
+            try:
+                header = parse_stream_header(bytes(chunk.body))
+            except ChunkError:
+                return
+            if not header.is_recordable:
+                self.without_footer_due.add(stream)
+
+
+def summarize(path: Path) -> FileSummary:
+    """Look into a recording; what is no recording yet is an empty one."""
+    seen = FileSummary(bytes=size_of(path) or 0)
+    try:
+        with open_recording(path) as (file, size, is_unpacked_whole):
+            seen.is_whole = not read_chunks(file, size, seen.take) and is_unpacked_whole
+    except RecordingError:
+        pass
+    return seen
+
+
+def size_of(path: Path) -> int | None:
+    """Return the size of a file in bytes, None if there is none."""
+    try:
+        # By opening it: a folder's entry of a file that is being written may be old on Windows.
+        with path.open("rb") as file:
+            return file.seek(0, 2)
+    except OSError:
+        return None
+
+
+def sizes(target: Target) -> dict[Path, int]:
+    """Return the files in question with their sizes."""
+    paths: Iterable[Path] = target.files
+    if not target.files and target.folder is not None:
+        paths = (each for each in target.folder.rglob("*") if each.suffix.lower() in SUFFIXES)
+    found = ((path, size_of(path)) for path in paths)
+    return {path: size for path, size in found if size is not None}
+
+
+def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) -> Path | None:
+    """Wait until a recording holds samples and grows; return which one, None if none does.
+
+    Parameters
+    ----------
+    target
+        Where to look.
+    before
+        Sizes before the recording was started; what did not change since is not it.
+    limit_s
+        How long to wait.
+    """
+    deadline = time.monotonic() + limit_s
+    first: dict[Path, int] = {}
+    while True:
+        for path, size in sizes(target).items():
+            if size == before.get(path):
+                continue
+            if size > first.setdefault(path, size) and summarize(path).with_samples:
+                return path
+        if time.monotonic() >= deadline:
+            return None
+        time.sleep(_POLL_S)
+
+
+def grows(path: Path, limit_s: float) -> bool:
+    """Whether a file grows; known at once if it does, else after `limit_s`."""
+    first = size_of(path)
+    return first is not None and _wait(lambda: (size_of(path) or 0) > first, limit_s)
+
+
+def wait_until_closed(path: Path, still_s: float, limit_s: float) -> FileSummary | None:
+    """Wait until a file has not changed for `still_s`, and look into it; None if it goes on."""
+    last, since = size_of(path), time.monotonic()
+
+    def is_still() -> bool:
+        nonlocal last, since
+        size, now = size_of(path), time.monotonic()
+        if size != last:
+            last, since = size, now
+        return now - since >= still_s
+
+    return summarize(path) if _wait(is_still, limit_s) else None
+
+
+def _wait(condition: Callable[[], bool], limit_s: float) -> bool:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(_POLL_S)
+    return True
