@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import biosensor_gateway.recording
-from biosensor_gateway.recording.labrecorder.errors import LabRecorderReason
+from biosensor_gateway.recording.recorder.request import RecorderReason
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level, in_order
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
@@ -45,7 +45,7 @@ def _all_codes() -> set[str]:
 def test_every_code_is_explained_and_every_explanation_is_of_a_code() -> None:
     found = _all_codes()
     assert len(found) > 40
-    assert found - EXPLANATIONS.keys() - {each.value for each in LabRecorderReason} == set()
+    assert found - EXPLANATIONS.keys() - {each.value for each in RecorderReason} == set()
     assert EXPLANATIONS.keys() - found == set()
 
 
