@@ -21,7 +21,7 @@ STREAM = raw("acc", ContentType.ACCELEROMETER, channels(Unit.G, "x", "y", "z"), 
 # Whoever sends or receives brings pylsl; rosdep has no key for it.
 NEED_PYLSL = {
     "biosensor_common.doctor.survey",
-    "biosensor_common.lsl.inlets",
+    "biosensor_common.lsl.inlet",
     "biosensor_common.lsl_outlet",
 }
 

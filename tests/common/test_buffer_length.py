@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_common.lsl.inlets import MOST_BUFFERED, buffer_length
+from biosensor_common.lsl.inlet import MOST_BUFFERED, buffer_length
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.5, 1.0, 256.0, MOST_BUFFERED / 121])

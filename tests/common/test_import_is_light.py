@@ -18,7 +18,7 @@ import biosensor_common
 for module in walk_packages(biosensor_common.__path__, "biosensor_common."):
     # Of a program of its own, which asks LSL; of pylsl's kind; bytes of messages from arrays.
     if module.name.partition(".")[2] not in (
-        "doctor.survey", "lsl.inlets", "lsl.network", "lsl.outlet",
+        "doctor.survey", "lsl.inlet", "lsl.network", "lsl.outlet",
         "ros.cdr", "ros.numbers", "ros.standard_messages", "ros.texts",
     ):
         import_module(module.name)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PRODUCT = ("common", "gateway_win", "ros_side")
-MAKER = "common/biosensor_common/lsl/inlets.py"
+MAKER = "common/biosensor_common/lsl/inlet.py"
 # Each of them waits without a limit by default.
 WAITING = {"open_stream", "info", "time_correction"}
 PULLING = {"pull_chunk", "pull_sample"}

@@ -10,8 +10,8 @@ import pylsl
 import pytest
 from pylsl import util
 
-from biosensor_common.lsl import inlets
-from biosensor_common.lsl.inlets import read_description
+from biosensor_common.lsl import inlet
+from biosensor_common.lsl.inlet import read_description
 from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.live import RIVAL_S, SETTLED_S, Live
 from biosensor_gateway.features.sources import Source

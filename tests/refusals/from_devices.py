@@ -16,7 +16,7 @@ import numpy as np
 import pylsl
 import pytest
 
-from biosensor_common.lsl import inlets
+from biosensor_common.lsl import inlet
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo

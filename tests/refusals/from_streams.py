@@ -29,7 +29,7 @@ from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.lsl.blocks import Block, Run
+from lsl_to_ros.topics.runs import Block, Run
 from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState

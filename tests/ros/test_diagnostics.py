@@ -24,7 +24,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.accounts import rates, status
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
-from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status

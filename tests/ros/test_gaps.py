@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S, GAP_PERIODS, Gap, GapFinder
-from lsl_to_ros.lsl.blocks import Stamps
+from lsl_to_ros.topics.runs import Stamps
 
 RATE = 100.0
 PERIOD = 1 / RATE

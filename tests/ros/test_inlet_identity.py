@@ -8,7 +8,7 @@ import pylsl
 import pytest
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.lsl.announcements import MAX_RATE_HZ, read_core
+from biosensor_common.lsl.header import MAX_RATE_HZ, read_core
 from biosensor_common.lsl.predicates import EVERYTHING, of_user
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo

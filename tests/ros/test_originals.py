@@ -18,7 +18,7 @@ from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.accounts.counters import Lost, NodeCounters
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.parameters.node import check
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.bridge import Bridge

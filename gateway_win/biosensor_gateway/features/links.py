@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pylsl
 
-from biosensor_common.lsl.inlets import Connection, buffer_length
+from biosensor_common.lsl.inlet import Connection, buffer_length
 from biosensor_common.refusal import Refusal
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source

@@ -13,7 +13,7 @@ import numpy as np
 import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
-from biosensor_common.lsl.inlets import Connection, read_description, unopened_inlet
+from biosensor_common.lsl.inlet import Connection, read_description, unopened_inlet
 from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl.sender_clocks import SenderClocks

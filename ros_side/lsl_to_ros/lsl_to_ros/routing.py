@@ -24,7 +24,7 @@ from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
 from lsl_to_ros.topics.bridge import Bridge, Outputs

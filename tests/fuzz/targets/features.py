@@ -13,7 +13,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.lsl.announcements import MAX_RATE_HZ
+from biosensor_common.lsl.header import MAX_RATE_HZ
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, foreign_header
 from biosensor_gateway.features.errors import FeatureError

@@ -8,7 +8,7 @@ from itertools import count
 import pylsl
 
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.announcements import read_core
+from biosensor_common.lsl.header import read_core
 from biosensor_common.lsl.namesakes import Namesakes, by_start
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals

@@ -11,7 +11,7 @@ import pylsl
 import structlog
 
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.inlets import Connection, read_description, unopened_inlet
+from biosensor_common.lsl.inlet import Connection, read_description, unopened_inlet
 from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.predicates import Predicate
 from biosensor_common.lsl.sender_clocks import SenderClocks

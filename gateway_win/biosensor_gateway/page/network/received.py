@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.lsl.announcements import decoded
+from biosensor_common.lsl.header import decoded
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields
 from biosensor_gateway.agent.rate_meter import RateMeter

@@ -10,7 +10,7 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
-from biosensor_common.lsl.inlets import Connection, buffer_length
+from biosensor_common.lsl.inlet import Connection, buffer_length
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields
 

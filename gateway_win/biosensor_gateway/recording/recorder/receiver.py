@@ -31,8 +31,8 @@ from pylsl.lib import lib
 from biosensor_common.ending import end_within
 from biosensor_common.errors import SpecError
 from biosensor_common.heap import limit_arenas
-from biosensor_common.lsl.announcements import read_core
-from biosensor_common.lsl.inlets import (
+from biosensor_common.lsl.header import read_core
+from biosensor_common.lsl.inlet import (
     LAST_ENTRY_S,
     buffer_length,
     open_inlet,

@@ -6,7 +6,7 @@ import threading
 import time
 from typing import Protocol
 
-from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.topics.runs import Block
 
 
 class Receiver(Protocol):

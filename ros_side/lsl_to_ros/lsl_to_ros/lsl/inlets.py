@@ -11,8 +11,8 @@ from enum import Enum, unique
 import pylsl
 from pylsl import util
 
-from biosensor_common.lsl.announcements import read_core
-from biosensor_common.lsl.inlets import (
+from biosensor_common.lsl.header import read_core
+from biosensor_common.lsl.inlet import (
     LAST_ENTRY_S,
     buffer_length,
     read_description,

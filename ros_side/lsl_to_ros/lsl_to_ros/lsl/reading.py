@@ -10,8 +10,8 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
-from biosensor_common.lsl import announcements
-from lsl_to_ros.lsl.blocks import Block, joined
+from biosensor_common.lsl import header
+from lsl_to_ros.topics.runs import Block, joined
 from lsl_to_ros.lsl.delivery import Delivery
 from lsl_to_ros.lsl.liblsl import WaitingNumbers, samples_available
 

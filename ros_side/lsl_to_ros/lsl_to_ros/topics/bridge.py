@@ -16,7 +16,7 @@ from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.gaps import Gap, GapFinder
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.lsl.blocks import Block, Run, part, split
+from lsl_to_ros.topics.runs import Block, Run, part, split
 from lsl_to_ros.lsl.liblsl import local_clock
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.publishers import TopicPublisher

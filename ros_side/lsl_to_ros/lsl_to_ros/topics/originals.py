@@ -20,7 +20,7 @@ from std_msgs.msg import Int32
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.lsl.blocks import Block, Run
+from lsl_to_ros.topics.runs import Block, Run
 from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.writers import NumberWriter, Writer
 

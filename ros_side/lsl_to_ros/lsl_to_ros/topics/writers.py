@@ -20,7 +20,7 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import text_of
 from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.lsl.blocks import Run
+from lsl_to_ros.topics.runs import Run
 from lsl_to_ros.topics.publishers import TopicPublisher
 
 
