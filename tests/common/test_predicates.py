@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.network import matches_query
 from biosensor_common.lsl.predicates import (
     EVERYTHING,
     NOTHING,
@@ -27,7 +28,6 @@ from biosensor_common.lsl.predicates import (
 )
 from biosensor_gateway.features.outputs import feature_streams
 from lsl_to_ros.lsl.inlets import FROM_ROS
-from lsl_to_ros.lsl.liblsl import matches_query
 
 ROOT = Path(__file__).parents[2]
 PRODUCT = ("common", "gateway_win", "ros_side")

@@ -19,11 +19,7 @@ LIMIT_S = 120.0
 _SESSION = re.compile(r"(?m)^SessionID = (.*)$")
 MODULES = {
     "doctor/survey.py",
-    "features/live.py",
-    "lsl/discovery.py",
     "lsl/network.py",
-    "network/reader.py",
-    "receiving/program.py",
 }
 
 pytestmark = pytest.mark.seam

@@ -10,7 +10,7 @@ import pylsl
 import pytest
 from pylsl import util
 
-from biosensor_common.lsl import inlet
+from biosensor_common.lsl import inlet as inlet_module
 from biosensor_common.lsl.inlet import read_description
 from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.live import RIVAL_S, SETTLED_S, Live
@@ -111,7 +111,7 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
             raise util.TimeoutError
         return info
 
-    monkeypatch.setattr(inlets, "open_inlet", opened)
+    monkeypatch.setattr(inlet_module, "open_inlet", opened)
 
     def described(info: Outlet) -> str:
         return info.xml

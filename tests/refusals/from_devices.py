@@ -16,7 +16,7 @@ import numpy as np
 import pylsl
 import pytest
 
-from biosensor_common.lsl import inlet
+from biosensor_common.lsl import inlet as inlet_module
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
@@ -171,7 +171,7 @@ def features(patch: pytest.MonkeyPatch, unit: str, stamps: Sequence[float], valu
     inlet = fake(
         pull_chunk=lambda *_: chunks.pop() if chunks else ([], []), close_stream=lambda: None
     )
-    patch.setattr(inlets, "open_inlet", lambda *_, **__: inlet)
+    patch.setattr(inlet_module, "open_inlet", lambda *_, **__: inlet)
     patch.setattr("biosensor_gateway.features.live.LslOutlet", MemoryOutlet)
     said: list[str] = []
     now = [NOW_S]

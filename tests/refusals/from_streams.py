@@ -18,6 +18,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common import open_files
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal
@@ -29,7 +30,6 @@ from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.topics.runs import Block, Run
 from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState
@@ -44,6 +44,7 @@ from lsl_to_ros.topics.originals import ORIGINALS, Joined
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Lane, Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicTypeError
+from lsl_to_ros.topics.runs import Run
 from lsl_to_ros.topics.writers import (
     ChunkWriter,
     NumberWriter,
@@ -307,7 +308,8 @@ def no_topic(patch: pytest.MonkeyPatch) -> Shown:
 @provokes(Refusal.FORMAT_CHANGED)
 def format_changed(patch: pytest.MonkeyPatch) -> Shown:
     del patch
-    routes = routing(lambda _kind, topic, *_, **__: fake(topic_name=topic, publish=lambda _: None))
+    handle = fake(publish_raw=lambda _: None)
+    routes = routing(lambda _kind, topic, *_, **__: fake(topic_name=topic, handle=handle))
     first, second = inlet_of("1"), inlet_of("2", 250.0)
     routes.update([first], [])
     routes.update([second], [first])

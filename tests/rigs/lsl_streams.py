@@ -14,8 +14,8 @@ import numpy as np
 import pylsl
 import pytest
 
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 
 DEADLINE_S = 30.0

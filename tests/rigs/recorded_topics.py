@@ -58,6 +58,13 @@ class _Publisher:
     def publish(self, msg: Any) -> None:
         self.sent.append(msg)
 
+    @property
+    def handle(self) -> _Publisher:
+        """What takes messages that are bytes already."""
+        return self
+
+    publish_raw = publish
+
     def get_subscription_count(self) -> int:
         return self.readers
 

@@ -14,12 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.messages import CLASSES

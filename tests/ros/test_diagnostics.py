@@ -12,6 +12,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float32MultiArray
 
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusal
@@ -24,7 +25,6 @@ from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.accounts import rates, status
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from biosensor_common.lsl.inlet import Stamps
 from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S, GAP_PERIODS, Gap, GapFinder
-from lsl_to_ros.topics.runs import Stamps
 
 RATE = 100.0
 PERIOD = 1 / RATE

@@ -11,12 +11,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32
 
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusals import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.accounts.counters import NodeCounters
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics import bridge as bridge_module
 from lsl_to_ros.topics.bridge import Bridge, Outputs

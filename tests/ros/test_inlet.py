@@ -10,9 +10,9 @@ import numpy as np
 import pylsl
 import pytest
 
+from biosensor_common.lsl.inlet import samples_available
+from lsl_to_ros.lsl.delivery import BATCH_SAMPLES
 from lsl_to_ros.lsl.inlets import InletState
-from lsl_to_ros.lsl.liblsl import samples_available
-from lsl_to_ros.lsl.reading import BATCH_SAMPLES
 from tests.rigs.lsl_streams import (
     DEADLINE_S,
     Collector,

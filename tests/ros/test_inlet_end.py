@@ -9,10 +9,9 @@ import pylsl
 import pytest
 from pylsl import util
 
+from biosensor_common.lsl.inlet import Block, samples_available
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.lsl.inlets import Inlet, InletState
-from lsl_to_ros.lsl.liblsl import samples_available
 from tests.rigs.lsl_streams import (
     DEADLINE_S,
     Collector,

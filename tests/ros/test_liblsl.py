@@ -7,7 +7,8 @@ import time
 import pylsl
 import pytest
 
-from lsl_to_ros.lsl import liblsl
+from biosensor_common.lsl import network
+from biosensor_common.lsl.inlet import local_clock, samples_available
 
 READABLE = [
     "type='EEG'",
@@ -40,14 +41,14 @@ UNREADABLE = [
 
 @pytest.mark.parametrize("query", READABLE)
 def test_what_liblsl_can_read_is_a_query(query: str) -> None:
-    assert liblsl.is_query(query)
+    assert network.is_query(query)
 
 
 @pytest.mark.parametrize("query", UNREADABLE)
 def test_what_liblsl_cannot_read_is_none_and_fits_nothing(query: str) -> None:
-    assert not liblsl.is_query(query)
+    assert not network.is_query(query)
     info = pylsl.StreamInfo("any", "EEG", 4, 100.0, "float32", "id")
-    assert not liblsl.matches_query(info, query.replace("\0", "'"))
+    assert not network.matches_query(info, query.replace("\0", "'"))
 
 
 @pytest.mark.parametrize(
@@ -65,11 +66,11 @@ def test_what_liblsl_cannot_read_is_none_and_fits_nothing(query: str) -> None:
 def test_a_stream_fits_by_its_fields_and_its_description(query: str, fits: bool) -> None:
     info = pylsl.StreamInfo("cap", "EEG", 4, 100.0, "float32", "id")
     info.desc().append_child("biosensor").append_child_value("participant", "p01")
-    assert liblsl.matches_query(info, query) is fits
+    assert network.matches_query(info, query) is fits
 
 
 def test_the_clock_is_that_of_lsl() -> None:
-    before, between, after = pylsl.local_clock(), liblsl.local_clock(), pylsl.local_clock()
+    before, between, after = pylsl.local_clock(), local_clock(), pylsl.local_clock()
     assert before <= between <= after
 
 
@@ -79,13 +80,13 @@ def test_what_an_inlet_holds_is_counted_until_it_is_pulled() -> None:
     outlet = pylsl.StreamOutlet(info)
     (found,) = pylsl.resolve_byprop("source_id", "held-1", timeout=30.0)
     inlet = pylsl.StreamInlet(found, recover=False, as_numpy=True)
-    assert liblsl.samples_available(inlet) == 0
+    assert samples_available(inlet) == 0
     inlet.open_stream(30.0)
     assert outlet.wait_for_consumers(30.0)
     outlet.push_chunk([[1.0], [2.0], [3.0]])
     deadline = time.monotonic() + 30.0
-    while liblsl.samples_available(inlet) < 3:
+    while samples_available(inlet) < 3:
         assert time.monotonic() < deadline, "the samples never came"
         time.sleep(0.005)
     inlet.pull_sample(0.0)
-    assert liblsl.samples_available(inlet) == 2
+    assert samples_available(inlet) == 2

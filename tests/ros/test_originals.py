@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from biosensor_common.errors import ConfigError
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
@@ -18,7 +19,6 @@ from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.accounts.counters import Lost, NodeCounters
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.parameters.node import check
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.bridge import Bridge

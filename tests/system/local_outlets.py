@@ -14,8 +14,8 @@ import time
 
 import pylsl
 
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.settings.models import LslSettings
-from biosensor_gateway.streaming.outlets import configure_lsl
 
 RATE_HZ = 10.0
 

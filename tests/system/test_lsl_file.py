@@ -62,7 +62,7 @@ _RESOLVE = """
 import time
 import pylsl
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.streaming.outlets import configure_lsl
+from biosensor_common.lsl.network import configure_lsl
 
 print(configure_lsl(LslOverrides()))
 resolver = pylsl.ContinuousResolver(prop="type", value="Test", forget_after=60)

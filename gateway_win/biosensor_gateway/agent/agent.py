@@ -17,6 +17,7 @@ from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.heap import limit_arenas
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
@@ -35,7 +36,7 @@ from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.markers import MarkerStream
-from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
+from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.own_outlets import own_outlet
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink

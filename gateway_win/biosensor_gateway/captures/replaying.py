@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
@@ -27,7 +28,7 @@ from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.bleak_pickers import standing_in
 from biosensor_gateway.streaming.device_outlets import DeviceOutlets
-from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
+from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock, LeapingClock
 from biosensor_gateway.transports.tap import What, replaced

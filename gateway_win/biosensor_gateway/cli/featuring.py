@@ -10,6 +10,7 @@ from pathlib import Path
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.agent.feature_refusals import FeatureRefusals
 from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
@@ -20,7 +21,6 @@ from biosensor_gateway.features.sources import Source
 from biosensor_gateway.recording.xdf.printing import printable
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import state_folder
-from biosensor_gateway.streaming.outlets import configure_lsl
 
 _AS_CONFIG = {
     FeatureReason.EXISTS: ConfigReason.EXISTS,

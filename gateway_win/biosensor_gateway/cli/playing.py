@@ -13,13 +13,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.recording.replay import words
 from biosensor_gateway.recording.replay.player import Player
 from biosensor_gateway.recording.replay.playing import Wanted, prepared
 from biosensor_gateway.settings.models import LslSettings
-from biosensor_gateway.streaming.outlets import configure_lsl
 
 _SHOWN_PER_S = 2
 _ALLOWED_BY = "add --beside-live"

@@ -11,12 +11,12 @@ import sys
 import threading
 
 from biosensor_common.ending import end_within
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.agent.feature_refusals import FeatureRefusals
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import state_folder
-from biosensor_gateway.streaming.outlets import configure_lsl
 from biosensor_gateway.system.child import first_line, when_input_ends
 
 

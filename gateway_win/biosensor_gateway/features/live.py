@@ -14,6 +14,7 @@ import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
 from biosensor_common.lsl.inlet import Connection, read_description, unopened_inlet
+from biosensor_common.lsl.network import Network
 from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl.sender_clocks import SenderClocks
@@ -183,13 +184,13 @@ class Live:
     def run(self, stopping: threading.Event) -> None:
         """Read and send until it is set."""
         raw_streams = any_of(*(equals("type", each.value) for each in READ_TYPES))
-        resolver = pylsl.ContinuousResolver(pred=raw_streams)
+        network = Network(raw_streams)
         clocks = SenderClocks(lambda: self._measured)
         count = 0
         try:
             while not stopping.wait(READ_S):
                 if count % LOOK_EVERY == 0:
-                    self.look(resolver.results())
+                    self.look(network.streams())
                     self._tell()
                 count += 1
                 self.read()

@@ -7,6 +7,7 @@ import contextlib
 from functools import partial
 
 from biosensor_common.errors import ConfigError
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.features.outputs import feature_streams
 from biosensor_gateway.page.api import add_api
@@ -22,7 +23,6 @@ from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.replaying import Replaying
 from biosensor_gateway.page.service import Service
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.streaming.outlets import configure_lsl
 
 _LOOK_S = 0.25
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,7 +16,6 @@ from biosensor_common import naming
 from biosensor_common.description_xml import append_children
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_common.lsl.outlet import LslOutlet
-from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
 from biosensor_common.refusal import Refusal
@@ -46,19 +43,6 @@ _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.INT16: np.dtype(np.int16),
     ChannelFormat.INT8: np.dtype(np.int8),
 }
-
-
-def configure_lsl(overrides: LslOverrides) -> Path | None:
-    """Set the LSL configuration of this process; call it before any other LSL call.
-
-    Returns
-    -------
-    Path or None
-        The user's own file that was taken over, if there is one.
-    """
-    path = user_config_file(os.environ, Path.home(), Path.cwd())
-    pylsl.set_config_content(effective_config(path, overrides))
-    return path
 
 
 class _Fault(NamedTuple):

@@ -9,11 +9,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl.sender_clocks import SenderClocks
+from biosensor_common.lsl_config import LslOverrides
 from lsl_to_ros import spinning
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.lsl.configuration import configure_lsl
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.readers import Pump
@@ -72,7 +73,8 @@ class LslToRos(Node):
         node_parameters.declare(self, DIAGNOSTICS_PERIOD)
         self._log = LimitedLog(self.get_logger())
         session = node_parameters.declare(self, SESSION_ID)
-        configure_lsl(session, node_parameters.declare(self, KNOWN_PEERS), SEARCH_PAUSE_S)
+        peers = node_parameters.peers_of(node_parameters.declare(self, KNOWN_PEERS))
+        configure_lsl(LslOverrides(session, peers, search_pause_s=SEARCH_PAUSE_S))
         self._ros_time = RosTime(self)
         self._stream_parameters = Parameters(self)
         prefix = node_parameters.declare(self, TOPIC_PREFIX)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from biosensor_common import naming
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal
@@ -24,7 +25,6 @@ from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.topics.runs import Block
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
 from lsl_to_ros.topics.bridge import Bridge, Outputs

@@ -13,7 +13,8 @@ import structlog
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlet import Connection, read_description, unopened_inlet
 from biosensor_common.lsl.namesakes import numbered
-from biosensor_common.lsl.predicates import Predicate
+from biosensor_common.lsl.network import Network
+from biosensor_common.lsl.predicates import EVERYTHING, Predicate
 from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
@@ -66,7 +67,7 @@ class Reader:
         self.wanted: frozenset[str] = frozenset()
         self.view = NetworkView()
         self._on_samples = on_samples
-        self._resolver = pylsl.ContinuousResolver(pred=wanted_streams)
+        self._network = Network(wanted_streams or EVERYTHING)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="network")
         self._listing = Listing()
         self._descriptions = Descriptions(self._pool)
@@ -99,7 +100,7 @@ class Reader:
             _log.exception("the network is not looked at any more")
 
     def _look(self, now: float) -> None:
-        for receiver in self._listing.update(self._resolver.results(), now):
+        for receiver in self._listing.update(self._network.streams(), now):
             self._close(receiver)
         streams = self._listing.streams
         self._descriptions.update(streams.values(), now)

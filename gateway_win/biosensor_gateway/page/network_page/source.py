@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pylsl import local_clock
 
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.network.models import NetworkView
@@ -15,7 +16,6 @@ from biosensor_gateway.page.network.reader import Reader
 from biosensor_gateway.page.network_page.lsl_settings import lsl_settings
 from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.settings.models import LslSettings
-from biosensor_gateway.streaming.outlets import configure_lsl
 
 KEPT_S = 15.0
 """The page draws ten seconds."""

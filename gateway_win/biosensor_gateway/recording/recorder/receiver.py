@@ -40,8 +40,7 @@ from biosensor_common.lsl.inlet import (
     undelivered,
     unopened_inlet,
 )
-from biosensor_common.lsl.namesakes import by_start
-from biosensor_common.lsl.network import Streams, search
+from biosensor_common.lsl.network import Network, Streams, search
 from biosensor_common.lsl.sender_clocks import LIMIT_S, STEP_S, SenderClocks
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.recorder.program import NOTE
@@ -328,13 +327,13 @@ class _Recorder:
     def _record(self, over: threading.Event) -> None:
         marked_s = flushed_s = time.monotonic()
         # As every resolver of the program it sees streams of the own session alone.
-        resolver = pylsl.ContinuousResolver(pred=self._predicate)
+        network = Network(self._predicate)
         while not over.wait(TAKE_EVERY_S):
             self._take()
             if time.monotonic() - flushed_s >= FLUSH_EVERY_S:
                 flushed_s = time.monotonic()
                 self._flush()
-                self._look_for_absent(resolver)
+                self._look_for_absent(network)
             if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
                 marked_s = time.monotonic()
                 self._write(writing.boundary())
@@ -350,7 +349,7 @@ class _Recorder:
         ):
             time.sleep(STEP_S)
 
-    def _look_for_absent(self, resolver: pylsl.ContinuousResolver) -> None:
+    def _look_for_absent(self, network: Network) -> None:
         """Go on with streams that did not answer, and with those that were started again."""
         # First: whoever is done has noted before what is renewed.
         self._opening = {each: one for each, one in self._opening.items() if not one[1].done()}
@@ -360,7 +359,7 @@ class _Recorder:
             what = "has other channels than before, and is recorded as another stream"
             _say(f"{NOTE}{again.title} {what}")
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
-        infos = sorted(resolver.results(), key=by_start) if absent else []
+        infos = network.streams() if absent else []
         for stream in absent:
             # Of two live senders that claim to be one stream, each is recorded by itself.
             taken = {each.uid for each in self._streams if each is not stream}

@@ -149,7 +149,7 @@ def look(settings: GatewaySettings, state: Path) -> Presence:
     state
         The state folder of the agent, whose streams are ours.
     """
-    from biosensor_gateway.streaming.outlets import configure_lsl  # noqa: PLC0415 - as pylsl
+    from biosensor_common.lsl.network import configure_lsl  # noqa: PLC0415 - as pylsl
 
     expected = expected_devices(settings, state)
     configure_lsl(settings.lsl.overrides)

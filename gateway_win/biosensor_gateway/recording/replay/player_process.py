@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.errors import GatewayError
+from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.agent.feed import Waiting
 from biosensor_gateway.agent.feed_frames import FrameKind, frame
 from biosensor_gateway.agent.sample_frames import samples_frame
@@ -30,7 +31,6 @@ from biosensor_gateway.recording.replay.told import (
     Told,
     played_streams,
 )
-from biosensor_gateway.streaming.outlets import configure_lsl
 from biosensor_gateway.system.child import first_line, when_input_ends
 
 FLUSH_S = 0.04

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lsl_to_ros.topics.runs import Stamps
+from biosensor_common.lsl.inlet import Stamps
 
 # Two samples whose stamps are further apart than this many periods are not neighbours.
 GAP_PERIODS = 1.5

@@ -6,15 +6,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import pylsl
 from numpy.typing import NDArray
 
+from biosensor_common.lsl.inlet import Stamps, local_clock
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.topics.runs import Stamps
 
 NEAR_S = 86_400.0
 """A stamp within a day of now, by a clock, is meant by that clock."""
+_UNKNOWN = "the sender's clock has not been measured yet"
 
 
 class Stamping:
@@ -53,8 +53,9 @@ class Stamping:
         """
         correction = self._correction()
         if correction is None:
-            raise ValueError("the sender's clock has not been measured yet")
-        self.is_unix = bool(_are_unix(np.float64(stamp), correction))
+            raise ValueError(_UNKNOWN)
+        is_near = abs(stamp - time.time()) < NEAR_S
+        self.is_unix = is_near and abs(stamp + correction - local_clock()) >= NEAR_S
         # By the sender's system clock, which nobody has measured: as it is.
         return self._ros_time.to_lsl_s(_to_ns(stamp)) if self.is_unix else stamp + correction
 
@@ -66,7 +67,9 @@ class Stamping:
         ValueError
             If the sender's clock is not known yet.
         """
-        correction = self.local(0.0)
+        correction = self._correction()
+        if correction is None:
+            raise ValueError(_UNKNOWN)
         is_time = self._ros_time.are_times(stamps + correction)
         return is_time | _are_unix(stamps, correction)
 
@@ -101,11 +104,11 @@ class Stamping:
         return self.to_ns(stamps[:1]) + offsets
 
 
-def _are_unix(stamps: Stamps | np.float64, correction: float) -> NDArray[np.bool_]:
+def _are_unix(stamps: Stamps, correction: float) -> NDArray[np.bool_]:
     """Say of each stamp whether it is a time since 1970; some LSL clocks count from then, too."""
     with np.errstate(invalid="ignore"):
         is_unix = np.abs(stamps - time.time()) < NEAR_S
-        return is_unix & (np.abs(stamps + correction - pylsl.local_clock()) >= NEAR_S)
+        return is_unix & (np.abs(stamps + correction - local_clock()) >= NEAR_S)
 
 
 def _to_ns(stamp: float) -> int:

@@ -1,12 +1,23 @@
-"""Hands what an inlet brings to whoever wants it, which may change at any time."""
+"""Takes samples out of an inlet, and hands them to whoever wants them at that time."""
 
 from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Protocol
 
-from lsl_to_ros.topics.runs import Block
+import pylsl
+
+from biosensor_common.lsl.inlet import Block, Puller
+
+# How long a blocked pull keeps its thread from noticing that it should end.
+PULL_TIMEOUT_S = 0.2
+# A receiver that is full is looked at again after so long.
+ROOM_S = 0.01
+BATCH_SAMPLES = 1024
+
+Condition = Callable[[], bool]
 
 
 class Receiver(Protocol):
@@ -107,3 +118,62 @@ class Delivery:
         if self._receiver is not None:
             self._receiver.end(undelivered)
         self._receiver = None
+
+
+class Reading:
+    """Takes samples out of an inlet and delivers them; one thread at a time may call it.
+
+    Parameters
+    ----------
+    lsl
+        The inlet, which gives numpy arrays.
+
+    Attributes
+    ----------
+    lsl
+        As it was given.
+    """
+
+    def __init__(self, lsl: pylsl.StreamInlet, delivery: Delivery) -> None:
+        self.lsl = lsl
+        self._delivery = delivery
+        self._puller = Puller(lsl, BATCH_SAMPLES)
+
+    @property
+    def waiting(self) -> int:
+        """Samples that have come and that nobody has taken yet."""
+        return self._puller.waiting
+
+    def drain(self, is_to_go_on: Condition) -> None:
+        """Deliver what has come, without waiting, for as long as that is wanted.
+
+        Raises
+        ------
+        LostError
+            The stream has ended.
+        """
+        while is_to_go_on():
+            block = self._puller.pull_waiting()
+            count = len(block.stamps)
+            if count:
+                self._delivery.deliver(block)
+            if count < BATCH_SAMPLES:
+                return  # nothing is dropped: all that had come is delivered
+
+    def follow(self, is_to_go_on: Condition) -> None:
+        """Deliver each sample as it comes, for as long as that is wanted.
+
+        What came in one packet belongs into one message where there is such.
+
+        Raises
+        ------
+        LostError
+            The stream has ended.
+        """
+        while is_to_go_on():
+            if not self._delivery.has_room:
+                time.sleep(ROOM_S)
+                continue  # nothing is dropped: they wait in liblsl
+            block = self._puller.wait(PULL_TIMEOUT_S)
+            if block is not None:
+                self._delivery.deliver(block)

@@ -10,7 +10,8 @@ import pylsl
 
 from biosensor_common import open_files
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.namesakes import Namesakes, by_start
+from biosensor_common.lsl.namesakes import Namesakes
+from biosensor_common.lsl.network import FORGET_AFTER_S, Network
 from biosensor_common.lsl.predicates import (
     EVERYTHING,
     Predicate,
@@ -28,8 +29,6 @@ from lsl_to_ros.lsl.descriptions import about
 from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
 from lsl_to_ros.lsl.rivals import Rivals, Swap
 
-# An outlet that has just died is still reported by the resolver for so long.
-FORGET_AFTER_S = 5.0
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
@@ -50,11 +49,11 @@ def asks_for_ros(predicate: Predicate) -> bool:
     return _ROS_BLOCK in predicate
 
 
-def resolver(predicate: Predicate) -> pylsl.ContinuousResolver:
+def network_of(predicate: Predicate) -> Network:
     """Look for what a predicate names, and for the counts of losses of all agents."""
     served = predicate if asks_for_ros(predicate) else all_of(predicate, none_of(FROM_ROS))
     counters = equals("type", ContentType.COUNTERS)
-    return pylsl.ContinuousResolver(pred=any_of(served, counters), forget_after=FORGET_AFTER_S)
+    return Network(any_of(served, counters))
 
 
 class FileRoom:
@@ -115,7 +114,7 @@ class Discovery:
     def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
         self.refusals = Refusals(warn)
         self._predicate = wanted_by(predicate)
-        self._resolver = resolver(self._predicate)
+        self._network = network_of(self._predicate)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
         self._order: dict[str, int] = {}
@@ -170,13 +169,13 @@ class Discovery:
         wanted = wanted_by(predicate)
         if wanted != self._predicate:
             self._predicate = wanted
-            self._resolver = resolver(wanted)
+            self._network = network_of(wanted)
 
     def update(self) -> tuple[list[Inlet], list[Inlet]]:
         """Open inlets for new streams; return those that became ready, and those that ended."""
         gone = self._ended()
-        results = sorted(filterfalse(_is_of_a_node, self._resolver.results()), key=by_start)
-        found = {info.uid(): info for info in results}
+        streams = filterfalse(_is_of_a_node, self._network.streams())
+        found = {info.uid(): info for info in streams}
         swaps = self._swaps(gone, found)
         gone += [swap.old for swap in swaps if swap.old not in gone]
         for uid, info in found.items():

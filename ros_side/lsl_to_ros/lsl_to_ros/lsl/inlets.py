@@ -20,15 +20,13 @@ from biosensor_common.lsl.inlet import (
     unopened_inlet,
 )
 from biosensor_common.lsl.namesakes import numbered
+from biosensor_common.lsl.network import matches_query
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
-from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.lsl.delivery import Delivery, Receiver
+from lsl_to_ros.lsl.delivery import Delivery, Reading, Receiver
 from lsl_to_ros.lsl.descriptions import about, header_of
-from lsl_to_ros.lsl.liblsl import matches_query
-from lsl_to_ros.lsl.reading import Reading
 
 OPEN_TIMEOUT_S = 10.0
 # What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
@@ -250,8 +248,7 @@ class Inlet:
             self.state = InletState.REFUSED
             return
         if not self._is_stopped.is_set():
-            is_text = self.core.format is ChannelFormat.STRING
-            self._reading = Reading(lsl, self._delivery, is_text=is_text)
+            self._reading = Reading(lsl, self._delivery)
             self._guarded(self._read_descriptions)
 
     def _read_descriptions(self, reading: Reading) -> None:

@@ -16,7 +16,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from lsl_to_ros.lsl.liblsl import is_query
+from biosensor_common.lsl.network import is_query
 
 TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
 SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
@@ -114,6 +114,11 @@ def aliases_of(value: Sequence[str]) -> dict[str, str]:
     """Return the names of sensors by those of LSL streams; in these, ``*`` is any text."""
     pairs = (each.rpartition("=") for each in value if each)
     return {name.strip(): alias.strip() for name, _, alias in pairs}
+
+
+def peers_of(value: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of hosts; ROS knows no empty list, so an empty name is none."""
+    return tuple(peer for peer in value if peer)
 
 
 def _aliases_fault(value: Sequence[str]) -> str | None:

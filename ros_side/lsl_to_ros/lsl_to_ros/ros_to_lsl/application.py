@@ -25,14 +25,15 @@ from std_msgs.msg import Header
 from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl.network import configure_lsl
+from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros import spinning
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.lsl.configuration import configure_lsl
-from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID
+from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID, peers_of
 from lsl_to_ros.reports.clock_pairs import events_outlet
 from lsl_to_ros.reports.reporting import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
@@ -87,7 +88,8 @@ class RosToLsl(Node):
         )
         self._requests = read_requests(self, self.resolve_topic_name)
         value = self.get_parameter
-        configure_lsl(value(SESSION_ID).value, value(KNOWN_PEERS).value)
+        peers = peers_of(value(KNOWN_PEERS).value)
+        configure_lsl(LslOverrides(value(SESSION_ID).value, peers))
         self._log = LimitedLog(self.get_logger())
         self._refusals = Refusals(self._log.warn)
         self._ros_time = RosTime(self)

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.lsl.inlet import Block, local_clock
 from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.gaps import Gap, GapFinder
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.topics.runs import Block, Run, part, split
-from lsl_to_ros.lsl.liblsl import local_clock
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.publishers import TopicPublisher
+from lsl_to_ros.topics.runs import Run, part, split
 from lsl_to_ros.topics.writers import ChunkWriter, Writer
 
 # Runs that wait until the sender's clock has been measured, which takes 0.7 s.
@@ -103,6 +103,7 @@ class Bridge:
         # Asked for with each block of samples.
         self._publishers = outputs.publishers
         self._of_samples = [writer.publisher for writer in outputs.of_samples]
+        self._lanes = [publisher.lane for publisher in self._publishers]
 
     @property
     def last_stamp(self) -> float:
@@ -144,7 +145,11 @@ class Bridge:
     @property
     def is_full(self) -> bool:
         """Whether so much waits to be published that LSL should keep the rest."""
-        return any(publisher.lane.is_full for publisher in self._publishers)
+        # A loop: a generator takes longer than what it asks for.
+        for lane in self._lanes:  # noqa: SIM110
+            if lane.is_full:
+                return True
+        return False
 
     def receive(self, block: Block) -> None:
         """Publish samples and the chunks that they fill."""
@@ -218,7 +223,10 @@ class Bridge:
 
     def _write_timed_or_hold(self, run: Run) -> None:
         outputs = self.outputs
-        if not any(writer.publisher.is_wanted for writer in outputs.timed):
+        for writer in outputs.timed:
+            if writer.publisher.is_wanted:
+                break
+        else:
             # nothing is dropped: nobody has subscribed
             return
         if self._held or not self._stamping.is_known:

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Int32
 
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.topics.runs import Block, Run
 from lsl_to_ros.topics.publishers import TopicPublisher
+from lsl_to_ros.topics.runs import Run
 from lsl_to_ros.topics.writers import NumberWriter, Writer
 
 _TICKS_PER_S = 1024

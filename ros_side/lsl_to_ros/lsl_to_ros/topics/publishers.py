@@ -73,7 +73,12 @@ class TopicPublisher:
         self.ros_publisher = ros_publisher
         piece = piece_messages(rate)
         self.lane = Lane(
-            ros_publisher.publish, self._is_taken, pacer, rate=rate, piece=piece, topic=self.name
+            _publish_to(ros_publisher),
+            self._is_taken,
+            pacer,
+            rate=rate,
+            piece=piece,
+            topic=self.name,
         )
 
     def publish(self, *messages: object) -> None:
@@ -109,6 +114,21 @@ class TopicPublisher:
         if self.latched or not self.readers:
             return True
         return self.ros_publisher.wait_for_all_acked(Duration(seconds=0.0))
+
+
+def _publish_to(ros_publisher: Publisher) -> Callable[[Any], None]:
+    """Return what publishes a message, or the bytes of one."""
+    # rclpy's own method takes a sixth longer: it looks at the type first, and locks what nobody
+    # destroys while a lane has it.
+    publish_bytes: Callable[[bytes], None] = ros_publisher.handle.publish_raw
+
+    def publish(message: object) -> None:
+        if type(message) is bytes:
+            publish_bytes(message)
+        else:
+            ros_publisher.publish(message)
+
+    return publish
 
 
 class _Key(NamedTuple):

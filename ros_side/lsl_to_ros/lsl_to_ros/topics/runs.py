@@ -1,4 +1,4 @@
-"""Blocks of samples on their way through the node."""
+"""Runs: samples on their way to topics, between which nothing is missing."""
 
 from __future__ import annotations
 
@@ -7,24 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Stamps = NDArray[np.float64]
-"""LSL times in seconds, one a sample."""
-
-
-class Block(NamedTuple):
-    """Samples that were pulled together.
-
-    Attributes
-    ----------
-    samples
-        Shape [samples, channels], in the stream's own format; for text an array of
-        objects that holds ``str``.
-    stamps
-        Times on the sender's LSL clock.
-    """
-
-    samples: NDArray[Any]
-    stamps: Stamps
+from biosensor_common.lsl.inlet import Block, Stamps
 
 
 class Run(NamedTuple):
@@ -33,7 +16,7 @@ class Run(NamedTuple):
     Attributes
     ----------
     samples, stamps
-        As in :class:`Block`.
+        As in a block.
     sequence
         Number of the first sample: how many of this stream the node got before it.
     """
@@ -41,14 +24,6 @@ class Run(NamedTuple):
     samples: NDArray[Any]
     stamps: Stamps
     sequence: int
-
-
-def joined(first: Block, second: Block) -> Block:
-    """Return the samples of both."""
-    return Block(
-        np.concatenate((first.samples, second.samples)),
-        np.concatenate((first.stamps, second.stamps)),
-    )
 
 
 def part(block: Block, start: int, end: int, sequence: int) -> Run:

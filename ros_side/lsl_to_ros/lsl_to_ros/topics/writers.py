@@ -20,8 +20,8 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import text_of
 from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.topics.runs import Run
 from lsl_to_ros.topics.publishers import TopicPublisher
+from lsl_to_ros.topics.runs import Run
 
 
 class StreamContext(NamedTuple):
