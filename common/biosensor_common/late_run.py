@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+SAME_MOMENT_S = 0.002
+
 
 @dataclass(frozen=True, slots=True)
 class Patience:
@@ -15,7 +17,7 @@ class Patience:
     seconds : float
         They have come over so many seconds, at least.
     observations : int
-        They are so many, at least.
+        They came at so many moments, at least: what waited together comes at one.
     spread : float
         The earliest packets of each second differ by no more than this part of their least
         lateness: after a clock was set all are late by the same time, after a stall they are not.
@@ -66,8 +68,10 @@ class LateRun:
             self._second, self._least_of_second = arrival_s, math.inf
         if late_s < self._settled - limit_s:
             self._settled, self._since, self._count = late_s, arrival_s, 0
+        # After a clock was set, packets come one by one as ever.
+        if self._count == 0 or arrival_s > self._until + SAME_MOMENT_S:
+            self._count += 1
         self._until = arrival_s
-        self._count += 1
         self._least_of_second = min(self._least_of_second, late_s)
         self.least = min(self.least, late_s)
 

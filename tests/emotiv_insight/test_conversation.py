@@ -173,12 +173,14 @@ async def test_eeg_license_missing(
             for name in ("pow", "met", "dev"):
                 await eventually(run.sink.has(1, name))
             assert run.states.count(State.STREAMING) == 1
-            # Once a device, not once a connection.
+            assert "does not cover raw EEG" in run.error
             await cortex.each_connection(lambda socket: socket.close())
             await eventually(lambda: run.states.count(State.STREAMING) == 2)
+            await eventually(lambda: "does not cover raw EEG" in run.error)
     sessions = [each.params["status"] for each in cortex.requests if each.method == "createSession"]
     assert sessions[:2] == ["active", "open"]
-    assert len(logged(logs, "does not cover raw EEG")) == 1
+    # Once a connection.
+    assert len(logged(logs, "does not cover raw EEG")) == 2
     assert run.sink.rows["eeg"] == []
     assert run.sink.rows["dev"][0] == [4, 1, 4, 3, 2, 4, 1, 75, 88]
     (met,) = run.sink.rows["met"]

@@ -55,6 +55,7 @@ class Reviver:
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
         self._unreadable = _Unreadable(sink)
         self._told: str | None = None
+        self._remarked: tuple[str, ...] = ()
 
     async def run(self) -> None:
         """Look after them until cancelled.
@@ -69,6 +70,7 @@ class Reviver:
             await asyncio.sleep(min(TICK_S, self._limit_s))
             self._unreadable.look()
             self._welcome(self._watch.take_came_back())
+            self._tell_remarks()
             if self._watch.is_device_silent:
                 message = f"nothing from the device for {self._limit_s:.0f} s"
                 message += self._unreadable.since(self._limit_s)
@@ -91,7 +93,7 @@ class Reviver:
             _log.info("data come again", **self._names, streams=sorted(came_back))
         if came_back and not self._watch.absent:
             self._told = None
-            self._on_change(_denial(self._watch.denied), False)
+            self._on_change(self._standing(), False)
 
     def _patience_s(self) -> float:
         """How long streams may be absent now: one that sends what nobody can read is not late."""
@@ -110,6 +112,24 @@ class Reviver:
         _log.warning(text, **self._names, reason=ProtocolReason.REFUSED.value)
         if not self._watch.absent:
             self._on_change(text, False)
+
+    def _standing(self) -> str | None:
+        """Return what is wrong although all that can come comes; None if that is nothing."""
+        found = [_denial(self._watch.denied), *self._watch.remarks.values()]
+        return "; ".join(each for each in found if each) or None
+
+    def _tell_remarks(self) -> None:
+        remarks = tuple(self._watch.remarks.values())
+        if remarks == self._remarked:
+            return
+        kinds = {_kind(each) for each in self._remarked}
+        for each in remarks:
+            # The numbers differ each time.
+            if _kind(each) not in kinds:
+                _log.warning(each, **self._names)
+        self._remarked = remarks
+        if not self._watch.absent:
+            self._on_change(self._standing(), False)
 
     async def _act(self, silence: Silence) -> None:
         self._sink.tell_silent(silence)

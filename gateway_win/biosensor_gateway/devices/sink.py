@@ -113,6 +113,13 @@ class Sink(Protocol):
         """
         ...
 
+    def remark(self, about: str, text: str = "") -> None:
+        """Have a person see what is wrong with what comes, though it goes on; empty when over.
+
+        It stands in the device's status until then, or until the next connection.
+        """
+        ...
+
     def excuse(self, *data_names: str) -> None:
         """Expect nothing of these streams until they are heard again: there is a reason."""
         ...

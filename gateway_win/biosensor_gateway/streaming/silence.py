@@ -101,6 +101,7 @@ class StreamWatch:
         self._attempts: dict[str, int] = {}
         self._came_back: set[str] = set()
         self._denied: dict[str, str] = {}
+        self._remarks: dict[str, str] = {}
 
     @property
     def device_silence_s(self) -> float:
@@ -121,6 +122,17 @@ class StreamWatch:
     def denied(self) -> Mapping[str, str]:
         """By data name, why the device does not give streams; none of them is due."""
         return self._denied
+
+    @property
+    def remarks(self) -> Mapping[str, str]:
+        """By what they are about, what is wrong with data that come; clauses."""
+        return self._remarks
+
+    def remark(self, about: str, text: str) -> None:
+        """Note what is wrong with data that come, in place of what was; empty if nothing is."""
+        self._remarks.pop(about, None)
+        if text:
+            self._remarks[about] = text
 
     @property
     def is_complete(self) -> bool:
@@ -157,6 +169,7 @@ class StreamWatch:
         for name in self._attempts.keys() - (self._streams.keys() - denied.keys()):
             del self._attempts[name]
         self._denied = dict(denied)
+        self._remarks.clear()
         for name in denied:
             self._streams.setdefault(name, _Stream(math.inf, now, now)).is_excused = True
 

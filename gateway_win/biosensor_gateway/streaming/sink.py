@@ -183,6 +183,10 @@ class DeviceSink:
         """
         self.watch.heard(*data_names)
 
+    def remark(self, about: str, text: str = "") -> None:
+        """Have a person see what is wrong with what comes; see :meth:`StreamWatch.remark`."""
+        self.watch.remark(about, text)
+
     def excuse(self, *data_names: str) -> None:
         """Expect nothing of these streams until they are heard again: there is a reason."""
         self.watch.excuse(data_names)

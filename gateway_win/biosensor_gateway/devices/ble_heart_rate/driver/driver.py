@@ -71,7 +71,8 @@ class HeartRateStrapDriver:
         if not self._link.has(HEART_RATE_MEASUREMENT):
             message = f"{self._link.what} measures no heart rate; choose another `device`"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
-        return Connected(await self._start(), due=DUE)
+        info = await self._start()
+        return Connected(info, denied=await self._strap.ask_for_battery(), due=DUE)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Subscribe to the heart rate once more."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 
-from biosensor_common.errors import ProtocolError
+from biosensor_common.errors import ProtocolError, TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
@@ -19,6 +19,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
 )
 from biosensor_gateway.devices.ble_session import optional_request
 from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.ble_errors import AttError
 
 BATTERY_PERIOD_S = 300.0
 DUE = {"hr": 7.5}
@@ -37,6 +38,7 @@ class Strap:
     def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:
         self._link = link
         self._emitter = emitter
+        self._level: tuple[bytes, float] | None = None
 
     async def start(self) -> DeviceInfo:
         """Subscribe to the heart rate; return what the device says of itself.
@@ -64,6 +66,25 @@ class Strap:
             firmware_version=await self._text(FIRMWARE_REVISION),
         )
 
+    async def ask_for_battery(self) -> dict[str, str]:
+        """Read the battery's level, which is emitted with the first data; return its refusal.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        if "read" in self._link.properties(BATTERY_LEVEL):
+            try:
+                self._level = await self._link.read(BATTERY_LEVEL), self._link.clock()
+            except AttError as error:
+                return {"bat": f"its level cannot be read: ATT error 0x{error.code:02X}"}
+            except TransportError as error:
+                # Whether the silence lasts, the watchdog tells.
+                if error.reason is not TransportReason.SILENT:
+                    raise
+        return {}
+
     def take(self, notification: Notification) -> None:
         """Emit what a notification holds; one that is not the strap's is passed over."""
         if notification.uuid == HEART_RATE_MEASUREMENT:
@@ -80,7 +101,9 @@ class Strap:
             ``LOST``.
         """
         properties = self._link.properties(BATTERY_LEVEL)
-        if "read" in properties:
+        if self._level is not None:
+            self._emitter.battery(*self._level)
+        elif "read" in properties:
             await self._read_battery()
         # Not before: BlueZ passes a value that is read on as a notification, too.
         if "notify" in properties and await self._subscribe_to_battery():

@@ -118,6 +118,7 @@ class HealthDeviceDriver:
         }
         if len(denied) == len(rows):
             raise self._refusal(errors)
+        denied |= await self._strap.ask_for_battery()
         refused = frozenset(row.stream for row in ROWS) - {row.stream for row in rows}
         due = {row.stream: row.due_s for row in rows if row.due_s and row.stream not in denied}
         return Connected(info, refused=refused, denied=denied, due=due)

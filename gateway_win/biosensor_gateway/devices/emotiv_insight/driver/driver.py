@@ -35,7 +35,9 @@ from biosensor_gateway.devices.emotiv_insight.driver.emitter import (
 from biosensor_gateway.devices.emotiv_insight.driver.messages import Fault
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder, Headset, Subscription
 from biosensor_gateway.devices.emotiv_insight.driver.session import (
+    EEG_NOT_LICENSED,
     ENDINGS,
+    STREAM_REFUSED,
     Session,
     ending,
     gateway_error,
@@ -216,6 +218,7 @@ class EmotivInsightDriver:
                 "gyro": motion_rate if _has_gyroscope(subscription) else IRREGULAR,
             },
             refused=_not_delivered(subscription),
+            denied=_denied(subscription),
             due=DUE,
             patience_s=PATIENCE_S,
         )
@@ -259,8 +262,18 @@ class EmotivInsightDriver:
 
 def _not_delivered(subscription: Subscription) -> frozenset[str]:
     """Return the streams for which the licence or the headset does not do."""
-    missing = STREAMS.keys() - subscription.layouts.keys()
+    missing = STREAMS.keys() - subscription.layouts.keys() - subscription.failures.keys()
     return frozenset(name for stream in missing for name in STREAMS[stream])
+
+
+def _denied(subscription: Subscription) -> dict[str, str]:
+    """Return by data name why Cortex does not give streams."""
+    return {
+        name: EEG_NOT_LICENSED if stream == "eeg" else f"{STREAM_REFUSED} {stream}, {code}"
+        for stream, code in subscription.failures.items()
+        for name in STREAMS.get(stream, (stream,))
+        if name != "gyro"
+    }
 
 
 def _has_gyroscope(subscription: Subscription) -> bool:

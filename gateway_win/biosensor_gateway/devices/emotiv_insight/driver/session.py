@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -237,8 +238,8 @@ def _error(reason: TransportReason | CredentialReason, message: str) -> GatewayE
 STREAMS = ("eeg", "mot", "dev", "pow", "met")
 """What the declaration has a place for."""
 STOP_TIMEOUT_S = 0.5
-EEG_NOT_LICENSED = "the licence does not cover raw EEG; the other streams go on"
-STREAM_REFUSED = "Cortex refuses a stream; the others go on"
+EEG_NOT_LICENSED = "the EMOTIV licence does not cover raw EEG"
+STREAM_REFUSED = "Cortex does not give its stream"
 
 
 class Session:
@@ -251,7 +252,7 @@ class Session:
         self.is_active = state.is_active
 
     async def subscribe(self, streams: Sequence[str] = STREAMS) -> Subscription:
-        """Ask for streams; those that are refused are told once a device, the others go on.
+        """Ask for streams; those that are refused are among its failures, the others go on.
 
         Raises
         ------
@@ -266,13 +267,9 @@ class Session:
             if not self._may_be_eeg(error) or "eeg" not in streams:
                 raise
             # Refused as a whole: the licensed stream is what the licence can be about.
-            self._account.say_once(EEG_NOT_LICENSED, code=error.code)
-            subscription = await self._subscribe([each for each in streams if each != "eeg"])
-        for stream, code in subscription.failures.items():
-            if stream == "eeg":
-                self._account.say_once(EEG_NOT_LICENSED, code=code)
-            else:
-                self._account.say_once(STREAM_REFUSED, stream=stream, code=code)
+            others = await self._subscribe([each for each in streams if each != "eeg"])
+            failures = {**others.failures, "eeg": error.code}
+            subscription = replace(others, failures=failures)
         if not subscription.layouts:
             message = "Cortex refuses every stream; look at the headset in EMOTIV Launcher"
             raise ProtocolError(ProtocolReason.REFUSED, message)

@@ -18,6 +18,8 @@ from biosensor_common.errors import (
 from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
+from biosensor_gateway.devices.line_sensor.driver.in_order import InOrder
+from biosensor_gateway.devices.line_sensor.driver.line_rate import LineRate
 from biosensor_gateway.devices.line_sensor.driver.openearable import Asked, OpenEarableLink
 from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
     FrameProtocol,
@@ -60,6 +62,10 @@ class LineDriver:
         self._emitter = emitter
         self._link = line_link(settings)
         self._protocol = row_protocol(settings)
+        may_overtake = settings.udp_port is not None
+        at_count = settings.position(settings.sequence_column) if may_overtake else None
+        self._in_order = InOrder(at_count)
+        self._rate = LineRate(settings)
         self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
         self._is_new = Once()
         # Connecting ends with the first read that fits.
@@ -89,18 +95,30 @@ class LineDriver:
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
         self._emitter.connected()
+        self._rate.begin()
         for rows, arrival_s in self._early.take():
-            self._emitter.take(rows, arrival_s)
+            self._take(rows, arrival_s)
         while True:
             rows, bad, arrival_s = await self._read()
-            self._emitter.take(rows, arrival_s)
+            self._take(rows, arrival_s)
             for each in bad:
                 self._say(each)
 
     async def close(self) -> None:
         """Emit what was in doubt, and close the link."""
+        for row, arrival_s in self._in_order.end():
+            self._emitter.take([row], arrival_s)
         self._emitter.ended()
         await self._link.close()
+
+    def _take(self, rows: Sequence[Row], arrival_s: float) -> None:
+        self._rate.take(rows, arrival_s)
+        self._sink.remark("rate", self._rate.complaint)
+        if not self._in_order.is_needed:
+            self._emitter.take(rows, arrival_s)
+            return
+        for row, came_s in self._in_order.take(rows, arrival_s):
+            self._emitter.take([row], came_s)
 
     async def _first(self) -> list[BadLine]:
         rows, bad, arrival_s = await self._read()

@@ -36,7 +36,9 @@ class MuseDriver:
     async def connect(self) -> Connected:
         """Connect and start what is wanted; see the protocol class."""
         opened = await self._session.open()
-        return Connected(opened.info, silent=opened.silent, refused=opened.refused)
+        return Connected(
+            opened.info, silent=opened.silent, refused=opened.refused, denied=opened.denied
+        )
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes; see the protocol class."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from biosensor_gateway.devices.muse.driver.gatt import (
 from biosensor_gateway.devices.muse.driver.settings import MuseSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.dialogue import Dialogue
 from biosensor_gateway.transports.nearby import Advertisement
 
@@ -209,11 +210,14 @@ class Opened(NamedTuple):
         Data names of streams that the settings switch off, or that it does not have.
     refused
         Data names of streams that it does not have.
+    denied
+        By data name, why it does not give streams.
     """
 
     info: DeviceInfo
     silent: frozenset[str]
     refused: frozenset[str]
+    denied: Mapping[str, str]
 
 
 class MuseSession:
@@ -258,8 +262,7 @@ class MuseSession:
         serial = text_of(status, "sn")
         self._preset, wanted = self._chosen(serial)
         self._started = Started(_ALWAYS | wanted, commands.battery_percent(status))
-        for uuid in self._sources(wanted):
-            await self._link.subscribe(uuid)
+        denied = await self._subscribe(self._sources(wanted))
         await self._start()
         refused = {"ppg"} if self._is_athena else {"optics"}
         if not (self._is_athena or self._link.has(PPG[0])):
@@ -268,7 +271,7 @@ class MuseSession:
         silent = _OPTIONAL - wanted | refused
         model = model_of(serial) or ("Muse S Athena" if self._is_athena else "")
         info = DeviceInfo("", model, serial, text_of(version, "fw"))
-        return Opened(info, frozenset(silent), frozenset(refused))
+        return Opened(info, frozenset(silent), frozenset(refused), denied)
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes.
@@ -336,18 +339,43 @@ class MuseSession:
         }
         return preset, frozenset(wanted)
 
-    def _sources(self, wanted: frozenset[str]) -> Sequence[str]:
-        """Return the characteristics that send what is wanted."""
+    async def _subscribe(self, sources: Mapping[str, Sequence[str]]) -> dict[str, str]:
+        """Subscribe to what sends each stream; return why some are refused.
+
+        Raises
+        ------
+        AttError
+            All are refused.
+        TransportError
+            ``LOST`` or ``SILENT``.
+        """
+        denied: dict[str, str] = {}
+        for name, uuids in sources.items():
+            try:
+                for uuid in uuids:
+                    await self._link.subscribe(uuid)
+            except AttError as error:
+                denied[name] = f"nobody may subscribe to it: ATT error 0x{error.code:02X}"
+                if len(denied) == len(sources):
+                    raise
+                # Of some channels alone it would be another signal.
+                for uuid in uuids:
+                    with suppress(AttError):
+                        await self._link.unsubscribe(uuid)
+        return denied
+
+    def _sources(self, wanted: frozenset[str]) -> Mapping[str, Sequence[str]]:
+        """Return by data name the characteristics that send what is wanted."""
         if self._is_athena:
-            return [uuid for uuid in FRAMES if "notify" in self._link.properties(uuid)]
-        return [
-            *EEG,
-            *([AUX] if "aux" in wanted else []),
-            *(PPG if "ppg" in wanted else []),
-            ACC,
-            GYRO,
-            TELEMETRY,
-        ]
+            return {"eeg": [uuid for uuid in FRAMES if "notify" in self._link.properties(uuid)]}
+        return {
+            "eeg": EEG,
+            **({"aux": [AUX]} if "aux" in wanted else {}),
+            **({"ppg": PPG} if "ppg" in wanted else {}),
+            "acc": [ACC],
+            "gyro": [GYRO],
+            "bat": [TELEMETRY],
+        }
 
     async def _keep_alive(self) -> None:
         while True:

@@ -109,7 +109,8 @@ def _connected(measurement: Measurement) -> Connected:
     off = WAVEFORMS - set(measurement.streams)
     if measurement.status_at is None:
         off |= {"quality"}
-    return Connected(rates=dict.fromkeys(WAVEFORMS, measurement.rate_hz), silent=off)
+    rates = dict.fromkeys(WAVEFORMS, measurement.rate_hz)
+    return Connected(rates=rates, silent=off, denied=measurement.denied)
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,12 +35,15 @@ class Measurement:
     status_at
         Where the status of both ExG chips is; None if they do not tell of electrodes, so that
         there is no ``quality``.
+    denied
+        By data name, what the device refuses and why.
     """
 
     layout: Layout
     divisor: int
     signals: tuple[Signal, ...]
     status_at: tuple[int, int] | None = None
+    denied: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def rate_hz(self) -> float:

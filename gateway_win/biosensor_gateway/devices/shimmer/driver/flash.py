@@ -20,11 +20,28 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
 _log = structlog.get_logger("biosensor_gateway.shimmer")
 
 
-async def ask_for_the_state(talk: Conversation, kind: Kind) -> None:
-    """Ask for status and battery, which whoever listens notes; raises as `Conversation.ask`."""
+async def ask_for_the_state(talk: Conversation, kind: Kind) -> dict[str, str]:
+    """Ask for status and battery, which whoever listens notes.
+
+    Returns
+    -------
+    dict of str to str
+        By data name, why the device does not tell.
+
+    Raises
+    ------
+    ProtocolError, TransportError
+        As :meth:`Conversation.ask`, but that the battery may be refused.
+    """
     if kind.has_status:
         await talk.ask(commands.GET_STATUS, Status)
-        await talk.ask(commands.GET_BATTERY, BatteryReading)
+        try:
+            await talk.ask(commands.GET_BATTERY, BatteryReading)
+        except ProtocolError as error:
+            if error.reason is not ProtocolReason.REFUSED:
+                raise
+            return {"bat": "it does not take the question for its voltage"}
+    return {}
 
 
 async def expansion_board(talk: Conversation, name: str) -> int | None:

@@ -206,7 +206,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
     TransportError
         As :meth:`Conversation.ask`.
     """
-    await ask_for_the_state(talk, kind)
+    denied = await ask_for_the_state(talk, kind)
     present = await make_right(talk, partial(_changes, wanted=wanted), name)
     if wanted.use is not None:
         await _set_exg_up(talk, wanted, wanted.use, present, name)
@@ -222,7 +222,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
         raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
     tells = chips is not None and chips.detects_lead_off and chips.use is Use.ECG
     status_at = status_places(layout) if tells else None
-    return Measurement(layout, present.divisor, tuple(signals), status_at)
+    return Measurement(layout, present.divisor, tuple(signals), status_at, denied)
 
 
 async def _calibrated(

@@ -80,9 +80,10 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
     if board is not None and board not in GSR_BOARDS:
         # It measures, but nothing that makes sense.
         _log.warning("the expansion board is no GSR+ board", port=name, board=board)
-    await ask_for_the_state(talk, kind)
+    denied = await ask_for_the_state(talk, kind)
     present = await make_right(talk, lambda inquiry: _changes(inquiry, wanted), name)
-    return Measurement(kind.layout(present.channels), wanted.divisor, wanted.gsr_setting)
+    layout = kind.layout(present.channels)
+    return Measurement(layout, wanted.divisor, wanted.gsr_setting, denied)
 
 
 def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
@@ -121,7 +122,8 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
             if measurement.rate_hz != SPEC.stream(name).rate
         }
         begin = partial(emitter.started, measurement)
-        return Prepared(measurement.layout, measurement.divisor, begin, Connected(rates=rates))
+        connected = Connected(rates=rates, denied=measurement.denied)
+        return Prepared(measurement.layout, measurement.divisor, begin, connected)
 
     return lambda: ShimmerDriver(own.port, sink, emitter, prepare)
 

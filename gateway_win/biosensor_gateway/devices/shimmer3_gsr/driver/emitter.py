@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import isfinite
 from statistics import median
 from typing import NamedTuple
@@ -194,11 +194,14 @@ class Measurement:
         The sampling rate is 32768 Hz divided by it.
     gsr_setting
         Feedback resistor, 4 for automatic.
+    denied
+        By data name, what the device refuses and why.
     """
 
     layout: Layout
     divisor: int
     gsr_setting: int
+    denied: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def rate_hz(self) -> float:
