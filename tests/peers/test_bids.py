@@ -15,7 +15,15 @@ from biosensor_gateway.recording.export.bids.study import Study
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
-from tests.recording_export.bids_shapes import BEGIN_S, SHAPES, h10, numbers, times
+from tests.recording_export.bids_shapes import (
+    BEGIN_S,
+    EEG_VALUES,
+    SHAPES,
+    eeg,
+    h10,
+    numbers,
+    times,
+)
 from tests.xdf import xdf_file as made
 
 pytestmark = pytest.mark.nightly
@@ -98,3 +106,24 @@ def test_pandas_reads_every_bit(tmp_path: Path) -> None:
         assert read[~nan].tolist() == bits[~nan].tolist()
         at = np.delete(times(1000, 130.0), slice(300, 340)) - BEGIN_S
         np.testing.assert_allclose(table["timestamps"], at, rtol=0, atol=1e-6)
+
+
+def test_mne_reads_the_samples_of_eeg_and_what_happened(tmp_path: Path) -> None:
+    path = tmp_path / "sub-p01_task-walk_eeg.xdf"
+    path.write_bytes(eeg())
+    (written,) = export(path, Task(["bids"], Wish()), lambda _name, _s: lambda _done: None).written
+    assert [each for each in _validated(written.path) if each["severity"] == "error"] == []
+    found = json.loads(_run("python", str(PEERS / "eeg_reads.py"), str(written.path)))
+    assert [each["rate"] for each in found] == [pytest.approx(250.0)] * 2
+    first, second = (np.array(each["bits"], np.uint32).view(np.float32) for each in found)
+    truth = EEG_VALUES.ravel()
+    before, after = first[: 2000 * 2], first[2500 * 2 :]
+    # MNE has volts, so a value is the recorded one but for the last bit.
+    assert np.abs(before - truth[: 2000 * 2]).max() <= np.spacing(np.abs(truth).max())
+    assert np.isnan(first[2000 * 2 : 2500 * 2]).all()
+    assert np.abs(after - truth[2000 * 2 : 4000 * 2]).max() <= np.spacing(np.abs(truth).max())
+    assert np.abs(second - truth[4000 * 2 :]).max() <= np.spacing(np.abs(truth).max())
+    assert found[0]["channels"] == ["Fz", "Cz"]
+    assert found[0]["types"] == ["eeg", "eeg"]
+    told = [(round(on, 3), round(length, 3), text) for on, length, text in found[0]["annotations"]]
+    assert told == [(1.0, 0.0, "a"), (8.0, 2.0, "BAD_gap"), (9.0, 0.0, "b, c")]

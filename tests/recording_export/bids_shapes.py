@@ -161,6 +161,29 @@ def _foreign() -> bytes:
     )  # fmt: skip
 
 
+EEG_VALUES = np.random.default_rng(7).normal(0, 30, (5000, 2)).astype(np.float32)
+"""Of `eeg`, in microvolts."""
+
+
+def eeg(fmt: str = "float32") -> bytes:
+    """EEG of 250 Hz with gaps of 2 and 28 s behind 8 and 18 s, and markers everywhere."""
+    stamps = times(5000, 250.0)
+    stamps[2000:] += 2.0
+    stamps[4000:] += 28.0
+    channels = "".join(
+        f"<channel><label>{each}</label><unit>microvolts</unit><type>EEG</type></channel>"
+        for each in ("Fz", "Cz")
+    )
+    desc = ET.fromstring(f"<desc><channels>{channels}</channels></desc>")
+    values = EEG_VALUES.astype("int16") if fmt == "int16" else EEG_VALUES
+    amplifier = stream(
+        1, "amp", values, stamps, rate=250.0, kind="EEG", fmt=fmt, desc=desc, source_id="amp"
+    )
+    told = [["before"], ["a"], ["b, c"], ["between"], ["after"]]
+    moments = [BEGIN_S + each for each in (-5.0, 1.0, 9.0, 30.0, 60.0)]
+    return made.xdf(amplifier, stream(2, "marks", told, moments, fmt="string", kind="markers"))
+
+
 def _far_apart() -> bytes:
     """A pause of two hours, a clock that was set back, a rate that nothing keeps to."""
     paused = np.concatenate([times(200, 50.0), times(200, 50.0, BEGIN_S + 7300.0)])

@@ -103,7 +103,7 @@ def test_markers_are_events_and_what_was_taken_back_says_so(exported: Exporting)
 
 
 def test_markers_of_other_programs_are_events_too(exported: Exporting) -> None:
-    table = read(_dataset(exported, SHAPES["foreign"]), "_events")
+    table = read(_dataset(exported, SHAPES["foreign"]) / "sub-unknown" / "beh", "_events")
     names = dict(zip(table.of("trial_type"), table.of("stream"), strict=True))
     assert names["trial 3, left"] == "PsychoPy"
     assert names["4"] == "keys"
@@ -192,7 +192,8 @@ def test_time_has_one_zero_for_all(exported: Exporting) -> None:
 
 
 def test_stamps_that_jitter_cost_no_sample(exported: Exporting) -> None:
-    outcome = exported(SHAPES["foreign"], "bids")
+    content = SHAPES["foreign"].replace(b"<type>EEG</type>", b"<type>MEG</type>")
+    outcome = exported(content, "bids")
     (written,) = outcome.written
     table = read(written.path, "recording-BrainAmp01_physio")
     sidecar = table.sidecar

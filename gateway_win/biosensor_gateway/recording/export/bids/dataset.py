@@ -10,7 +10,12 @@ from pathlib import Path
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.bids.events import COLUMN_DESCRIPTIONS, Events
+from biosensor_gateway.recording.export.bids.eeg import EegFile, is_eeg
+from biosensor_gateway.recording.export.bids.events import (
+    COLUMN_DESCRIPTIONS,
+    Events,
+    write_eeg_events,
+)
 from biosensor_gateway.recording.export.bids.file_names import Entities, labels
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, Remarks, SignalWriter
 from biosensor_gateway.recording.export.bids.subjects import (
@@ -47,6 +52,9 @@ this text, and name authors and licence in dataset_description.json, before you 
   most, and SamplesInAnotherRow how many did not find their own row free.
 - motion/*_motion: the same of accelerometers and the like. There SamplingFrequency is the nominal
   rate and SamplingFrequencyEffective the real one, as BIDS wants it.
+- eeg/*_eeg: EEG as BrainVision files, unscaled. Rows that were lost are NaN and have an event
+  BAD_gap; behind a gap of more than 10 s another run begins. Onsets of their events count from the
+  first sample of the run.
 - beh/*_physioevents: signals without a rate, such as beats; onset is their time. OnsetSource is
   empty because they have no table of equal steps beside them.
 - beh/*_events.tsv: markers, and what happened to the devices. Rows that are undone were taken back.
@@ -104,7 +112,7 @@ class _Dataset:
             for each in self._signals
             if writer.write(each, places[each.number])
         }
-        written |= self._write_events()
+        written |= self._write_events(writer.eeg)
         if not written:
             path = self._chosen.contents.path
             message = f"{path} holds nothing that BIDS has a place for"
@@ -122,17 +130,22 @@ class _Dataset:
             own = [each for each in self._signals if self._subjects.of(each) == subject]
             named = labels({each.number: _names(each) for each in own})
             entities = replace(self._entities, subject=subject)
-            found |= {number: Place(entities, name) for number, name in named.items()}
+            several = sum(is_eeg(each) for each in own) > 1
+            found |= {number: Place(entities, name, several) for number, name in named.items()}
         return found
 
-    def _write_events(self) -> set[str]:
+    def _write_events(self, eeg: Sequence[EegFile]) -> set[str]:
         """Write the events of everybody; return the labels of those who have some."""
         participants = self._subjects.participants
         entities = {each: replace(self._entities, subject=each) for each in participants}
         paths = {key: self._root / of.path(BEHAVIOUR, "events.tsv") for key, of in entities.items()}
         events = Events(paths, participants)
+        events.kept = {self._subjects.of(each.stream): [] for each in eeg}
         holds = {each.number: self._subjects.of_markers(each) for each in self._markers}
         events.write(self._happenings(), holds)
+        for label, happened in events.kept.items():
+            own = [each for each in eeg if self._subjects.of(each.stream) == label]
+            write_eeg_events(self._root, own, happened)
         for key in events.counts:
             content = {
                 "TaskName": self._entities.task,
@@ -211,6 +224,13 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
         yield (
             "cut into several tables, where a gap is longer than an hour or time steps back: "
             f"{_listed(remarks.cut)}"
+        )
+    if remarks.runs:
+        yield f"gaps of more than 10 s begin another run: {_listed(remarks.runs)}"
+    if remarks.rounded:
+        yield (
+            "EEG in double64 or int32, which BrainVision has as the nearest float32: "
+            f"{_listed(remarks.rounded)}"
         )
     if remarks.moved:
         yield (

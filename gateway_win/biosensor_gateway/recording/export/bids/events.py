@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TextIO
 
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.bids.tables import NOTHING, line
+from biosensor_gateway.recording.export.bids.brain_vision import write_markers
+from biosensor_gateway.recording.export.bids.eeg import (
+    BAD_GAP,
+    EegFile,
+    gap_events,
+    runs_by_start,
+)
+from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
 from biosensor_gateway.recording.export.happenings import Happening, in_order
 
-COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "value")
+COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "note", "value")
 COLUMN_DESCRIPTIONS: Mapping[str, object] = {
     "onset": {"Description": "time since TimeZero", "Units": "s"},
     "duration": {"Description": "not known, as markers are moments", "Units": "s"},
     "trial_type": {"Description": "name of the marker or of a device's event, or a short text"},
     "undone": {"Description": "yes where the experimenter took the marker back later, else no"},
     "stream": {"Description": "name of the LSL stream"},
+    "note": {"Description": "free text of a marker of the experimenter"},
     "value": {"Description": "the whole text as it was recorded"},
 }
 Holds = Mapping[int, Iterable[str]]
@@ -43,6 +52,8 @@ class Events:
         self._files: dict[str, TextIO] = {}
         self.counts: Counter[str] = Counter()
         """Rows by label."""
+        self.kept: dict[str, list[tuple[Stream, Happening]]] = {}
+        """What happened to those who are in it, by label."""
 
     def write(self, happenings: Iterable[tuple[Stream, Happening]], holds: Holds) -> None:
         """Write all, in the order of time.
@@ -65,6 +76,8 @@ class Events:
                     if happening.participant in ("", self._participants[label]):
                         self._file(label).write(_row(stream, happening))
                         self.counts[label] += 1
+                        if label in self.kept:
+                            self.kept[label].append((stream, happening))
 
     def _file(self, label: str) -> TextIO:
         if label not in self._files:
@@ -76,7 +89,58 @@ class Events:
         return self._files[label]
 
 
-def _row(stream: Stream, happening: Happening) -> str:
+def _row(stream: Stream, happening: Happening, start_s: float = 0.0) -> str:
     undone = "yes" if happening.undone else "no"
-    onset = f"{happening.onset_s:.6f}"
-    return line((onset, NOTHING, happening.name, undone, stream.header.name, happening.text))
+    onset = f"{happening.onset_s - start_s:.6f}"
+    told = (happening.name, undone, stream.header.name, happening.note, happening.text)
+    return line((onset, NOTHING, *told))
+
+
+def write_eeg_events(
+    root: Path, files: Iterable[EegFile], happened: Sequence[tuple[Stream, Happening]]
+) -> None:
+    """Write the tables of events of runs of EEG, and the same as BrainVision has them.
+
+    Each event is in the last run of a stream that begins before it, or in its first.
+
+    Parameters
+    ----------
+    files
+        Of one person.
+    happened
+        To that person, in the order of time.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    for runs in runs_by_start(tuple(files)).values():
+        starts = [each.start_s for each in runs]
+        dealt: list[list[tuple[Stream, Happening]]] = [[] for _ in runs]
+        for stream, happening in happened:
+            dealt[max(0, bisect_right(starts, happening.onset_s) - 1)].append((stream, happening))
+        for file, own in zip(runs, dealt, strict=True):
+            _write_eeg_events(root, file, own)
+
+
+def _write_eeg_events(root: Path, file: EegFile, own: Sequence[tuple[Stream, Happening]]) -> None:
+    rows = [(each.onset_s - file.start_s, _row(of, each, file.start_s)) for of, each in own]
+    marks = [
+        (round((each.onset_s - file.start_s) * file.rate_hz), 1, each.name or each.text)
+        for _, each in own
+    ]
+    for onset_s, duration_s, text in gap_events(file):
+        told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_GAP, "no", file.stream.header.name)
+        rows.append((onset_s, line((*told, text, NOTHING))))
+        count = round(duration_s * file.rate_hz)
+        marks.append((round(onset_s * file.rate_hz), count, BAD_GAP))
+    # Only in the table is a place for what came before the first row or after the last.
+    inside = sorted(each for each in marks if 0 <= each[0] < file.rows)
+    write_markers(root / file.path("eeg.vmrk"), inside)
+    if rows:
+        table = "".join([line(COLUMNS), *(row for _, row in sorted(rows, key=lambda r: r[0]))])
+        write_text(root / file.path("events.tsv"), table)
+        onset = {"Description": "time since the first sample of the run", "Units": "s"}
+        content = {"TaskName": file.entities.task, **COLUMN_DESCRIPTIONS, "onset": onset}
+        write_json(root / file.path("events.json"), content)

@@ -6,7 +6,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,16 +69,8 @@ def write_regular(
     OSError
         If it cannot be written.
     """
-    window = int(np.clip(np.ceil(rate_hz * _WINDOW_S), _LEAST_WINDOW, _MOST_WINDOW))
     with table_file(path, is_packed=path.suffix == ".gz", level=GZIP_LEVEL) as file:
-        writer = _Writer(file, part.start_s, rate_hz)
-        kept: Samples | None = None
-        for samples in batches:
-            kept = samples if kept is None else joined([kept, samples])
-            if len(kept) >= 2 * window:
-                kept = writer.write(kept, len(kept) - window)
-        if kept is not None:
-            writer.write(kept, len(kept))
+        writer = fill(TextRows(file), batches, part, rate_hz)
     return RegularTable(
         path,
         part.start_s + writer.first_row / rate_hz,
@@ -89,9 +81,56 @@ def write_regular(
     )
 
 
-class _Writer:
-    def __init__(self, file: BinaryIO, start_s: float, rate_hz: float) -> None:
+def fill(to: Rows, batches: Iterator[Samples], part: Part, rate_hz: float) -> Grid:
+    """Write the rows of one part; see :func:`write_regular`."""
+    window = int(np.clip(np.ceil(rate_hz * _WINDOW_S), _LEAST_WINDOW, _MOST_WINDOW))
+    grid = Grid(to, part.start_s, rate_hz)
+    kept: Samples | None = None
+    for samples in batches:
+        kept = samples if kept is None else joined([kept, samples])
+        if len(kept) >= 2 * window:
+            kept = grid.write(kept, len(kept) - window)
+    if kept is not None:
+        grid.write(kept, len(kept))
+    return grid
+
+
+class Rows(Protocol):
+    """Where the rows of a table go."""
+
+    def write(self, samples: Samples, count: int) -> None:
+        """Write the first `count` samples, a row each."""
+        ...
+
+    def leave_empty(self, rows: int, width: int) -> None:
+        """Write rows of so many channels in which there is nothing."""
+        ...
+
+
+class TextRows:
+    """Writes lines: the time of each sample, then its values."""
+
+    def __init__(self, file: BinaryIO) -> None:
         self._file = file
+
+    def write(self, samples: Samples, count: int) -> None:
+        """See :class:`Rows`."""
+        self._file.write(_text(samples, count))
+
+    def leave_empty(self, rows: int, width: int) -> None:
+        """See :class:`Rows`."""
+        nothing = b"\t".join([NOTHING.encode()] * (1 + width)) + b"\n"
+        while rows:
+            some = min(rows, _EMPTY_ROWS_AT_ONCE)
+            self._file.write(nothing * some)
+            rows -= some
+
+
+class Grid:
+    """Puts samples into rows of equal steps, of which some may stay empty."""
+
+    def __init__(self, to: Rows, start_s: float, rate_hz: float) -> None:
+        self._to = to
         self._start_s = start_s
         self._rate_hz = rate_hz
         self.first_row = 0
@@ -108,29 +147,23 @@ class _Writer:
             self.first_row = int(rows[0])
             self.last_row = self.first_row - 1
         empty = np.diff(rows, prepend=self.last_row) - 1
-        text = _text(samples, count)
         if empty.any():
-            self._write_with_gaps(text, empty, samples)
+            self._write_with_gaps(samples, count, empty)
         else:
-            self._file.write(text)
+            self._to.write(samples, count)
         self.last_row = int(rows[-1])
         self.samples += count
-        return Samples(samples.times[count:], samples.stamps[count:], samples.values[count:])
+        return _cut(samples, count, len(samples))
 
-    def _write_with_gaps(self, text: bytes, empty: NDArray[np.int64], samples: Samples) -> None:
-        width = 1 + np.asarray(samples.values).shape[1]
-        nothing = b"\t".join([NOTHING.encode()] * width) + b"\n"
-        lines = text.splitlines(keepends=True)
+    def _write_with_gaps(self, samples: Samples, count: int, empty: NDArray[np.int64]) -> None:
+        width = np.asarray(samples.values).shape[1]
         before = 0
         for at in np.flatnonzero(empty).tolist():
-            self._file.write(b"".join(lines[before:at]))
-            missing = int(empty[at])
-            while missing:
-                some = min(missing, _EMPTY_ROWS_AT_ONCE)
-                self._file.write(nothing * some)
-                missing -= some
+            if at > before:
+                self._to.write(_cut(samples, before, at), at - before)
+            self._to.leave_empty(int(empty[at]), width)
             before = at
-        self._file.write(b"".join(lines[before:]))
+        self._to.write(_cut(samples, before, count), count - before)
 
 
 def _text(samples: Samples, count: int) -> bytes:

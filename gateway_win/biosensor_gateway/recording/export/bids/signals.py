@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +16,8 @@ from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATIO
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.bids import sidecars
+from biosensor_gateway.recording.export.bids import eeg, sidecars
+from biosensor_gateway.recording.export.bids.brain_vision import is_exact
 from biosensor_gateway.recording.export.bids.file_names import Entities
 from biosensor_gateway.recording.export.bids.regular import (
     RegularTable,
@@ -34,10 +35,12 @@ from biosensor_gateway.recording.export.bids.sidecars import (
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
 from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
 from biosensor_gateway.recording.export.csv.tables import table_file
+from biosensor_gateway.recording.export.evening import Evened
 from biosensor_gateway.recording.export.exporter import SampleCount
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.xdf.measuring import cuts_of
+from biosensor_gateway.recording.xdf.pace import Cuts
 
 # Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
 _MOTION_TYPES = {
@@ -145,10 +148,17 @@ _MICROSECONDS = 6
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the files of a stream go; `label` tells it from the person's other streams."""
+    """Where the files of a stream go; `label` tells it from the person's other streams.
+
+    Attributes
+    ----------
+    is_one_of_several
+        Whether the person has several streams of EEG.
+    """
 
     entities: Entities
     label: str
+    is_one_of_several: bool = False
 
 
 @dataclass(slots=True)
@@ -158,6 +168,8 @@ class Remarks:
     without_samples: list[str] = field(default_factory=list[str])
     without_table: list[str] = field(default_factory=list[str])
     cut: list[str] = field(default_factory=list[str])
+    runs: list[str] = field(default_factory=list[str])
+    rounded: list[str] = field(default_factory=list[str])
     moved: list[str] = field(default_factory=list[str])
     unplaced: int = 0
     """Samples whose times are of no clock."""
@@ -180,6 +192,8 @@ class SignalWriter:
         self._root = root
         self._count = count
         self.remarks = Remarks()
+        self.eeg: list[eeg.EegFile] = []
+        """What was written of EEG."""
 
     def write(self, stream: Stream, place: Place) -> bool:
         """Write a stream; return whether it has a table now.
@@ -232,10 +246,47 @@ class SignalWriter:
         path = self._root / entities.path(BEHAVIOUR, "physioevents.json", **recording)
         write_json(path, content)
 
+    def _write_eeg(self, stream: Stream, place: Place, cuts: Cuts | None) -> bool:
+        """Write a stream of EEG; return whether it could be, else it becomes a table."""
+
+        def told() -> Iterator[Samples]:
+            if cuts is None:
+                return self._batches(stream)
+            evened = Evened((each.times for each in self._batches(stream)), cuts)
+            return evened.applied(self._batches(stream))
+
+        timing = find_timing(
+            (each.times for each in told()), stream.header, cuts, eeg.LONGEST_FILLED_S
+        )
+        if timing is None or len(timing.parts) > _MOST_PARTS:
+            return False
+        moved = 0
+        label = place.label if place.is_one_of_several else ""
+        acquisition = f"{place.entities.acquisition}{label}"
+        entities = replace(place.entities, acquisition=acquisition)
+        parts = parts_of(told(), timing.parts)
+        for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
+            run = eeg.run_of(entities, number, len(timing.parts))
+            file, table = eeg.write_eeg(
+                self._root, stream, run, self._counted(batched), part, timing.rate_hz
+            )
+            eeg.describe(self._root, file, timing, table, self._timeline)
+            self.eeg.append(file)
+            moved += table.moved
+        if len(timing.parts) > 1:
+            self.remarks.runs.append(stream.header.name)
+        if moved:
+            self.remarks.moved.append(stream.header.name)
+        if not is_exact(stream):
+            self.remarks.rounded.append(stream.header.name)
+        return True
+
     def _write_regular(self, stream: Stream, place: Place) -> bool:
         name = stream.header.name
         first = self._batches(stream, is_first=True)
         cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
+        if eeg.is_eeg(stream) and self._write_eeg(stream, place, cuts):
+            return True
         timing = find_timing((each.times for each in first), stream.header, cuts)
         if timing is None:
             self.remarks.without_samples.append(name)

@@ -91,6 +91,7 @@ class _Line:
 @dataclass(slots=True)
 class _Survey:
     longest_step_s: float
+    longest_filled_s: float
     stretch: int
     """Samples."""
     holes: NDArray[np.int64] | None = None
@@ -110,7 +111,7 @@ class _Survey:
 
     def add(self, times: NDArray[np.float64]) -> None:
         steps = np.diff(times, prepend=self._last_s if self.parts else times[0])
-        cuts = (steps > LONGEST_FILLED_S) | (steps < -FURTHEST_BACK_S)
+        cuts = (steps > self.longest_filled_s) | (steps < -FURTHEST_BACK_S)
         if not self.parts:
             cuts[0] = True
         begins = np.flatnonzero(cuts | self._is_behind_hole(steps))
@@ -161,6 +162,7 @@ def find_timing(
     blocks: Iterable[NDArray[np.float64]],
     header: RecordedHeader,
     cuts: Cuts | None = None,
+    longest_filled_s: float = LONGEST_FILLED_S,
 ) -> Timing | None:
     """Find out how a regular stream was sampled; None if there is no sample.
 
@@ -177,10 +179,12 @@ def find_timing(
         Of the stream.
     cuts
         Of a stream whose stamps say little one by one; they tell its rate and its gaps.
+    longest_filled_s
+        Behind a longer gap another part begins.
     """
     stretch = max(_LEAST_STRETCH, round(header.rate * _STRETCH_S))
     holes = None if cuts is None else np.array([each.at for each in cuts.holes], np.int64)
-    survey = _Survey(longest_step_s(header), stretch, holes)
+    survey = _Survey(longest_step_s(header), longest_filled_s, stretch, holes)
     for times in blocks:
         survey.add(times)
     if not survey.parts:
