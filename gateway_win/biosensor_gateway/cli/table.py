@@ -164,5 +164,10 @@ COMMANDS = (
     ),
     _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
     _command("bag", "bag:app", "Bags of ROS (MCAP or SQLite); no ROS is needed."),
+    _command(
+        "withdraw",
+        "withdrawing:withdraw",
+        "Take one person out of recordings, exports and bags; shows first what it would do.",
+    ),
     _hidden("installation", "installation:app", "Used by the Windows installer."),
 )

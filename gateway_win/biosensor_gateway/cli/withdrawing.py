@@ -1,0 +1,107 @@
+"""``biosensor-gateway withdraw``: takes one person out of recordings and what was made of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.cli.options import JsonOption
+from biosensor_gateway.cli.screen import say
+from biosensor_gateway.recording.xdf.printing import printable
+
+if TYPE_CHECKING:
+    from biosensor_gateway.recording.withdrawal.planning import Plan
+    from biosensor_gateway.recording.withdrawal.work import Report
+
+
+def withdraw(
+    participant: Annotated[str, typer.Argument(help="Who withdraws.", show_default=False)],
+    places: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FOLDER...",
+            help="Folders with recordings, exports, bags and notes.",
+            show_default=False,
+        ),
+    ],
+    is_confirmed: Annotated[
+        bool, typer.Option("--yes", help="Do what the plan says, without asking.")
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the report there, as JSON.", show_default=False),
+    ] = None,
+    print_json: JsonOption = False,
+) -> None:
+    """Take one person out of files: shows the plan, asks, does it, and searches what is left.
+
+    Recordings are written anew without the person's streams and name, and those of this person
+    alone are deleted; so are exports, tables, bags and notes. What is unclear is named and left for
+    you. The report has hashes of each file before and after, and a search through all that is left;
+    exit code 1 if something of the person is still found. What is deleted is gone: make no copy,
+    and think of backups, which nobody but you can reach.
+    """
+    from biosensor_gateway.recording.withdrawal.planning import Action, plan
+    from biosensor_gateway.recording.withdrawal.work import carry_out
+
+    for place in places:
+        if not place.exists():
+            raise ConfigError(ConfigReason.NOT_FOUND, f"there is no file or folder {place}")
+    if report is not None and report.exists():
+        message = f"{report} exists and is not overwritten; give another name with --report"
+        raise ConfigError(ConfigReason.EXISTS, message)
+    found = plan(participant, places)
+    if not print_json:
+        _say_plan(found)
+    to_do = [each for each in found.steps if each.action is not Action.LOOK]
+    if to_do and not is_confirmed:
+        if print_json:
+            typer.echo(json.dumps({"plan": _as_json(found)}, indent=2))
+            raise typer.Exit(1)
+        typer.confirm("Do it? What is deleted is gone", abort=True)
+    result = carry_out(found)
+    content = json.dumps({"plan": _as_json(found), "report": asdict(result)}, indent=2, default=str)
+    if report is not None:
+        report.write_text(content + "\n", "utf-8")
+    if print_json:
+        typer.echo(content)
+    else:
+        _say_report(result)
+    if not result.is_clean:
+        raise typer.Exit(1)
+
+
+def _as_json(found: Plan) -> list[dict[str, str]]:
+    return [
+        {"path": str(each.path), "action": each.action, "why": each.why} for each in found.steps
+    ]
+
+
+def _say_plan(found: Plan) -> None:
+    if not found.steps:
+        say(f"nothing of {found.person} is in {found.files} files")
+    for each in found.steps:
+        say(f"{each.action}: {printable(str(each.path))}: {printable(each.why)}", hang=4)
+
+
+def _say_report(result: Report) -> None:
+    for each in result.done:
+        if each.error:
+            say(f"not done: {printable(str(each.path))}: {printable(each.error)}", hang=4)
+        else:
+            became = f"is now {each.after[:16]}" if each.after else "is gone"
+            say(f"{printable(str(each.path))}: {each.before[:16] or 'new'} {became}", hang=4)
+    for each in result.left:
+        say(f"still there: {printable(str(each.path))}: {each.what}", hang=4)
+    for each in result.looked_at:
+        say(f"look at it: {printable(str(each.path))}: {printable(each.why)}", hang=4)
+    if result.is_clean:
+        say(
+            f"searched {result.searched} files for the name and for {result.pieces} pieces of the "
+            "data: nothing is left"
+        )

@@ -1,0 +1,202 @@
+"""Carries a plan out, and proves that nothing is left."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from biosensor_gateway.recording.bag.errors import BagError
+from biosensor_gateway.recording.bag.opening import read_bag
+from biosensor_gateway.recording.export.several import is_recording
+from biosensor_gateway.recording.withdrawal import bags, binary, recordings, texts
+from biosensor_gateway.recording.withdrawal.planning import Action, Plan, Step
+from biosensor_gateway.recording.withdrawal.traces import Person, Pieces, blocks
+from biosensor_gateway.recording.xdf.container import RecordingError, open_recording
+
+_BLOCK_BYTES = 1 << 20
+_LONGEST_NAME = 256
+_NUMBERS = (".eeg",)
+_BAGS = (".mcap", ".db3", ".zstd")
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What became of one file.
+
+    Attributes
+    ----------
+    before, after
+        SHA-256 of the file; `after` is empty if it is gone.
+    error
+        Why nothing was done, as a sentence; empty if it was.
+    """
+
+    path: Path
+    action: Action
+    before: str
+    after: str = ""
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """A file in which something of the person is still found."""
+
+    path: Path
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was done, and what a search found afterwards.
+
+    Attributes
+    ----------
+    looked_at
+        Files that need a person's eyes.
+    searched
+        Files that were searched for names and for pieces of the data.
+    pieces
+        How many of these.
+    """
+
+    person: str
+    done: tuple[Done, ...]
+    looked_at: tuple[Step, ...]
+    left: tuple[Left, ...]
+    searched: int
+    pieces: int
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether all was done, and nothing is left."""
+        return not (self.left or self.looked_at or any(each.error for each in self.done))
+
+
+def carry_out(plan: Plan) -> Report:
+    """Do what a plan says, file by file, and search what is left."""
+    person = Person(plan.person)
+    done = [
+        each for step in plan.steps if step.action is not Action.LOOK for each in _do(step, person)
+    ]
+    looked_at = tuple(each for each in plan.steps if each.action is Action.LOOK)
+    left: list[Left] = []
+    searched = 0
+    for place in plan.places:
+        for path in _files(place):
+            searched += 1
+            left += [Left(path, what) for what in _found(path, person, plan.pieces)]
+    return Report(
+        plan.person, tuple(done), looked_at, tuple(left), searched, len(plan.pieces.found)
+    )
+
+
+def _do(step: Step, person: Person) -> Iterator[Done]:
+    files = list(_files(step.path))
+    before = {path: digest(path) for path in files}
+    try:
+        if step.action is Action.REWRITE:
+            _rewrite(step.path, person)
+        elif step.path.is_dir():
+            shutil.rmtree(step.path)
+        else:
+            step.path.unlink()
+    # Whatever a file holds, the others are done, and what was not is said.
+    except Exception as error:  # noqa: BLE001 - any of a library's
+        yield Done(step.path, step.action, before.get(step.path, ""), error=str(error))
+        return
+    for path in files:
+        after = digest(path) if path.is_file() else ""
+        yield Done(path, step.action, before[path], after)
+    for path in _files(step.path) if step.path.exists() else ():
+        if path not in before:
+            yield Done(path, step.action, "", digest(path))
+
+
+def _rewrite(path: Path, person: Person) -> None:
+    """Write it beside and put it in its place, so that it is there whole at any time."""
+    write: Callable[[Path, Path, Person], None] = texts.write_without
+    if path.is_dir():
+        write = bags.write_without
+    elif is_recording(path):
+        write = recordings.write_without
+    elif path.suffix.lower() in binary.EDF:
+        write = binary.write_edf_without
+    new = path.with_name(f".{path.name}.without")
+    if path.is_dir():
+        shutil.rmtree(new, ignore_errors=True)
+        write(path, new, person)
+        shutil.rmtree(path)
+        new.rename(path)
+        return
+    new.unlink(missing_ok=True)
+    write(path, new, person)
+    new.replace(path)
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    found = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK_BYTES):
+            found.update(block)
+    return found.hexdigest()
+
+
+def _files(place: Path) -> Iterator[Path]:
+    if place.is_dir():
+        yield from sorted(each for each in place.rglob("*") if each.is_file())
+    elif place.is_file():
+        yield place
+
+
+def _found(path: Path, person: Person, pieces: Pieces) -> Iterator[str]:
+    if person.is_in(path.name):
+        yield "its name"
+    try:
+        if _is_named(path, person):
+            yield "the person's name"
+        overlap = max(_LONGEST_NAME, pieces.longest)
+        if any(pieces.in_bytes(block) for block in blocks(_content(path), overlap)):
+            yield "data of the person"
+    except (OSError, EOFError, ValueError, RecordingError, BagError) as error:
+        yield f"not known, for it cannot be read: {error}"
+
+
+def _is_named(path: Path, person: Person) -> bool:
+    """Whether a text in a file names a person; numbers are never taken for letters."""
+    if is_recording(path):
+        return recordings.is_named(path, person)
+    if path.suffix in _BAGS:
+        return any(
+            person.is_in(each.topic.name) or binary.is_in_message(each.content, person)
+            for each in read_bag(path, lambda _: None)
+        )
+    if path.suffix.lower() in binary.EDF:
+        return any(map(person.is_in_bytes, binary.texts_of_edf(path)))
+    if path.suffix in _NUMBERS:
+        return False
+    return any(map(person.is_in_bytes, blocks(_content(path), _LONGEST_NAME)))
+
+
+def _content(path: Path) -> Iterator[bytes]:
+    """Give what a file holds, unpacked."""
+    if is_recording(path):
+        with open_recording(path) as opened:
+            yield from _blocks_of(opened.file)
+    elif path.suffix in _BAGS:
+        for message in read_bag(path, lambda _: None):
+            yield message.content
+    else:
+        with texts.open_plain(path) as file:
+            yield from _blocks_of(file)
+
+
+def _blocks_of(file: BinaryIO) -> Iterator[bytes]:
+    file.seek(0)
+    while block := file.read(_BLOCK_BYTES):
+        yield block

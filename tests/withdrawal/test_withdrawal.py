@@ -1,0 +1,222 @@
+"""One person is taken out of a study: of every file, and nobody else loses a sample by it."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer import Typer
+from typer.testing import CliRunner
+
+from biosensor_gateway.cli.withdrawing import withdraw
+from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.export.bids.study import Study
+from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.withdrawal.planning import Action, Plan, plan
+from biosensor_gateway.recording.withdrawal.traces import Person
+from biosensor_gateway.recording.withdrawal.work import Report, carry_out, digest
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.recording import read_recording
+from tests.recording_export.study import BEGIN_S, ecg_values, ours
+from tests.xdf import xdf_file as made
+
+GONE, STAYS = "P07", "P08"
+FORMATS = ("csv", "csv-long.gz", "edf", "kubios", "mcap")
+
+
+def _together() -> bytes:
+    stamps = BEGIN_S + np.arange(1300) / 130
+    texts = [
+        [json.dumps({"event": "off_body", "participant": GONE, "sensor": "polar_h10"})],
+        [json.dumps({"event": "heartbeat", "devices": {f"{GONE}@polar_h10": "ok", "b": "ok"}})],
+        [json.dumps({"event": "off_body", "participant": STAYS, "sensor": "polar_h10"})],
+    ]
+    moments = [BEGIN_S + each for each in (1.0, 2.0, 3.0)]
+    told = [["go"], [f"{GONE} stands up"], ["P071 is somebody else"]]
+    return made.xdf(
+        ours(1, "polar_h10", "ecg", ecg_values(1300, 1), stamps, GONE) + made.footer(1, 1300),
+        ours(2, "polar_h10", "ecg", ecg_values(1300, 2), stamps, STAYS) + made.footer(2, 1300),
+        ours(3, "gateway", "events", texts, moments, "") + made.footer(3, 3),
+        made.stream_header(4, "PsychoPy", kind="Markers", fmt="string")
+        + made.samples(4, "string", told, moments)
+        + made.footer(4, 3),
+    )
+
+
+def _alone(name: str, seed: int) -> bytes:
+    stamps = BEGIN_S + np.arange(650) / 130
+    return made.xdf(ours(1, "polar_h10", "ecg", ecg_values(650, seed), stamps, name))
+
+
+def _export(path: Path, *formats: str, output: Path | None = None) -> Outcome:
+    return export(path, Task(formats, Wish(), output=output), lambda _n, _s: lambda _done: None)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """A folder with all that there can be of a person, and of another."""
+    root = tmp_path / "study"
+    root.mkdir()
+    recordings = {
+        "together.xdf": _together(),
+        f"sub-{GONE}_task-walk_beh.xdf": _alone(GONE, 3),
+        f"sub-{GONE}_task-walk_beh_salvaged.xdf": _alone(GONE, 3),
+        f"sub-{STAYS}_task-walk_beh.xdf": _alone(STAYS, 4),
+    }
+    for name, content in recordings.items():
+        (root / name).write_bytes(content)
+    (root / "packed.xdf.gz").write_bytes(gzip.compress(_together()))
+    _export(root / "together.xdf", *FORMATS, "bids")
+    dataset = Study(root / "dataset")
+    for path in (root / f"sub-{each}_task-walk_beh.xdf" for each in (GONE, STAYS)):
+
+        def export_to(place: Path, path: Path = path) -> Outcome:
+            return _export(path, "bids", output=place)
+
+        dataset.add(path, export_to)
+    (root / "notes.txt").write_text(f"{STAYS} slept well\n{GONE} had a cold\n")
+    (root / f"{GONE}_consent.pdf").write_bytes(b"%PDF")
+    return root
+
+
+def _values(path: Path, name: str) -> NDArray[np.float32]:
+    with open_contents(path) as contents:
+        (stream,) = (each for each in contents.streams if name in each.header.name)
+        return np.concatenate([np.asarray(each.values) for each in stream.blocks()])
+
+
+def _withdrawn(root: Path) -> tuple[Plan, Report]:
+    found = plan(GONE, [root])
+    return found, carry_out(found)
+
+
+def test_nothing_is_left_and_nobody_else_loses_a_sample(study: Path) -> None:
+    consent = study / f"{GONE}_consent.pdf"
+    found, report = _withdrawn(study)
+    assert [each for each in report.done if each.error] == []
+    # What is of no known kind is a person's to decide.
+    assert [each.path for each in report.looked_at] == [consent]
+    assert [each.path for each in report.left] == [consent]
+    consent.unlink()
+    again = carry_out(plan(GONE, [study]))
+    assert again.is_clean
+    assert again.done == ()
+    assert report.pieces > 10
+    assert found.files > 30
+
+    for name in ("together.xdf", "packed.xdf.gz"):
+        with open_contents(study / name) as contents:
+            names = [each.header.name for each in contents.streams]
+        assert names == [f"{STAYS}-polar_h10-U1-ecg", "gateway-U1-events", "PsychoPy"]
+        values = _values(study / name, f"{STAYS}-")
+        assert values.tobytes() == ecg_values(1300, 2).tobytes()
+        report_of = judge(read_recording(study / name))
+        assert not report_of.recording.damages
+        assert not {"footer-count", "no-footer"} & {each.code for each in report_of.findings}
+    alone = study / f"sub-{STAYS}_task-walk_beh.xdf"
+    assert _values(alone, "ecg").tobytes() == ecg_values(650, 4).tobytes()
+    assert not list(study.rglob(f"*{GONE}*"))
+    assert (study / "notes.txt").read_text() == f"{STAYS} slept well\n"
+    people = (study / "dataset" / "participants.tsv").read_text()
+    assert f"sub-{STAYS}" in people
+    assert f"sub-{STAYS}" in (study / "dataset" / "sourcedata" / "recordings.tsv").read_text()
+    assert list((study / "dataset" / f"sub-{STAYS}").rglob("*ecg_physio.tsv.gz"))
+
+
+def test_what_others_said_stays_without_the_name(study: Path) -> None:
+    _withdrawn(study)
+    with open_contents(study / "together.xdf") as contents:
+        texts = {
+            each.header.name: [
+                row[0]
+                for samples in each.blocks()
+                if isinstance(samples.values, list)
+                for row in samples.values
+            ]
+            for each in contents.streams
+        }
+    assert texts["PsychoPy"] == ["go", "withdrawn stands up", "P071 is somebody else"]
+    events = [json.loads(each) for each in texts["gateway-U1-events"]]
+    assert [each.get("participant") for each in events] == [None, STAYS]
+    assert events[0]["devices"] == {"b": "ok"}
+
+
+def test_the_report_has_the_hash_of_each_file_before_and_after(study: Path) -> None:
+    before = {path: digest(path) for path in study.rglob("*") if path.is_file()}
+    _, report = _withdrawn(study)
+    told = {each.path: each for each in report.done}
+    for path, was in before.items():
+        now = digest(path) if path.is_file() else ""
+        if now != was:
+            assert (told[path].before, told[path].after) == (was, now), path
+    assert {each.path for each in report.done if not each.before} <= {*study.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    "hide",
+    [
+        lambda root: (root / "copy.dat").write_bytes(_alone(GONE, 3)),
+        lambda root: (root / "copy.bin").write_bytes(b"xx" + ecg_values(650, 3).tobytes()),
+        lambda root: (root / "copy.gz").write_bytes(gzip.compress(ecg_values(1300, 1).tobytes())),
+    ],
+)
+def test_the_search_finds_what_no_plan_knew(study: Path, hide: Callable[[Path], None]) -> None:
+    hide(study)
+    (study / f"{GONE}_consent.pdf").unlink()
+    _, report = _withdrawn(study)
+    assert not report.is_clean
+    assert {each.path.stem for each in report.left} == {"copy"}
+
+
+def test_a_recording_of_another_name_than_its_sensors_is_left_to_a_person(tmp_path: Path) -> None:
+    path = tmp_path / f"sub-{GONE}_beh.xdf"
+    path.write_bytes(_alone(STAYS, 5))
+    found = plan(GONE, [tmp_path])
+    assert [(each.path, each.action) for each in found.steps] == [(path, Action.LOOK)]
+    assert not carry_out(found).is_clean
+    assert path.read_bytes() == _alone(STAYS, 5)
+
+
+def test_names_that_only_hold_it_are_others() -> None:
+    person = Person("P07")
+    assert person.is_in("sub-P07_task")
+    assert person.is_in("P07@polar_h10-ecg")
+    assert not person.is_in("P071")
+    assert not person.is_in("xP07")
+
+
+def test_the_command_shows_the_plan_and_does_nothing_unless_it_is_told(study: Path) -> None:
+    def hashes() -> dict[Path, str]:
+        return {path: digest(path) for path in study.rglob("*") if path.is_file()}
+
+    before = hashes()
+    command, runner = Typer(), CliRunner()
+    command.command()(withdraw)
+    refused = runner.invoke(command, [GONE, str(study)], input="n\n")
+    assert refused.exit_code == 1
+    assert "together.xdf" in refused.output.replace("\n", "")
+    planned = runner.invoke(command, [GONE, str(study), "--json"])
+    assert json.loads(planned.stdout).keys() == {"plan"}
+    assert hashes() == before
+
+    (study / f"{GONE}_consent.pdf").unlink()
+    report = study.parent / "report.json"
+    done = runner.invoke(command, [GONE, str(study), "--yes", "--report", str(report)])
+    assert done.exit_code == 0, done.output
+    assert json.loads(report.read_text())["report"]["left"] == []
+    assert runner.invoke(command, [GONE, str(study)]).exit_code == 0
+
+
+def test_a_bag_without_metadata_is_left_to_a_person(study: Path) -> None:
+    shutil.copytree(study / "together_bag", study / "died")
+    (study / "died" / "metadata.yaml").unlink()
+    found, report = _withdrawn(study)
+    assert any(study / "died" in each.path.parents for each in report.left), found.steps
