@@ -167,7 +167,7 @@ COMMANDS = (
     _command(
         "withdraw",
         "withdrawing:withdraw",
-        "Take one person out of recordings, exports and bags; shows first what it would do.",
+        "Take one person out of files: shows the plan, asks, does it, and searches what is left.",
     ),
     _hidden("installation", "installation:app", "Used by the Windows installer."),
 )

@@ -1,4 +1,4 @@
-"""What names a person in files, and pieces of their data by which these are found again."""
+"""Traces of a person in files: names, and pieces of their data by which these are found again."""
 
 from __future__ import annotations
 
