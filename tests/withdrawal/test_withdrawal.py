@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -160,16 +159,16 @@ def test_the_report_has_the_hash_of_each_file_before_and_after(study: Path) -> N
     assert {each.path for each in report.done if not each.before} <= {*study.rglob("*")}
 
 
-@pytest.mark.parametrize(
-    "hide",
-    [
-        lambda root: (root / "copy.dat").write_bytes(_alone(GONE, 3)),
-        lambda root: (root / "copy.bin").write_bytes(b"xx" + ecg_values(650, 3).tobytes()),
-        lambda root: (root / "copy.gz").write_bytes(gzip.compress(ecg_values(1300, 1).tobytes())),
-    ],
-)
-def test_the_search_finds_what_no_plan_knew(study: Path, hide: Callable[[Path], None]) -> None:
-    hide(study)
+HIDDEN = {
+    "copy.dat": _alone(GONE, 3),
+    "copy.bin": b"xx" + ecg_values(650, 3).tobytes(),
+    "copy.gz": gzip.compress(ecg_values(1300, 1).tobytes()),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_the_search_finds_what_no_plan_knew(study: Path, name: str) -> None:
+    (study / name).write_bytes(HIDDEN[name])
     (study / f"{GONE}_consent.pdf").unlink()
     _, report = _withdrawn(study)
     assert not report.is_clean
