@@ -36,7 +36,8 @@ def layout_of(file: BinaryIO, path: Path) -> Layout:
     count = int(head[252:256])
     signals = file.read(count * _HEAD_OF_SIGNAL)
     width = 3 if path.suffix.lower() == ".bdf" else 2
-    begin, spans = 0, []
+    begin = 0
+    spans: list[tuple[int, int]] = []
     for number in range(count):
         label = signals[number * _LABEL : (number + 1) * _LABEL]
         at = count * _BEFORE_COUNTS + number * 8
