@@ -15,7 +15,7 @@ from functools import cache
 
 from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import MAX_LINE_BYTES, BadLine, Row
+from biosensor_gateway.devices.line_sensor.driver.protocol import MAX_LINE_BYTES, BadLine, Row
 from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
 from tests.fuzz.breaking import Fault, instead
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
@@ -99,7 +99,7 @@ def _any_column_number(_reader: object, word: str) -> float:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.line_sensor.driver.protocol.lines.CsvReader",
+    "biosensor_gateway.devices.line_sensor.driver.protocol.CsvReader",
     "_number",
     instead(_any_column_number),
 )

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
-from biosensor_gateway.devices.line_sensor.driver.protocol.frames import CHECKSUMS
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import BadLine, Flaw, Row
+from biosensor_gateway.devices.line_sensor.driver.protocol import CHECKSUMS, BadLine, Flaw, Row
 from biosensor_gateway.devices.line_sensor.simulator.boards import crc16
 from tests.line_sensor.conftest import line_settings
 

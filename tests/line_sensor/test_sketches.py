@@ -14,7 +14,7 @@ import pytest
 
 from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import BadLine, Row
+from biosensor_gateway.devices.line_sensor.driver.protocol import BadLine, Row
 from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
 from biosensor_gateway.devices.registry import declared
 from tests.rigs.emitter_sink import EmitterSink

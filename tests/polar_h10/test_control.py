@@ -18,10 +18,9 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
+from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Wanted
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
-from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
     Measurement,

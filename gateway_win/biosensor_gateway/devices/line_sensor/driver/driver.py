@@ -21,18 +21,16 @@ from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
 from biosensor_gateway.devices.line_sensor.driver.in_order import InOrder
 from biosensor_gateway.devices.line_sensor.driver.line_rate import LineRate
 from biosensor_gateway.devices.line_sensor.driver.openearable import Asked, OpenEarableLink
-from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
-    FrameProtocol,
-    checked_format,
-)
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import (
+from biosensor_gateway.devices.line_sensor.driver.protocol import (
     BadLine,
     CsvReader,
     Flaw,
+    FrameProtocol,
     JsonReader,
     LineProtocol,
     Row,
     RowProtocol,
+    checked_format,
 )
 from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
 from biosensor_gateway.devices.sink import Sink

@@ -9,11 +9,11 @@ from enum import Enum, unique
 from math import isnan
 
 from biosensor_gateway.devices.line_sensor.declaration import streams_of
-from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
+from biosensor_gateway.devices.line_sensor.driver.protocol import (
+    Row,
     checked_format,
     turns_over_at,
 )
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import Row
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog

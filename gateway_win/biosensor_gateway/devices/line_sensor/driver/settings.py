@@ -18,7 +18,7 @@ from biosensor_gateway.devices.line_sensor.declaration import (
     column,
     line_sensor_spec,
 )
-from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
+from biosensor_gateway.devices.line_sensor.driver.protocol import (
     checked_format,
     field_count,
 )

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.discovery import by_advertisement
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
 from biosensor_gateway.devices.movesense.driver.protocol import (
@@ -25,7 +25,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_pairing import Pairing
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 
 _REGULAR = frozenset({"ecg", *MOVEMENT})
 KIND = "Movesense"
@@ -150,17 +150,7 @@ def identify(seen: Advertisement) -> str | None:
     return serial.strip() if kind == KIND else None
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is a Movesense sensor."""
-    if not isinstance(seen, Advertisement):
-        return None
-    serial = identify(seen)
-    if serial is None:
-        return None
-    settings = {"unit": serial or seen.address, "device": seen.address}
-    return Found("movesense", seen.name, settings, seen.rssi_dbm)
-
-
+recognise = by_advertisement("movesense", identify)
 # The third text of the greeting.
 IDENTIFIERS = (re.compile(rb"\0([0-9A-Fa-f:-]{12,17})\0"),)
 DRIVER = DriverEntry(MovesenseSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)

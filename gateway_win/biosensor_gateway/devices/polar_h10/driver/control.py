@@ -1,22 +1,33 @@
-"""Commands to the control point, and their replies."""
+"""The control point of one connection, and the measurements that run by its commands."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import replace
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
-from biosensor_gateway.devices.ble_session import BleSession
+import structlog
+
+from biosensor_common.errors import GatewayError
+from biosensor_gateway.devices.ble_session import BleSession, optional_request
+from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.protocol import control_point
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
+    Measurement,
     Reply,
+    Setting,
+    Status,
+    choose,
     parse_features,
     parse_indication,
+    parse_settings,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
 
 REPLY_TIMEOUT_S = 5.0
-_ADVICE = "take it off for a minute"
+_RESTART_ADVICE = "take it off for a minute"
 
 
 def _unnoted(_reply: Reply) -> None:
@@ -35,7 +46,7 @@ class ControlPoint(BleSession[Notification, bytes]):
     def __init__(
         self, link: BleLink, receive: Callable[[], Awaitable[Sequence[Notification]]]
     ) -> None:
-        super().__init__(link, receive, self._write, _ADVICE)
+        super().__init__(link, receive, self._write, _RESTART_ADVICE)
         self._knocking = False
         self._open = False
 
@@ -118,3 +129,171 @@ class _ReplyTo:
         reply = replace(part, parameters=self._parameters)
         self._note(reply)
         return reply
+
+
+_log = structlog.get_logger("biosensor_gateway.polar_h10")
+
+
+_ADVICE: Mapping[int, str] = {
+    Status.INVALID_MTU: "its packets are too large for this Bluetooth adapter; use another one",
+    Status.DEVICE_IN_CHARGER: "take it out of its charger",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A measurement to run.
+
+    Attributes
+    ----------
+    settings
+        Preferred value of each setting, the sample rate at least; empty for a
+        measurement without settings.
+    true_rates
+        By the sample rate that the firmware says, the one at which it really sends.
+    """
+
+    measurement: Measurement
+    settings: Mapping[Setting, int] = field(default_factory=dict[Setting, int])
+    true_rates: Mapping[int, int] = field(default_factory=dict[int, int])
+
+
+@dataclass(slots=True)
+class _Running:
+    wanted: Wanted
+    settings: Mapping[Setting, int]
+
+    @property
+    def rate_hz(self) -> int | None:
+        """None where samples come when they happen."""
+        asked = self.wanted.settings.get(Setting.SAMPLE_RATE)
+        said = self.settings.get(Setting.SAMPLE_RATE, asked)
+        return None if said is None else self.wanted.true_rates.get(said, said)
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A measurement that the device refuses to start.
+
+    Attributes
+    ----------
+    why
+        What it answers, and what to do about it; a clause.
+    rate_hz
+        That it would have; None where samples come when they happen.
+    """
+
+    wanted: Wanted
+    why: str
+    rate_hz: int | None
+
+
+class Measurements:
+    """The measurements of one connection.
+
+    Attributes
+    ----------
+    refusals
+        By measurement, those that were asked for and do not run.
+    """
+
+    def __init__(self, control: ControlPoint, emitter: PolarEmitter) -> None:
+        self._control = control
+        self._emitter = emitter
+        self.refusals: dict[Measurement, Refusal] = {}
+        self._running: dict[int, _Running] = {}
+
+    async def start(self, wanted: Sequence[Wanted]) -> None:
+        """Start measurements that the device offers, and note those that it refuses.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        ProtocolError
+            ``NO_REPLY``.
+        """
+        for each in wanted:
+            await self._start(each)
+
+    async def ask_again(self) -> None:
+        """Try to start what was refused.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        with optional_request(_log.warning):
+            await self.start([each.wanted for each in self.refusals.values()])
+
+    def runs(self, measurement: int) -> bool:
+        """Whether a measurement is one that we started."""
+        return measurement in self._running
+
+    async def restart(self, measurements: Collection[int]) -> None:
+        """Stop measurements from which nothing comes, and start them.
+
+        Where nothing comes of any that has a rate, those without one are started anew, too: of
+        these nobody can tell whether the device forgot them.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        regular = {key for key, each in self._running.items() if each.rate_hz is not None}
+        forgot_all = bool(regular) and regular <= set(measurements)
+        for measurement, each in list(self._running.items()):
+            if forgot_all or measurement in measurements:
+                await self._restart(each)
+
+    async def stop(self) -> None:
+        """Stop all measurements without waiting for replies; never raises."""
+        for each in list(self._running.values()):
+            with suppress(GatewayError):
+                await self._control.send(control_point.stop(each.wanted.measurement))
+
+    async def _start(self, wanted: Wanted) -> None:
+        each = _Running(wanted, {})
+        if wanted.settings:
+            reply = await self._control.request(control_point.get_settings(wanted.measurement))
+            if reply.status != Status.SUCCESS:
+                self._note_refused(each, reply)
+                return
+            each.settings = choose(parse_settings(reply.parameters), wanted.settings)
+        reply = await self._set_going(each)
+        if reply.status != Status.SUCCESS:
+            self._note_refused(each, reply)
+
+    async def _restart(self, each: _Running) -> None:
+        with optional_request(_log.warning):
+            await self._control.request(control_point.stop(each.wanted.measurement))
+            await self._set_going(each)
+
+    async def _set_going(self, each: _Running) -> Reply:
+        measurement = each.wanted.measurement
+        command = control_point.start(measurement, each.settings)
+
+        def note(reply: Reply) -> None:
+            if reply.status == Status.SUCCESS:
+                self._note_started(each, reply)
+
+        reply = await self._control.request(command, note)
+        if reply.status == Status.ALREADY_IN_STATE:
+            # A host that died left it running, with settings of its own.
+            await self._control.request(control_point.stop(measurement))
+            reply = await self._control.request(command, note)
+        return reply
+
+    def _note_started(self, each: _Running, reply: Reply) -> None:
+        (factor,) = parse_settings(reply.parameters).get(Setting.FACTOR, (1.0,))[:1] or (1.0,)
+        self._emitter.started(each.wanted.measurement, each.rate_hz, factor)
+        self._running[each.wanted.measurement] = each
+        if self.refusals.pop(each.wanted.measurement, None) is not None and each.rate_hz is None:
+            self._emitter.agreed(each.wanted.measurement)
+
+    def _note_refused(self, each: _Running, reply: Reply) -> None:
+        advice = _ADVICE.get(reply.status, _RESTART_ADVICE)
+        why = f"{reply.status_text}: {advice}"
+        self.refusals[each.wanted.measurement] = Refusal(each.wanted, why, each.rate_hz)

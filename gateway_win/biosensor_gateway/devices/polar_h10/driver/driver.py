@@ -19,10 +19,10 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_SERVICE
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.discovery import by_advertisement
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.polar_h10.driver.control import Wanted
 from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
-from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement, Setting
 from biosensor_gateway.devices.polar_h10.driver.session import Plan, PolarSession
 from biosensor_gateway.devices.sink import Sink
@@ -30,7 +30,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 
 ECG_RATE_HZ = 130
 PATIENCE_S = 5.0
@@ -202,13 +202,5 @@ def identify(seen: Advertisement, models: Collection[str] = _MODELS) -> str | No
     return words[-1] if is_polar else None
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is an H10."""
-    identity = identify(seen) if isinstance(seen, Advertisement) else None
-    if not isinstance(seen, Advertisement) or identity is None:
-        return None
-    settings = {"unit": identity, "device": seen.address}
-    return Found("polar_h10", seen.name.strip(), settings, seen.rssi_dbm)
-
-
+recognise = by_advertisement("polar_h10", identify)
 DRIVER = DriverEntry(PolarH10Settings, _make, recognise=recognise)

@@ -17,9 +17,8 @@ from biosensor_common.errors import (
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
-from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
+from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Measurements, Wanted
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
-from biosensor_gateway.devices.polar_h10.driver.measurements import Measurements, Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
     Stopped,

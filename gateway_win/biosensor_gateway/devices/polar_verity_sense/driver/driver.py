@@ -9,12 +9,11 @@ from typing import Literal
 from pydantic import Field
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.discovery import by_advertisement
 from biosensor_gateway.devices.driver import DriverEntry, own_settings
 from biosensor_gateway.devices.polar_h10.driver import driver as polar
-from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
+from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Wanted
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
-from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Measurement,
     Setting,
@@ -30,7 +29,7 @@ from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 
 _ADVICE = "switch it on to its heart-rate mode, and close the apps that use it"
 MODELS = frozenset({"Sense", "Verity Sense", "OH1", "360"})
@@ -247,13 +246,5 @@ def identify(seen: Advertisement) -> str | None:
     return polar.identify(seen, MODELS)
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is such a sensor."""
-    identity = identify(seen) if isinstance(seen, Advertisement) else None
-    if not isinstance(seen, Advertisement) or identity is None:
-        return None
-    settings = {"unit": identity, "device": seen.address}
-    return Found("polar_verity_sense", seen.name.strip(), settings, seen.rssi_dbm)
-
-
+recognise = by_advertisement("polar_verity_sense", identify)
 DRIVER = DriverEntry(PolarVeritySenseSettings, _make, recognise=recognise)

@@ -15,7 +15,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.discovery import by_advertisement
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol
@@ -31,7 +31,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import U
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 
 WAKING_LIMIT_S = 1.0
 RESTART_LIMIT_S = 2.0
@@ -193,17 +193,7 @@ def identify(seen: Advertisement) -> str | None:
     return serial.strip() if model == KIND else None
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is a belt."""
-    if not isinstance(seen, Advertisement):
-        return None
-    serial = identify(seen)
-    if serial is None:
-        return None
-    settings = {"unit": serial or seen.address, "device": seen.address}
-    return Found("vernier_respiration_belt", seen.name, settings, seen.rssi_dbm)
-
-
+recognise = by_advertisement("vernier_respiration_belt", identify)
 # Behind order code, serial number and name, and what was made and when, in the answer that says
 # what the belt is: its address.
 IDENTIFIERS = (re.compile(rb"GDX-RB\0{10}.{16}.{32}.{14}(.{6})", re.DOTALL),)

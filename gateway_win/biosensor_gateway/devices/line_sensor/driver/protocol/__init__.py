@@ -1,1 +1,0 @@
-"""Bytes in, one row of numbers for each line or record out."""
