@@ -53,10 +53,6 @@ class SteeredE4(SimulatedE4):
         self._do(lambda: setattr(self._first, "is_allowed", True))
         self._do(lambda: self._attend((self._first,)))
 
-    def forbid(self) -> None:
-        """Remove it from there; a radio link that stands is left alone."""
-        self._do(lambda: setattr(self._first, "is_allowed", False))
-
     def refuse_stream(self, name: str) -> None:
         """Answer subscriptions to a stream with an error (``gsr``)."""
         self._do(lambda: self._manners.refused_streams.add(name))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from biosensor_gateway.transports.deadlines import in_background
 from biosensor_gateway.transports.early import Early
@@ -15,6 +15,13 @@ KEPT_READS = 8192
 _MessageT = TypeVar("_MessageT")
 _CommandT = TypeVar("_CommandT")
 _AnswerT = TypeVar("_AnswerT")
+
+
+class Heard(NamedTuple, Generic[_MessageT]):
+    """A message and the LSL time at which its last byte arrived."""
+
+    message: _MessageT
+    arrival_s: float
 
 
 class Dialogue(Generic[_MessageT, _CommandT]):

@@ -53,16 +53,12 @@ class SimulatedPolarBroadcast(StrapDevice):
 
     Parameters
     ----------
-    world, radio
-        Where it lives, and the air that it is heard on.
     address, device_id
         Address, and the id printed on it, which is in its name.
     rssi_dbm
         How strongly it is heard.
     interval_ms
         So often it advertises.
-    **specimen
-        As for every virtual device: see `Specimen`.
     """
 
     sensor = "polar_broadcast"

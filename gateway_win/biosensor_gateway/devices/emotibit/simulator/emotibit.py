@@ -217,8 +217,6 @@ class SimulatedEmotiBit(VirtualDevice):
 
     Parameters
     ----------
-    world
-        Where it lives.
     device
         Its id.
     host, port

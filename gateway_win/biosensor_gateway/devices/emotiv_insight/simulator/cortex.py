@@ -147,8 +147,6 @@ class SimulatedCortex(VirtualDevice):
 
     Parameters
     ----------
-    world
-        Where it lives.
     circumstances
         Of the user, the computer and the version of Cortex.
     headset

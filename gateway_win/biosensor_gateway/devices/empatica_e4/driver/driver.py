@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import NamedTuple
 
 import structlog
 from pydantic import Field
@@ -35,7 +34,7 @@ from biosensor_gateway.devices.empatica_e4.driver.protocol import (
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import tcp_link
-from biosensor_gateway.transports.dialogue import Dialogue
+from biosensor_gateway.transports.dialogue import Dialogue, Heard
 
 PATIENCE_S = 5.0
 SHOWN = 60
@@ -51,13 +50,6 @@ DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 28000
 _TIMEOUT_S = 3.0
 
 _LISTS = ("device_list", "device_discover_list")
-
-
-class Heard(NamedTuple):
-    """A message and the LSL time at which it arrived."""
-
-    message: Message
-    arrival_s: float
 
 
 class _Conversation:
@@ -92,7 +84,7 @@ class _Conversation:
             ``LOST``.
         """
 
-        def answer(heard: Heard) -> Reply | None:
+        def answer(heard: Heard[Message]) -> Reply | None:
             message = heard.message
             return message if isinstance(message, Reply) and _answers(message, command) else None
 
@@ -106,7 +98,7 @@ class _Conversation:
         """Send a request whose reply nobody waits for."""
         self._link.write(request(command, *arguments))
 
-    async def stream(self, listener: Callable[[Sequence[Heard]], None]) -> None:
+    async def stream(self, listener: Callable[[Sequence[Heard[Message]]], None]) -> None:
         """Pass on all messages since `open`, those of a read at a time.
 
         Raises
@@ -128,7 +120,7 @@ class _Conversation:
         await self._dialogue.close()
         await self._link.close()
 
-    async def _receive(self) -> list[Heard]:
+    async def _receive(self) -> list[Heard[Message]]:
         try:
             data, arrival = await self._link.read()
         except TransportError:
@@ -291,7 +283,7 @@ class E4Driver:
             raise ProtocolError(ProtocolReason.REFUSED, message)
         return refused
 
-    def _take(self, found: Sequence[Heard]) -> None:
+    def _take(self, found: Sequence[Heard[Message]]) -> None:
         """Act on what came, in its order: an event divides the samples around it."""
         self._sink.dropped_bytes += self._talk.take_dropped_bytes()
         samples: list[Sample] = []

@@ -47,8 +47,6 @@ class SimulatedE4(VirtualDevice):
 
     Parameters
     ----------
-    world
-        Where it lives.
     device_id
         Of the first wristband.
     others

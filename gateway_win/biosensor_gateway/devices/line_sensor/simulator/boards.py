@@ -104,8 +104,6 @@ class SimulatedLineSensor(VirtualDevice):
 
     Parameters
     ----------
-    world
-        Where it lives.
     **specimen
         As for every virtual device: see `Specimen`. Lines keep their order.
     """
@@ -314,14 +312,10 @@ class OpenEarableLineSensor(SimulatedLineSensor):
 
     Parameters
     ----------
-    world
-        Where it lives.
     wearables
         Names of those that are connected to the app.
     exponent
         Its time is in so many powers of ten of a second.
-    **specimen
-        As for every virtual device: see `Specimen`.
 
     Attributes
     ----------

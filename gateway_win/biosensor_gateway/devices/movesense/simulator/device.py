@@ -207,8 +207,6 @@ class SimulatedMovesense(StrapDevice):
 
     Parameters
     ----------
-    world, radio
-        Where it lives, and the air that it is heard on.
     address
         Bluetooth address.
     serial
@@ -219,8 +217,6 @@ class SimulatedMovesense(StrapDevice):
         By which share the movement sensor is faster than it should be.
     rssi_dbm
         How strongly it is heard.
-    **specimen
-        As for every virtual device: see `Specimen`.
     """
 
     sensor = "movesense"

@@ -87,8 +87,6 @@ class SimulatedPolarH10(StrapDevice):
 
     Parameters
     ----------
-    world, radio
-        Where it lives, and the air that it is heard on.
     address
         Bluetooth address; that of `usual` by default, as the next two.
     device_id
@@ -100,8 +98,6 @@ class SimulatedPolarH10(StrapDevice):
         a real one does after about 45 s.
     rssi_dbm
         How strongly it is heard.
-    **specimen
-        As for every virtual device: see `Specimen`.
     """
 
     sensor = "polar_h10"

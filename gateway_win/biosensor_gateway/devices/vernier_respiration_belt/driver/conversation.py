@@ -23,6 +23,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     fragments,
 )
 from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.dialogue import Heard
 
 REPLY_LIMIT_S = 5.0
 SETTLE_S = 0.1
@@ -30,13 +31,6 @@ TORN_PACKET_S = 1.0
 """Longest gap within a packet."""
 
 _FIRST_COUNTER = 0xFF
-
-
-class Heard(NamedTuple):
-    """A message and the LSL time at which its last byte arrived."""
-
-    message: Message
-    arrival_s: float
 
 
 class Answer(NamedTuple):
@@ -50,7 +44,7 @@ class _Command(NamedTuple):
     counter: int
     body: bytes
 
-    def answer(self, heard: Heard) -> Answer | None:
+    def answer(self, heard: Heard[Message]) -> Answer | None:
         message = heard.message
         if isinstance(message, Reply) and (message.command, message.echo) == (
             self.body[0],
@@ -60,7 +54,7 @@ class _Command(NamedTuple):
         return None
 
 
-class Conversation(BleSession[Heard, _Command]):
+class Conversation(BleSession[Heard[Message], _Command]):
     """What is said over one connection.
 
     Parameters
@@ -130,7 +124,7 @@ class Conversation(BleSession[Heard, _Command]):
         self._counter = (self._counter - 1) % 256
         return _Command(self._counter, body)
 
-    async def _receive(self) -> list[Heard]:
+    async def _receive(self) -> list[Heard[Message]]:
         notification = await self.link.next()
         if notification.uuid != RESPONSE_UUID:
             return []

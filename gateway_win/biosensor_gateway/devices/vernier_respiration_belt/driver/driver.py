@@ -23,14 +23,14 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation impo
     REPLY_LIMIT_S,
     BeltChannels,
     Conversation,
-    Heard,
     choose_channels,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Unknown
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Message, Unknown
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.dialogue import Heard
 from biosensor_gateway.transports.nearby import Advertisement
 
 WAKING_LIMIT_S = 1.0
@@ -141,7 +141,7 @@ class VernierDriver:
         self._emitter.started(channels, self._period_us / 1e6)
         await belt.order(protocol.start(channels.mask), limit_s)
 
-    def _take(self, found: Sequence[Heard]) -> None:
+    def _take(self, found: Sequence[Heard[Message]]) -> None:
         for message, arrival_s in found:
             if not isinstance(message, Unknown):
                 self._sink.heard()

@@ -141,8 +141,6 @@ class SimulatedBelt(VirtualDevice):
 
     Parameters
     ----------
-    world, radio
-        Where it lives, and the air that it is heard on.
     address
         Bluetooth address.
     serial
@@ -153,8 +151,6 @@ class SimulatedBelt(VirtualDevice):
         How strongly it is heard.
     max_mtu
         The largest ATT MTU that it grants.
-    **specimen
-        As for every virtual device: see `Specimen`.
     """
 
     sensor = "vernier_respiration_belt"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from pydantic import Field
 
@@ -30,7 +29,7 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
 )
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link
-from biosensor_gateway.transports.dialogue import Dialogue
+from biosensor_gateway.transports.dialogue import Dialogue, Heard
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 # The order in which the recorded device was started.
@@ -73,13 +72,6 @@ class ZephyrSettings(DeviceSettings):
         "or its Bluetooth address, 00:07:80:5A:3E:7E for instance, or socket://HOST:NUMBER.",
         examples=["/dev/rfcomm0"],
     )
-
-
-class Heard(NamedTuple):
-    """A message and the LSL time at which its last byte arrived."""
-
-    message: Message
-    arrival_s: float
 
 
 class ZephyrDriver:
@@ -145,7 +137,7 @@ class ZephyrDriver:
         # Noted before the answer, which may come when nobody waits for it any more.
         self._enabled.append(packet)
 
-        def is_reply(heard: Heard) -> Reply | None:
+        def is_reply(heard: Heard[Message]) -> Reply | None:
             message = heard.message
             return message if isinstance(message, Reply) and message.request_id == packet else None
 
@@ -169,7 +161,7 @@ class ZephyrDriver:
         message = f"{self._port}: the device does not answer; switch it off and on"
         raise ProtocolError(ProtocolReason.NO_REPLY, message)
 
-    async def _receive(self) -> list[Heard]:
+    async def _receive(self) -> list[Heard[Message]]:
         """Wait for bytes, at most until a torn frame has to be given up."""
         before = self._protocol.dropped_bytes
         try:
@@ -183,7 +175,7 @@ class ZephyrDriver:
         self._is_hxm = self._is_hxm or any(each == Unknown(HXM) for each in messages)
         return [Heard(message, self._arrival_s) for message in messages]
 
-    def _take(self, found: Sequence[Heard]) -> None:
+    def _take(self, found: Sequence[Heard[Message]]) -> None:
         for message, arrival_s in found:
             self._sink.heard(*(("ibi",) if isinstance(message, RrIntervals) else ()))
             self._summary_seen = self._summary_seen or isinstance(message, Summary)

@@ -227,8 +227,6 @@ class BioHarness(VirtualDevice):
 
     Parameters
     ----------
-    world
-        Where it lives.
     source
         Of its packets.
     session

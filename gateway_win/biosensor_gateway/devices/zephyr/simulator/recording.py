@@ -278,8 +278,6 @@ class RecordedZephyr(BioHarness):
 
     Parameters
     ----------
-    world
-        Where it lives.
     kept
         Without effect.
     """

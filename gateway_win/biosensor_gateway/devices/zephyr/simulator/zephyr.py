@@ -467,13 +467,6 @@ class SimulatedZephyr(BioHarness):
     """A BioHarness 3 that somebody wears.
 
     Its `truth` holds the streams of the packets that the host switched on.
-
-    Parameters
-    ----------
-    world
-        Where it lives.
-    **specimen
-        As for every virtual device: see `Specimen`.
     """
 
     expected = EXPECTED
