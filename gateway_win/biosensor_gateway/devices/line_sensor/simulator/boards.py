@@ -26,7 +26,7 @@ from biosensor_gateway.devices.line_sensor.simulator.ways import (
     WebSocket,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.effects import Effect, flag, lasting
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.specimen import SpecimenOptions
@@ -221,23 +221,11 @@ class SimulatedLineSensor(VirtualDevice):
         self._reopen()
         self._switch_on()
 
-    def _stall(self) -> None:
-        self._is_stalled = True
-
-    def _resume(self) -> None:
-        self._is_stalled = False
-
     def _babble(self, count: float) -> None:
         """Log as an ESP32 does among its data, with bytes of a wrong baud rate in it."""
         noise = bytes(0x80 | each for each in self._rng.bytes(int(count)))
         if self._way is not None:
             self._way.write(b"E (4711) wifi:" + noise + b"\r\n")
-
-    def _write_otherwise(self) -> None:
-        self._is_otherwise = True
-
-    def _write_as_ever(self) -> None:
-        self._is_otherwise = False
 
     def _drift(self, ppm: float) -> None:
         self._crystal.set_drift(ppm)
@@ -251,9 +239,9 @@ class SimulatedLineSensor(VirtualDevice):
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_hang_up, _reopen),
-            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.STALL: flag("_is_stalled"),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.UNREADABLE: lasting(_write_otherwise, _write_as_ever),
+            FaultKind.UNREADABLE: flag("_is_otherwise"),
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.DRIFT: Effect(_drift),
             Untidiness.STRAY: Effect(_greet),
