@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
@@ -25,7 +25,7 @@ from biosensor_gateway.devices.emotiv_insight.driver.cortex import (
     CortexError,
 )
 from biosensor_gateway.devices.emotiv_insight.driver.messages import ErrorKind, Event, FaultCode
-from biosensor_gateway.transports.websocket import ReceivedText
+from biosensor_gateway.transports.websocket import ReceivedText, WebSocketLink
 
 SECRET = "planted-secret"
 
@@ -76,7 +76,7 @@ async def link() -> FakeLink:
 
 @pytest.fixture
 async def client(link: FakeLink) -> CortexClient:
-    opened = CortexClient(link)
+    opened = CortexClient(cast("WebSocketLink", link))
     await opened.open()
     return opened
 
@@ -91,7 +91,7 @@ async def started(client: CortexClient, *methods: str) -> list[asyncio.Task[obje
 def test_replies_find_their_requests_in_any_order(order: list[int]) -> None:
     async def converse() -> list[object]:
         link = FakeLink()
-        client = CortexClient(link)
+        client = CortexClient(cast("WebSocketLink", link))
         await client.open()
         tasks = await started(client, *"abcde")
         for index in order:

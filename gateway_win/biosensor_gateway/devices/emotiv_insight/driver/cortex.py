@@ -8,7 +8,7 @@ import itertools
 import json
 from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Generator, Mapping
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import structlog
 
@@ -30,7 +30,7 @@ from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     parse,
 )
 from biosensor_gateway.settings.secrets import Secret
-from biosensor_gateway.transports.websocket import ReceivedText
+from biosensor_gateway.transports.websocket import ReceivedText, WebSocketLink
 
 _T = TypeVar("_T")
 
@@ -162,31 +162,6 @@ class Warnings:
         return " ".join(text.split())[:_LONGEST_SHOWN]
 
 
-class TextLink(Protocol):
-    """What the client asks of its transport; see the WebSocket link."""
-
-    @property
-    def dropped(self) -> int:
-        """Messages that came and could not be kept."""
-        ...
-
-    async def open(self) -> None:
-        """Connect."""
-        ...
-
-    async def read(self) -> ReceivedText:
-        """Wait for the next message."""
-        ...
-
-    async def send(self, text: str) -> None:
-        """Send a message."""
-        ...
-
-    async def close(self) -> None:
-        """Close; never raises."""
-        ...
-
-
 class ArrivedData(NamedTuple):
     """A sample, the LSL time at which it arrived, and the length of its message."""
 
@@ -227,7 +202,7 @@ class CortexClient:
         Length of those messages [characters].
     """
 
-    def __init__(self, link: TextLink) -> None:
+    def __init__(self, link: WebSocketLink) -> None:
         self._link = link
         self.warnings = Warnings()
         self._ids = itertools.count(1)
