@@ -50,7 +50,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.methods import (
     Replies,
     damaged_message,
 )
-from biosensor_gateway.devices.emotiv_insight.simulator.streaming import (
+from biosensor_gateway.devices.emotiv_insight.simulator.streams import (
     Mishaps,
     Signals,
     Stage,
