@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from ipaddress import IPv4Address
 from types import UnionType
@@ -25,9 +25,7 @@ MAX_TEXT = 256
 MAX_TEST_PORTS = 8
 # It goes into a question to liblsl, which has a syntax.
 _SOURCE_ID = re.compile(rf"[a-z]+-{NONCE.pattern}")
-_LOWEST_PORT, _HIGHEST_PORT = 1024, 65535
 
-_KINDS: dict[type, str] = {str: "a text", bool: "true or false", int: "a number", float: "a number"}
 Record = TypeVar("Record")
 
 
@@ -39,31 +37,29 @@ def _wrong(name: str, what: str) -> ProtocolError:
     )
 
 
-def _only_if(right: Callable[[Any], object], what: str) -> Callable[[str, Any], Any]:
-    """Return what lets a value pass if it is right."""
-
-    def check(name: str, found: object) -> object:
-        if not right(found):
-            raise _wrong(name, what)
-        return found
-
-    return check
+def _program(name: str, found: str) -> str:
+    if found not in {AGENT, NODE}:
+        raise _wrong(name, f"one of {AGENT}, {NODE}")
+    return found
 
 
-def _is_address(text: str) -> bool:
+def _address(name: str, found: str) -> str:
     try:
-        IPv4Address(text)
-    except ValueError:
-        return False
-    return True
+        return str(IPv4Address(found))
+    except ValueError as error:
+        raise _wrong(name, "an IPv4 address") from error
 
 
-def _are_ports(found: Iterable[int]) -> bool:
-    return all(_LOWEST_PORT <= port <= _HIGHEST_PORT for port in found)
+def _source_id(_name: str, found: str) -> str:
+    if not _SOURCE_ID.fullmatch(found):
+        raise ProtocolError(ProtocolReason.GARBAGE, "the test stream's name is none of ours")
+    return found
 
 
-def _few_ports(found: tuple[int, ...]) -> bool:
-    return len(found) <= MAX_TEST_PORTS and _are_ports(found)
+def _few(_name: str, found: tuple[int, ...]) -> tuple[int, ...]:
+    if len(found) > MAX_TEST_PORTS:
+        raise _wrong("a list", f"of at most {MAX_TEST_PORTS} entries")
+    return found
 
 
 def _known_system(_name: str, found: str) -> str:
@@ -74,10 +70,11 @@ def _known_firewalls(_name: str, found: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(each for each in found if each in BY_FIREWALL)
 
 
-Address = Annotated[str, _only_if(_is_address, "an IPv4 address")]
-# No port has the number 0.
-PortOrNone = Annotated[int, _only_if(lambda port: 0 <= port <= _HIGHEST_PORT, "a port")]
-TestPorts = Annotated[tuple[int, ...], _only_if(_few_ports, f"at most {MAX_TEST_PORTS} ports")]
+Address = Annotated[str, _address]
+# No port has the number 0; what is only an int is a port that needs no administrator.
+_ANY, _FREE = range(65536), range(1024, 65536)
+PortOrNone = Annotated[int, _ANY]
+TestPorts = Annotated[tuple[int, ...], _few]
 ByPort = dict[int, bool]
 
 
@@ -105,12 +102,12 @@ class Computer:
 
     name: str
     system: Annotated[str, _known_system]
-    program: Annotated[str, _only_if((AGENT, NODE).__contains__, f"one of {AGENT}, {NODE}")]
+    program: Annotated[str, _program]
     address: Address
     other: Address
     is_near: bool
     session: str
-    ports: Annotated[Ports, _only_if(_are_ports, "ports that need no administrator")]
+    ports: Ports
     keeps_to_itself: bool = False
     asks_the_other: bool = False
     firewalls: Annotated[tuple[str, ...], _known_firewalls] = ()
@@ -141,7 +138,7 @@ class Opened:
     """What one computer has opened for the other: ports, and a test stream."""
 
     targets: Targets
-    source_id: Annotated[str, _only_if(_SOURCE_ID.fullmatch, "the name of a test stream")]
+    source_id: Annotated[str, _source_id]
 
 
 @dataclass(slots=True)
@@ -232,56 +229,86 @@ def read(kind: type[Record], found: object) -> Record:
 
 def read_run(message: Message) -> str:
     """Return the number of the test; raises as `read` does."""
-    check = _only_if(NONCE.fullmatch, "the number of a test")
-    return cast("str", check("run", _read("run", str, message.get("run"))))
+    found = str(message.get("run"))
+    if not NONCE.fullmatch(found):
+        raise ProtocolError(ProtocolReason.GARBAGE, "the number of the test is none of ours")
+    return found
 
 
 def _read(name: str, kind: Any, found: object) -> object:  # noqa: ANN401 - also unions
     origin, of = get_origin(kind), get_args(kind)
     if origin is Annotated:
         plain, check = of
-        return check(name, _read(name, plain, found))
+        is_range = isinstance(check, range)
+        return _number(name, found, check) if is_range else check(name, _read(name, plain, found))
     if origin is UnionType:
         # With None, in each of them.
         return None if found is None else _read(name, of[0], found)
     if origin is tuple:
-        return tuple(_read(name, of[0], each) for each in _entries(name, found))
-    if origin is dict:
-        return _by_port(name, found)
-    if kind in _KINDS:
-        return _plain(name, kind, found)
-    fields = _object(name, found)
+        return tuple(_read(name, of[0], each) for each in _entries(found))
+    if kind in _PLAIN:
+        return _PLAIN[kind](name, found)
+    fields = _object(found)
     hints = get_type_hints(kind, include_extras=True)
     return kind(**{each: _read(each, hint, fields.get(each)) for each, hint in hints.items()})
 
 
-def _plain(name: str, kind: type, found: object) -> object:
-    is_right = isinstance(found, int | float) if kind is float else isinstance(found, kind)
-    # Python takes true and false for numbers.
-    if not is_right or (kind is not bool and isinstance(found, bool)):
-        raise _wrong(name, _KINDS[kind])
-    if isinstance(found, str) and len(found) > MAX_TEXT:
+def _text(name: str, found: object) -> str:
+    if not isinstance(found, str) or len(found) > MAX_TEXT:
         raise _wrong(name, f"a text of at most {MAX_TEXT} characters")
-    if isinstance(found, float) and not math.isfinite(found):
+    return found
+
+
+def _flag(name: str, found: object) -> bool:
+    if not isinstance(found, bool):
+        raise _wrong(name, "true or false")
+    return found
+
+
+def _real(name: str, found: object) -> float:
+    # Python takes true and false for numbers.
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise _wrong(name, "a number")
+    if not math.isfinite(found):
         raise _wrong(name, "a finite number")
-    return float(cast("float", found)) if kind is float else found
+    return float(found)
 
 
-def _object(name: str, found: object) -> dict[str, object]:
+def _number(name: str, found: object, within: range = _FREE) -> int:
+    if isinstance(found, bool) or not isinstance(found, int) or found not in within:
+        raise _wrong(name, f"a number from {within.start} to {within.stop - 1}")
+    return found
+
+
+def _object(found: object) -> dict[str, object]:
     if not isinstance(found, dict):
-        raise _wrong(name, "an object")
+        raise _wrong("a message", "an object")
     return cast("dict[str, object]", found)
 
 
-def _entries(name: str, found: object) -> list[object]:
-    if not isinstance(found, list) or len(cast("list[object]", found)) > MAX_STREAMS:
-        raise _wrong(name, f"a list of at most {MAX_STREAMS} entries")
-    return cast("list[object]", found)
+def _entries(found: object) -> list[object]:
+    if not isinstance(found, list):
+        raise _wrong("an entry", "a list")
+    several = cast("list[object]", found)
+    if len(several) > MAX_STREAMS:
+        raise _wrong("a list", f"of at most {MAX_STREAMS} entries")
+    return several
 
 
 def _by_port(name: str, found: object) -> ByPort:
     """Read true or false for a few ports, which JSON has as text."""
-    fields = _object(name, found)
-    if len(fields) > MAX_TEST_PORTS or not all(map(str.isdecimal, fields)):
-        raise _wrong(name, f"at most {MAX_TEST_PORTS} ports")
-    return {int(port): cast("bool", _plain(port, bool, came)) for port, came in fields.items()}
+    fields = _object(found)
+    if len(fields) > MAX_TEST_PORTS:
+        raise _wrong("a list", f"of at most {MAX_TEST_PORTS} entries")
+    if not all(map(str.isdecimal, fields)):
+        raise _wrong(name, "ports")
+    return {int(port): _flag(port, came) for port, came in fields.items()}
+
+
+_PLAIN: dict[object, Callable[[str, object], object]] = {
+    str: _text,
+    bool: _flag,
+    int: _number,
+    float: _real,
+    ByPort: _by_port,
+}
