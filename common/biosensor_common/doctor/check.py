@@ -86,15 +86,11 @@ class Guide:
     ----------
     program
         What a sentence calls it: ``"the agent"``.
-    package, distribution
-        Name by which it is imported, and by which it is installed.
     libraries
         Import names of what else it cannot run without, with the way to install each.
-    ask_itself
-        Have LSL programs of this computer ask this computer directly.
-    ask_others
-        Have LSL programs ask another computer directly; ``{peer}`` stands for an address
-        of this one.
+    ask_itself, ask_others
+        Have LSL programs of this computer ask this computer directly, or another one;
+        ``{peer}`` stands for an address of this one.
     correct_file
         Bring a ``lsl_api.cfg`` that is there already in line with the program.
     edit
@@ -118,16 +114,11 @@ class Guide:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """The program on whose behalf this computer is examined.
-
-    Attributes
-    ----------
-    overrides
-        What its settings put over the user's own LSL configuration.
-    """
+    """The program on whose behalf this computer is examined."""
 
     guide: Guide
     overrides: LslOverrides = field(default_factory=LslOverrides)
+    """What its settings put over the user's own LSL configuration."""
 
     @property
     def lsl_file(self) -> Path | None:

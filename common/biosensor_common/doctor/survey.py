@@ -89,16 +89,9 @@ def _meet(request: Request) -> None:
 
 
 def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
-    """Look for streams, then listen to each of them.
+    """Look for streams for so long, then listen to each of them.
 
-    Parameters
-    ----------
-    search_s
-        How long to look; streams answer in waves.
-    listen_s
-        How long each step of listening to one may take.
-    limit_s
-        After so long no listening begins any more.
+    Each step of listening may take *listen_s*; after *limit_s* none begins any more.
 
     Returns
     -------

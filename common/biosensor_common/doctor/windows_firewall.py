@@ -42,18 +42,12 @@ class Protocol(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One rule for what comes in.
+    """One rule for what comes in: it lets in, or blocks.
 
     Attributes
     ----------
-    name
-        As the user sees it.
-    allows
-        Whether it lets in; else it blocks.
     program
         Full path; empty for all programs.
-    protocols
-        Of those that LSL uses.
     ports
         Ranges, each with its end; None for all.
     profiles
@@ -88,21 +82,13 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Treatment:
-    """How the firewall treats networks of one kind.
-
-    Attributes
-    ----------
-    is_on
-        Else it holds nothing back.
-    lets_in
-        Whether rules can let anything in at all.
-    heeds_local_rules
-        Whether those of this PC are in force, and not only those of its domain.
-    """
+    """How the firewall treats networks of one kind."""
 
     is_on: bool = True
     lets_in: bool = True
+    """Whether rules can let anything in at all."""
     heeds_local_rules: bool = True
+    """Whether those of this PC are in force, and not only those of its domain."""
 
 
 _NETWORKS = r"SOFTWARE\Microsoft\Windows NT\CurrentVersion\NetworkList\Profiles"
@@ -133,17 +119,9 @@ def _plain(path: str) -> str:
 
 
 def read_rule(text: str, variables: Mapping[str, str] = os.environ) -> Rule | None:
-    """Read a rule as the registry has it.
+    """Read a rule as the registry has it; None if it is for nothing that LSL sends to a program.
 
-    Parameters
-    ----------
-    variables
-        What stands for names such as ``%ProgramFiles%`` in the program's path.
-
-    Returns
-    -------
-    Rule or None
-        None for a rule that concerns nothing that LSL sends to an ordinary program.
+    The variables stand for names such as ``%ProgramFiles%`` in the program's path.
     """
     fields: dict[str, list[str]] = {}
     for entry in text.split("|"):
@@ -270,20 +248,10 @@ def judge_rules(
     network: Network | None,
     treatments: Mapping[str, Treatment],
 ) -> Iterator[Finding]:
-    """Judge which rules let a program receive what LSL needs.
+    """Judge which rules let a program, by its full path, receive what LSL needs.
 
-    Parameters
-    ----------
-    rules
-        Of the firewall; None if they cannot be read.
-    program
-        Full path.
-    ports
-        Of LSL.
-    network
-        What Windows takes the present network for; None if nobody knows.
-    treatments
-        Of each kind of network; one that is not there is an ordinary one.
+    Rules are None if they cannot be read, and the network if nobody knows what Windows takes it
+    for. A kind of network that is not among the treatments is an ordinary one.
     """
     opening = firewall.windows(ports) + "\nor install again with 'Firewall rule' ticked"
     if rules is None:

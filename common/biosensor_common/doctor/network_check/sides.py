@@ -101,7 +101,8 @@ def ask(context: Context, program: str, host: str, port: int, code: str) -> tupl
         greet_as_asking(channel, typed)
         own, other = connection.getsockname()[0], connection.getpeername()[0]
         run = nonce()
-        with Station(context, program, own, other, run, is_asking=True) as here:
+        here = Station(context, program, own, other, run, is_asking=True)
+        with here.open():
             return _led_through(channel, here, run)
 
 
@@ -268,9 +269,9 @@ class Answerer:
         own, other = channel.connection.getsockname()[0], channel.connection.getpeername()[0]
         run, there = read_run(opening), read(Opened, opening)
         with ExitStack() as stack:
-            station = Station(self._context, self._program, own, other, run, is_asking=False)
+            here = Station(self._context, self._program, own, other, run, is_asking=False)
             try:
-                here = stack.enter_context(station)
+                stack.enter_context(here.open())
             except ProbeError as problem:
                 channel.send({"failed": str(problem)})
                 raise ProtocolError(ProtocolReason.REFUSED, str(problem)) from problem

@@ -8,13 +8,12 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from ipaddress import ip_address, ip_network
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from biosensor_common.doctor.check import Context
 from biosensor_common.doctor.firewall import active_firewalls
@@ -59,7 +58,7 @@ class _Opened(NamedTuple):
 
 
 class OpenPorts:
-    """Listens at the ports that LSL would; a context manager.
+    """The ports at which LSL would listen.
 
     Parameters
     ----------
@@ -79,29 +78,23 @@ class OpenPorts:
     ) -> None:
         self._ports, self._own, self._other, self._mark = ports, own, other, mark
         self._adapters = adapters
-        self._stack = ExitStack()
         self._opened: list[_Opened] = []
         self._ended = threading.Event()
         self._multicast: set[str] = set()
         self._came: set[tuple[str, int]] = set()
 
-    def __enter__(self) -> Self:
+    @contextmanager
+    def open(self) -> Generator[None]:
+        """Listen there."""
         with ExitStack() as stack:
             self._opened = [*self._discovery(stack), *self._several(stack)]
             listener = threading.Thread(target=self._listen, name="test-ports", daemon=True)
             listener.start()
-            stack.callback(listener.join)
-            stack.callback(self._ended.set)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.close()
+            try:
+                yield
+            finally:
+                self._ended.set()
+                listener.join()
 
     @property
     def targets(self) -> Targets:
@@ -249,7 +242,7 @@ def _to(sender: socket.socket, packet: bytes, address: str, port: int) -> None:
 
 
 class Station:
-    """What this computer does; a context manager, after which nothing of it is open.
+    """What this computer does.
 
     Parameters
     ----------
@@ -275,28 +268,17 @@ class Station:
         self._adapters = [] if alone else [each for one in adapters() for each in one.addresses]
         self._ports = OpenPorts(self._computer.ports, own, other, self._adapters, awaited)
         self._source_id = f"{roles[0]}-{run}"
-        self._stack = ExitStack()
         self._look = Look()
         self._streams = self.own_streams = tuple[Stream, ...]()
         self._reached: tuple[str, ...] = ()
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            stack.enter_context(self._ports)
-            outlet = stack.enter_context(
-                Probe("offer", _LIFE_S, config=self._config, source_id=self._source_id)
-            )
+    @contextmanager
+    def open(self) -> Generator[None]:
+        """Have test ports and a test stream; raises `ProbeError` if LSL cannot be used."""
+        offered: dict[str, Any] = {"config": self._config, "source_id": self._source_id}
+        with self._ports.open(), Probe("offer", _LIFE_S, **offered) as outlet:
             outlet.answer()
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.close()
+            yield
 
     @property
     def opened(self) -> Opened:
