@@ -15,7 +15,7 @@ import pytest
 
 from biosensor_common.doctor import streams
 from biosensor_common.doctor.check import Finding, Level
-from biosensor_common.doctor.streams import SurveyedStream
+from biosensor_common.doctor.probe import SurveyedStream
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only

@@ -23,6 +23,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
@@ -32,6 +33,38 @@ Request = Mapping[str, Any]
 PROBE_COMMAND = "doctor-probe"
 """Hidden command of the frozen program, which is its own Python."""
 _LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
+
+
+@dataclass(slots=True)
+class SurveyedStream:
+    """One stream as this computer sees it.
+
+    Attributes
+    ----------
+    ports
+        Of its data and of its service.
+    offset_s
+        What its clock must be corrected by, in s; None if that could not be measured.
+    round_trip_s
+        Of the best measurement.
+    stamp_error_s
+        Corrected stamp of a fresh sample minus the time of its arrival, in s; None if no
+        sample came.
+    data_port
+        TCP port of its data over IPv4; 0 if it has none.
+    """
+
+    name: str
+    source_id: str
+    uid: str
+    host: str
+    format: str
+    ports: list[int] = field(default_factory=list[int])
+    offset_s: float | None = None
+    round_trip_s: float | None = None
+    stamp_error_s: float | None = None
+    data_port: int = 0
+    session: str = ""
 
 
 class ProbeError(Exception):

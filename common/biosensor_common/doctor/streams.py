@@ -7,11 +7,10 @@ import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 
 from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
 from biosensor_common.doctor.firewall import opening
-from biosensor_common.doctor.probe import Probe
+from biosensor_common.doctor.probe import Probe, SurveyedStream
 from biosensor_common.lsl import api_file
 from biosensor_common.lsl.api_file import LOOPBACK, LSL_PORT_RANGE, PEERS
 from biosensor_common.lsl.sender_clocks import LIMIT_S
@@ -33,38 +32,6 @@ _SHOWN = 5
 # pylsl makes it of Python's hash, which is another one at every start.
 _GENERATED_ID = re.compile(r"-?\d{15,20}")
 _BY_AUTHOR = "ask the author of that program; in pylsl it is StreamInfo(..., source_id='...')"
-
-
-@dataclass(slots=True)
-class SurveyedStream:
-    """One stream as this computer sees it.
-
-    Attributes
-    ----------
-    ports
-        Of its data and of its service.
-    offset_s
-        What its clock must be corrected by, in s; None if that could not be measured.
-    round_trip_s
-        Of the best measurement.
-    stamp_error_s
-        Corrected stamp of a fresh sample minus the time of its arrival, in s; None if no
-        sample came.
-    data_port
-        TCP port of its data over IPv4; 0 if it has none.
-    """
-
-    name: str
-    source_id: str
-    uid: str
-    host: str
-    format: str
-    ports: list[int] = field(default_factory=list[int])
-    offset_s: float | None = None
-    round_trip_s: float | None = None
-    stamp_error_s: float | None = None
-    data_port: int = 0
-    session: str = ""
 
 
 def discovery(context: Context) -> Iterator[Finding]:

@@ -17,8 +17,7 @@ import pylsl
 from pylsl.lib import lib
 
 from biosensor_common.description_xml import read_xml
-from biosensor_common.doctor.probe import Request, answer, serve
-from biosensor_common.doctor.streams import SurveyedStream
+from biosensor_common.doctor.probe import Request, SurveyedStream, answer, serve
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlet import unopened_inlet
 from biosensor_common.lsl.network import search

@@ -28,8 +28,8 @@ from biosensor_common.doctor.network_check.facts import (
     Stream,
     Targets,
 )
-from biosensor_common.doctor.probe import Probe, ProbeError
-from biosensor_common.doctor.streams import SurveyedStream, by_unicast
+from biosensor_common.doctor.probe import Probe, ProbeError, SurveyedStream
+from biosensor_common.doctor.streams import by_unicast
 from biosensor_common.lsl import api_file
 from biosensor_common.lsl.api_file import PEERS, SESSION, Ports
 
