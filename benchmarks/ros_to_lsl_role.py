@@ -19,7 +19,7 @@ from benchmarks.robot_sender import topic_of
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.outlets import SampleOutlet
-from lsl_to_ros.taking import MessageInfo, RosMessage
+from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 
 _POLL_S = 0.05
 # What is on its way when the robot stops.

@@ -26,9 +26,9 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import CoreFields, foreign_header
-from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters
-from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.accounts.stamping import Stamping
+from lsl_to_ros.statistics.counters import Delays, Lost, NodeCounters
+from lsl_to_ros.statistics.ros_time import RosTime
+from lsl_to_ros.statistics.stamping import Stamping
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom

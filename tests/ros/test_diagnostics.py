@@ -22,9 +22,9 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
-from lsl_to_ros.accounts import rates, status
-from lsl_to_ros.accounts.counters import NodeCounters
-from lsl_to_ros.accounts.rates import RATE_WINDOW_S
+from lsl_to_ros.statistics import rates, status
+from lsl_to_ros.statistics.counters import NodeCounters
+from lsl_to_ros.statistics.rates import RATE_WINDOW_S
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from lsl_to_ros import fastdds
+from lsl_to_ros import ros_environment
 
 FAST_DDS = "rmw_fastrtps_cpp"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -20,15 +20,15 @@ TIMEOUT_S = 120.0
 ROOT = Path(__file__).parents[2]
 
 # The one that this ROS has: make venv-kilted brings the newer one.
-HERE = fastdds.generation()
+HERE = ros_environment.fast_dds_generation()
 
 # A participant like the node's; it says what shared memory it has.
 PARTICIPANT = """
 import json, os, pathlib, rclpy
-from lsl_to_ros import fastdds
+from lsl_to_ros import ros_environment
 if os.environ.get("CONFIGURE"):
     rmw = rclpy.get_rmw_implementation_identifier()
-    assert fastdds.configure(os.environ, pathlib.Path("/"), rmw, fastdds.generation())
+    assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, ros_environment.fast_dds_generation())
 rclpy.init(args=[])
 node = rclpy.create_node("participant")
 maps = pathlib.Path("/proc/self/maps").read_text().splitlines()
@@ -44,13 +44,13 @@ def fast_dds(request: pytest.FixtureRequest) -> int:
 def configured(tmp_path: Path, fast_dds: int, **variables: str) -> dict[str, str]:
     """Return the environment as it is set for Fast DDS."""
     environment = dict(variables)
-    assert fastdds.configure(environment, tmp_path, FAST_DDS, fast_dds)
+    assert ros_environment.configure_fast_dds(environment, tmp_path, FAST_DDS, fast_dds)
     return environment
 
 
 def profiles(environment: dict[str, str]) -> ElementTree.Element:
     """Take the one file that is named out of the environment, and read it."""
-    (name,) = environment.keys() & set(fastdds.PROFILES)
+    (name,) = environment.keys() & set(ros_environment.PROFILES)
     return ElementTree.parse(environment.pop(name)).getroot()
 
 
@@ -75,9 +75,9 @@ QUIET = """
 # Participants like the node's, one after another; it says which heard the one that lives on.
 PARTICIPANTS = """
 import json, os, pathlib, rclpy, time
-from lsl_to_ros import fastdds
+from lsl_to_ros import ros_environment
 rmw = rclpy.get_rmw_implementation_identifier()
-assert fastdds.configure(os.environ, pathlib.Path("/"), rmw, fastdds.generation())
+assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, ros_environment.fast_dds_generation())
 heard = []
 for number in range(12):
     context = rclpy.Context()
@@ -98,7 +98,7 @@ def test_each_ros_has_its_fast_dds(
     release: str, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fastdds, "version", {"rclpy": release}.__getitem__)
-    assert fastdds.generation() == expected
+    assert ros_environment.fast_dds_generation() == expected
 
 
 def test_a_ros_that_does_not_say_its_version_is_a_newer_one(
@@ -108,13 +108,13 @@ def test_a_ros_that_does_not_say_its_version_is_a_newer_one(
         raise PackageNotFoundError(name)
 
     monkeypatch.setattr(fastdds, "version", nothing)
-    assert fastdds.generation() == 3
+    assert ros_environment.fast_dds_generation() == 3
 
 
 def test_no_fast_dds_is_given_the_file_of_the_other(tmp_path: Path, fast_dds: int) -> None:
     # ROS beside Fast DDS 3 reads the variable of Fast DDS 2, too.
-    named = configured(tmp_path, fast_dds).keys() & set(fastdds.PROFILES)
-    assert named == {fastdds.PROFILES[fast_dds - 2]}
+    named = configured(tmp_path, fast_dds).keys() & set(ros_environment.PROFILES)
+    assert named == {ros_environment.PROFILES[fast_dds - 2]}
 
 
 @pytest.mark.parametrize("range_", ["", "LOCALHOST"])
@@ -180,24 +180,24 @@ def test_transports_that_the_user_chose_stay(tmp_path: Path) -> None:
     assert environment == variables
 
 
-@pytest.mark.parametrize("name", fastdds.PROFILES)
+@pytest.mark.parametrize("name", ros_environment.PROFILES)
 def test_a_file_that_the_user_names_stays(tmp_path: Path, name: str, fast_dds: int) -> None:
     environment = {name: "mine.xml", **LOCAL}
-    assert not fastdds.configure(environment, tmp_path, FAST_DDS, fast_dds)
+    assert not ros_environment.configure_fast_dds(environment, tmp_path, FAST_DDS, fast_dds)
     assert environment == {name: "mine.xml", **LOCAL}
 
 
-@pytest.mark.parametrize("name", fastdds.IN_FOLDER)
+@pytest.mark.parametrize("name", ros_environment.IN_FOLDER)
 def test_a_file_in_the_working_folder_stays(tmp_path: Path, name: str) -> None:
     (tmp_path / name).touch()
     environment = dict(LOCAL)
-    assert not fastdds.configure(environment, tmp_path, FAST_DDS, HERE)
+    assert not ros_environment.configure_fast_dds(environment, tmp_path, FAST_DDS, HERE)
     assert environment == LOCAL
 
 
 def test_another_middleware_is_left_alone(tmp_path: Path) -> None:
     environment = dict(LOCAL)
-    assert not fastdds.configure(environment, tmp_path, "rmw_cyclonedds_cpp", HERE)
+    assert not ros_environment.configure_fast_dds(environment, tmp_path, "rmw_cyclonedds_cpp", HERE)
     assert environment == LOCAL
 
 
@@ -259,7 +259,7 @@ def test_it_hears_answers_although_each_program_answers_once(tmp_path: Path) -> 
     environment = {**os.environ, **LOCAL}
     peer = subprocess.Popen(
         [sys.executable, "-c", QUIET_PEER],
-        env=environment | {fastdds.PROFILES[HERE - 2]: str(quiet)},
+        env=environment | {ros_environment.PROFILES[HERE - 2]: str(quiet)},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
@@ -270,7 +270,7 @@ def test_it_hears_answers_although_each_program_answers_once(tmp_path: Path) -> 
         others = ";".join(f"127.0.0.{number}" for number in range(2, 60))
         done = subprocess.run(
             [sys.executable, "-c", PARTICIPANTS],
-            env=environment | {fastdds.PEERS: others},
+            env=environment | {ros_environment.PEERS: others},
             check=True,
             timeout=TIMEOUT_S,
             stdout=subprocess.PIPE,

@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 
-from lsl_to_ros.accounts.lateness import (
+from lsl_to_ros.statistics.lateness import (
     BUSY_PATIENCE_S,
     FIRST_SAMPLE_TIMEOUT_S,
     MOST_TIMES,

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from lsl_to_ros.accounts import status
-from lsl_to_ros.accounts.load import REPORTS, SHARE_WINDOW_S, Backlog, Load, LoadFacts
-from lsl_to_ros.accounts.status import Outflow
+from lsl_to_ros.statistics import stream_status
+from lsl_to_ros.statistics.load import REPORTS, SHARE_WINDOW_S, Backlog, Load, LoadFacts
+from lsl_to_ros.statistics.stream_status import Outflow
 from lsl_to_ros.reports.overload import overload
 
 WINDOW = round(SHARE_WINDOW_S)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lsl_to_ros.accounts.losses import CountersComparison, Losses
+from lsl_to_ros.statistics.losses import CountersComparison, Losses
 
 
 class Push(NamedTuple):

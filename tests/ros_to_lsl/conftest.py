@@ -11,7 +11,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from lsl_to_ros.taking import MessageInfo
+from lsl_to_ros.subscriber_thread import MessageInfo
 
 NOW_NS = 1_790_000_000_000_000_000
 MILLISECOND = 1_000_000

@@ -12,8 +12,8 @@ import pylsl
 import pytest
 from rosidl_parser import definition
 
-from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.accounts.status import StreamStatus
+from lsl_to_ros.statistics.ros_time import RosTime
+from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.ros_to_lsl import bridge, outlets
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class, type_name

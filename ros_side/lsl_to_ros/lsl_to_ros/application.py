@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_config import LslOverrides
-from lsl_to_ros import spinning
-from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros import program
+from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
@@ -45,7 +45,7 @@ SEARCH_PAUSE_S = 0.2
 
 def run() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
-    spinning.run("lsl_to_ros", _node)
+    program.run("lsl_to_ros", _node)
 
 
 def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:

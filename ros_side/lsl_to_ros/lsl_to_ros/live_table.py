@@ -35,11 +35,11 @@ from rclpy.subscription import Subscription
 from biosensor_common.open_files import raise_limit
 from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns, shortened
-from lsl_to_ros.accounts.lateness import ProcessorWait, Waiting
-from lsl_to_ros.accounts.rates import RateMeter
+from lsl_to_ros.statistics.lateness import ProcessorWait, Waiting
+from lsl_to_ros.statistics.rates import RateMeter
 from lsl_to_ros.log_folder import ensure_log_folder
 from lsl_to_ros.reports.reporting import COMPUTER_BUSY
-from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
+from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 from lsl_to_ros.topics.messages import CLASSES
 
 REFRESH_S = 1.0

@@ -24,9 +24,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from biosensor_common.naming import AGENT, TopicName
 from biosensor_common.refusal import Level, Refusal
 from biosensor_common.refusals import Refusals, Refused
-from lsl_to_ros.accounts.counters import Delays, NodeCounters, can_estimate_losses
-from lsl_to_ros.accounts.rates import RATE_WINDOW_S
-from lsl_to_ros.accounts.status import StreamStatus
+from lsl_to_ros.statistics.counters import Delays, NodeCounters, can_estimate_losses
+from lsl_to_ros.statistics.rates import RATE_WINDOW_S
+from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.reports.overload import not_taken, too_fast
 from lsl_to_ros.topics.bridge import Bridge
 

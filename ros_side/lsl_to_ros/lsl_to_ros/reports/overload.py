@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from biosensor_common import open_files
-from lsl_to_ros.accounts.load import LoadFacts
+from lsl_to_ros.statistics.load import LoadFacts
 
 _MOST_NAMED = 5
 _RELIEF = (

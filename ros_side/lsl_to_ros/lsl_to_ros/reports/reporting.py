@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.parameters.node import COMPAT, DIAGNOSTICS_PERIOD
 from lsl_to_ros.reports.diagnostics import LEASE_S, status
 from lsl_to_ros.reports.overload import crowded_out, overload

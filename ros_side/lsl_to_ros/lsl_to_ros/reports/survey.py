@@ -17,7 +17,7 @@ from biosensor_common.quantities import ROLES_OF_DEVICE, TYPES_OF_DEVICE, Channe
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.accounts.load import Load, LoadFacts
+from lsl_to_ros.statistics.load import Load, LoadFacts
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.parameters.node import COMPAT, SMARTLAB

@@ -30,8 +30,8 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.ros_clock import NS_PER_S
-from lsl_to_ros import spinning
-from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros import program
+from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID, peers_of
 from lsl_to_ros.reports.clock_pairs import events_outlet
@@ -48,7 +48,7 @@ from lsl_to_ros.ros_to_lsl.reports import (
 )
 from lsl_to_ros.ros_to_lsl.requests import TopicRequest, stream_name
 from lsl_to_ros.ros_to_lsl.topic import Topic
-from lsl_to_ros.taking import TakenElsewhere, Taker
+from lsl_to_ros.subscriber_thread import TakenElsewhere, Taker
 from lsl_to_ros.topics.publishers import make_publisher
 
 LOOK_PERIOD_S = 0.25
@@ -228,7 +228,7 @@ class RosToLsl(Node):
 
 def run() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
-    spinning.run(PROGRAM, _node)
+    program.run(PROGRAM, _node)
 
 
 def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:

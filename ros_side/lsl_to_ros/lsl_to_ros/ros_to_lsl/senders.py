@@ -18,7 +18,7 @@ from biosensor_common.ros.layout import Layout, LayoutChangedError, is_part
 from lsl_to_ros.ros_to_lsl.fields import FRAMES, bulk_of, fields_of
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
-from lsl_to_ros.taking import RosMessage
+from lsl_to_ros.subscriber_thread import RosMessage
 
 LINGER_S = 0.25
 """How long an outlet stays after its last sample, which LSL sends from a thread of its own."""

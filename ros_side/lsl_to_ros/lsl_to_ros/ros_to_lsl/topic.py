@@ -12,11 +12,11 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
 from biosensor_common.refusal import Refusal
-from lsl_to_ros.accounts.status import StreamStatus
+from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Quality, are_named, full_name, quality_of
-from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
+from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 
 _USUAL = Quality()
 """Of a topic that nobody publishes yet: what most publishers will offer."""

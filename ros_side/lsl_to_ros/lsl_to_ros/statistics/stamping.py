@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.lsl.inlet import Stamps, local_clock
 from biosensor_common.ros_clock import NS_PER_S
-from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.statistics.ros_time import RosTime
 
 NEAR_S = 86_400.0
 """A stamp within a day of now, by a clock, is meant by that clock."""

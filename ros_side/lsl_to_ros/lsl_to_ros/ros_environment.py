@@ -24,7 +24,7 @@ LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
 """The predecessor of the range, which comes first where it is 1, and knows no peers."""
 
 
-def generation() -> int:
+def fast_dds_generation() -> int:
     """Return which Fast DDS this ROS has, 2 or 3: neither takes a file of the other."""
     try:
         major = int(version("rclpy").partition(".")[0])
@@ -33,7 +33,7 @@ def generation() -> int:
     return 3 if major >= _FIRST_WITH_3 else 2
 
 
-def configure(
+def configure_fast_dds(
     environment: MutableMapping[str, str], folder: Path, middleware: str, fast_dds: int
 ) -> bool:
     """Set Fast DDS for this process, unless the user has profiles.

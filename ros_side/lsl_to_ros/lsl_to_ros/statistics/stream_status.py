@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from time import monotonic
 
-from lsl_to_ros.accounts.load import Backlog, Hysteresis
-from lsl_to_ros.accounts.rates import RATE_WINDOW_S, RateMeter
+from lsl_to_ros.statistics.load import Backlog, Hysteresis
+from lsl_to_ros.statistics.rates import RATE_WINDOW_S, RateMeter
 
 # Messages of one topic in a second. A subscriber in Python that has a core of its own takes
 # 4000 to 6000; of 10 000 it lost a third, of 4000 a hundredth.

@@ -9,7 +9,7 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.accounts.losses import CountersComparison
+from lsl_to_ros.statistics.losses import CountersComparison
 
 
 @dataclass(frozen=True, slots=True)
