@@ -27,7 +27,7 @@ from biosensor_common.spec import DeviceIdentity, StreamSpec
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.sources import Source, judge
 from biosensor_gateway.simulation.wearer import Wearer
-from lsl_to_ros.topics.messages import CLASSES
+from lsl_to_ros.topics.outputs import CLASSES
 from tests.faults.expectations import (
     SENSORS,
     device_of,

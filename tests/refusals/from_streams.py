@@ -26,19 +26,17 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import CoreFields, foreign_header
-from lsl_to_ros.statistics.counters import Delays, Lost, NodeCounters
-from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.statistics.stamping import Stamping
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.lsl.descriptions import header_of
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
-from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.inlets import Inlet, InletState, header_of
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import reporting
 from lsl_to_ros.reports.diagnostics import LEASE_S, judge
 from lsl_to_ros.reports.reporting import Reporting
 from lsl_to_ros.reports.survey import Survey
 from lsl_to_ros.routing import Routing
+from lsl_to_ros.statistics.losses import Delays, Lost, NodeCounters
+from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.originals import ORIGINALS, Joined
 from lsl_to_ros.topics.outputs import open_outputs

@@ -31,7 +31,8 @@ from lsl_to_ros import ros_environment
 name, topics = sys.argv[1], sys.argv[2:]
 if name == "configured":
     rmw = rclpy.get_rmw_implementation_identifier()
-    assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, ros_environment.fast_dds_generation())
+    generation = ros_environment.fast_dds_generation()
+    assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, generation)
 rclpy.init(args=[])
 node = rclpy.create_node(name)
 ends = [node.create_subscription(String, topic, print, QoSProfile(depth=1)) for topic in topics]

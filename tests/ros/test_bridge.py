@@ -18,11 +18,10 @@ from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.statistics.counters import NodeCounters
-from lsl_to_ros.statistics.gaps import FOREIGN_JITTER_S
 from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.statistics.losses import FOREIGN_JITTER_S, NodeCounters
 from lsl_to_ros.topics.bridge import Bridge, Outputs
-from lsl_to_ros.topics.messages import CLASSES
+from lsl_to_ros.topics.outputs import CLASSES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from lsl_to_ros.command_line import settle
-from lsl_to_ros.parameters.usage import usage
-from lsl_to_ros.ros_to_lsl.usage import usage as usage_of_ros_to_lsl
+from lsl_to_ros.parameters.streams import usage
+from lsl_to_ros.ros_to_lsl.parameters import usage as usage_of_ros_to_lsl
 
 ROS = ("--ros-args", "-r", "__node:=a", "-p", "Chunk_Length:=5")
 

@@ -8,8 +8,7 @@ import pytest
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.statistics.counters import Delays, Lost, NodeCounters, can_estimate_losses
-from lsl_to_ros.statistics.losses import Losses
+from lsl_to_ros.statistics.losses import Delays, Losses, Lost, NodeCounters, can_estimate_losses
 from tests.rigs.recorded_topics import header_of
 
 ECG = header_of("zephyr", "ecg")

@@ -22,12 +22,12 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
-from lsl_to_ros.statistics import rates, status
-from lsl_to_ros.statistics.counters import NodeCounters
-from lsl_to_ros.statistics.rates import RATE_WINDOW_S
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status
+from lsl_to_ros.statistics import stream_status as stream_status_module
+from lsl_to_ros.statistics.losses import NodeCounters
+from lsl_to_ros.statistics.stream_status import RATE_WINDOW_S
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
@@ -89,8 +89,7 @@ class Stream:
 def clock(monkeypatch: pytest.MonkeyPatch) -> SetClock:
     clock = SetClock()
     monkeypatch.setattr(diagnostics, "monotonic", clock)
-    monkeypatch.setattr(status, "monotonic", clock)
-    monkeypatch.setattr(rates, "monotonic", clock)
+    monkeypatch.setattr(stream_status_module, "monotonic", clock)
     return clock
 
 

@@ -28,7 +28,8 @@ import json, os, pathlib, rclpy
 from lsl_to_ros import ros_environment
 if os.environ.get("CONFIGURE"):
     rmw = rclpy.get_rmw_implementation_identifier()
-    assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, ros_environment.fast_dds_generation())
+    generation = ros_environment.fast_dds_generation()
+    assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, generation)
 rclpy.init(args=[])
 node = rclpy.create_node("participant")
 maps = pathlib.Path("/proc/self/maps").read_text().splitlines()
@@ -77,7 +78,8 @@ PARTICIPANTS = """
 import json, os, pathlib, rclpy, time
 from lsl_to_ros import ros_environment
 rmw = rclpy.get_rmw_implementation_identifier()
-assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, ros_environment.fast_dds_generation())
+generation = ros_environment.fast_dds_generation()
+assert ros_environment.configure_fast_dds(os.environ, pathlib.Path("/"), rmw, generation)
 heard = []
 for number in range(12):
     context = rclpy.Context()
@@ -97,7 +99,7 @@ print(json.dumps(heard))
 def test_each_ros_has_its_fast_dds(
     release: str, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fastdds, "version", {"rclpy": release}.__getitem__)
+    monkeypatch.setattr(ros_environment, "version", {"rclpy": release}.__getitem__)
     assert ros_environment.fast_dds_generation() == expected
 
 
@@ -107,7 +109,7 @@ def test_a_ros_that_does_not_say_its_version_is_a_newer_one(
     def nothing(name: str) -> str:
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(fastdds, "version", nothing)
+    monkeypatch.setattr(ros_environment, "version", nothing)
     assert ros_environment.fast_dds_generation() == 3
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from biosensor_common.lsl.inlet import Stamps
-from lsl_to_ros.statistics.gaps import FOREIGN_JITTER_S, GAP_PERIODS, Gap, GapFinder
+from lsl_to_ros.statistics.losses import FOREIGN_JITTER_S, GAP_PERIODS, Gap, GapFinder
 
 RATE = 100.0
 PERIOD = 1 / RATE

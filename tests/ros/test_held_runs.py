@@ -16,8 +16,8 @@ from biosensor_common.quantities import MessageType
 from biosensor_common.refusals import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from lsl_to_ros.statistics.counters import NodeCounters
 from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.statistics.losses import NodeCounters
 from lsl_to_ros.topics import bridge as bridge_module
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import CountersWriter, NumberWriter, StandardMessageWriter

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from biosensor_common.naming import TopicName
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.statistics.counters import Delays
 from lsl_to_ros.reports.diagnostics import LEASE_S, StreamFacts, judge
+from lsl_to_ros.statistics.losses import Delays
 
 
 def facts(*, has_unix_stamps: bool = False, unfit: int = 0, **told: Any) -> StreamFacts:

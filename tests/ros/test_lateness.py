@@ -6,15 +6,17 @@ from math import inf
 
 import pytest
 
-from lsl_to_ros.statistics.lateness import (
+from lsl_to_ros.live_table import (
     BUSY_PATIENCE_S,
+    EXIT_BUSY,
+    EXIT_MISSING,
     FIRST_SAMPLE_TIMEOUT_S,
     MOST_TIMES,
     PATIENCE_S,
     Waiting,
+    summary,
     waiting_share,
 )
-from lsl_to_ros.live_table import EXIT_BUSY, EXIT_MISSING, summary
 
 ECG, HR, ACC = "/biosensors/polar_h10/ecg", "/biosensors/polar_h10/hr", "/biosensors/muse/acc"
 ALL = {ECG: "", HR: "", ACC: "", "/biosensors/muse/aux": "it is switched off"}

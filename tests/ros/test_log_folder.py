@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lsl_to_ros.log_folder import ensure_log_folder, usual_folder
+from lsl_to_ros.ros_environment import ensure_log_folder, usual_folder
 
 
 def test_the_folder_is_that_of_rcl(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from biosensor_common.ros.texts import counters_message, raw_text
 from biosensor_common.topic_shape import chunk_type
 from biosensor_common.topic_text import clock_of, read_counters, text_of
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from lsl_to_ros.topics import messages
+from lsl_to_ros.topics.outputs import CLASSES
 
 # ROS ends a text at its first NUL, as rclpy's own objects do.
 any_text = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"))
@@ -30,7 +30,7 @@ any_text = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="
 @pytest.mark.parametrize("kind", MessageType)
 def test_every_type_of_the_closed_set_has_its_class(kind: MessageType) -> None:
     package, _, name = kind.value.split("/")
-    message_class = messages.CLASSES[kind]
+    message_class = CLASSES[kind]
     assert message_class.__module__.startswith(f"{package}.msg.")
     assert message_class.__name__ == name
 
@@ -59,7 +59,7 @@ def samples(*texts: str) -> list[Any]:
 def sent(kind: MessageType, sample: Any) -> Any:
     """Return what a subscriber gets of a sample of text."""
     message = raw_text(kind, text_of(sample))
-    return deserialize_message(message, messages.CLASSES[kind])
+    return deserialize_message(message, CLASSES[kind])
 
 
 @given(text=any_text)

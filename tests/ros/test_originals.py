@@ -16,11 +16,10 @@ from biosensor_common.naming import TopicName
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_gateway.devices.registry import declaration
-from lsl_to_ros.statistics.counters import Lost, NodeCounters
-from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.statistics.stamping import Stamping
 from lsl_to_ros.parameters.node import check
 from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.statistics.losses import Lost, NodeCounters
+from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 from lsl_to_ros.topics.bridge import Bridge
 from lsl_to_ros.topics.originals import BESIDE, ORIGINALS, Alone, Joined, Shape
 from lsl_to_ros.topics.outputs import open_outputs

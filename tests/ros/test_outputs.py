@@ -22,10 +22,9 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from lsl_to_ros.statistics.counters import Lost
+from lsl_to_ros.statistics.losses import Lost
 from lsl_to_ros.topics.bridge import Outputs
-from lsl_to_ros.topics.messages import CLASSES, HAS_STAMPED_TOPICS
-from lsl_to_ros.topics.outputs import open_outputs
+from lsl_to_ros.topics.outputs import CLASSES, HAS_STAMPED_TOPICS, open_outputs
 from lsl_to_ros.topics.pacing import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
 from lsl_to_ros.topics.runs import Run

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from biosensor_common.ros_clock import NS_PER_S
-from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.statistics.stamping import Stamping
+from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 
 NOW_S = 100
 

@@ -10,8 +10,7 @@ import numpy as np
 import pylsl
 import pytest
 
-from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.statistics.stamping import Stamping
+from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 
 NODE: Any = SimpleNamespace(get_clock=lambda: SimpleNamespace(ros_time_is_active=False))
 WEEKS_S = 3e6

@@ -17,7 +17,7 @@ from std_msgs.msg import MultiArrayDimension, MultiArrayLayout
 
 from biosensor_common.quantities import MessageType
 from biosensor_common.ros import numbers
-from lsl_to_ros.topics import messages
+from lsl_to_ros.topics.outputs import CLASSES
 
 
 class Pair(NamedTuple):
@@ -64,7 +64,7 @@ pairs = pytest.mark.parametrize(
 
 def typed(kind: MessageType, values: list[Any], **sizes: int) -> Any:
     """Fill a message as any program would; *sizes* are the dimensions, outermost first."""
-    message = messages.CLASSES[kind]()
+    message = CLASSES[kind]()
     if not kind.is_array:
         (value,) = values
         message.data = float(value) if kind is MessageType.FLOAT32 else value
@@ -86,9 +86,7 @@ def assert_same(encoded: bytes, kind: MessageType, expected: Any) -> None:
     serialised = serialize_message(expected)
     assert len(encoded) == len(serialised)
     assert encoded[:4] == serialised[:4]
-    found, wanted = (
-        deserialize_message(data, messages.CLASSES[kind]) for data in (encoded, serialised)
-    )
+    found, wanted = (deserialize_message(data, CLASSES[kind]) for data in (encoded, serialised))
     assert bits(found) == bits(wanted)
 
 
@@ -178,7 +176,7 @@ def test_the_layout_of_chunks_of_every_length(kind: MessageType, channels: int) 
     for length in [*range(1000, 0, -1), 1, 500, 1000]:
         values = np.arange(length * channels, dtype=dtype)
         encoded = numbers.chunk_message(kind, values.tobytes(), channels)
-        message = deserialize_message(encoded, messages.CLASSES[kind])
+        message = deserialize_message(encoded, CLASSES[kind])
         assert [(dim.label, dim.size, dim.stride) for dim in message.layout.dim] == [
             ("samples", length, length * channels),
             ("channels", channels, channels),

@@ -12,9 +12,15 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from lsl_to_ros.ros_to_lsl.parameters import NODE_OPTIONS, TOPIC_OPTIONS, read_requests
-from lsl_to_ros.ros_to_lsl.requests import Requests, SendAs, TopicRequest
-from lsl_to_ros.ros_to_lsl.usage import usage
+from lsl_to_ros.ros_to_lsl.parameters import (
+    NODE_OPTIONS,
+    TOPIC_OPTIONS,
+    Requests,
+    SendAs,
+    TopicRequest,
+    read_requests,
+    usage,
+)
 
 MakeNode = Callable[..., Node]
 EXAMPLE = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "config" / "ros_to_lsl.yaml"

@@ -13,7 +13,6 @@ from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_config import LslOverrides
 from lsl_to_ros import program
-from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
@@ -34,6 +33,7 @@ from lsl_to_ros.reports.clock_pairs import CLOCK_PERIOD_S, ClockPairs
 from lsl_to_ros.reports.reporting import Reporting, stream_list
 from lsl_to_ros.reports.survey import Survey
 from lsl_to_ros.routing import Routing
+from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.topics.pacing import Pace, Pacer
 
 LOOK_PERIOD_S = 0.1

@@ -24,7 +24,7 @@ def main() -> None:
 
 
 def _usage() -> str:
-    return import_module("lsl_to_ros.parameters.usage").usage()
+    return import_module("lsl_to_ros.parameters.streams").usage()
 
 
 if __name__ == "__main__":

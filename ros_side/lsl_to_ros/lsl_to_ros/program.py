@@ -22,7 +22,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.relay import console_relayed
 from biosensor_common.terminal import columns, wrapped
 from lsl_to_ros import ros_environment
-from lsl_to_ros.log_folder import ensure_log_folder
+from lsl_to_ros.ros_environment import ensure_log_folder
 
 Make = Callable[[threading.Event], tuple[Node, Callable[[], None]]]
 
@@ -56,7 +56,9 @@ def run(program: str, make: Make) -> None:
 def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
     elsewhere = ensure_log_folder(os.environ)
     middleware = get_rmw_implementation_identifier()
-    ros_environment.configure_fast_dds(os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation())
+    ros_environment.configure_fast_dds(
+        os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation()
+    )
     # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)

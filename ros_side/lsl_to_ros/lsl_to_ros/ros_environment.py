@@ -1,13 +1,16 @@
-"""Sets Fast DDS up for lossy networks and for programs that crash.
+"""Sets the environment that ROS reads when it starts: Fast DDS, and a folder for log files.
 
-Lost messages are sent again after 50 ms, and messages go over UDP on one machine, too, never
-through shared memory. The node announces itself twice a second, and is ready when the others
-answer. Why: docs/decisions/node/fast-dds-profile.md.
+Fast DDS is set up for lossy networks and for programs that crash: lost messages are sent again
+after 50 ms, and messages go over UDP on one machine, too, never through shared memory. The node
+announces itself twice a second, and is ready when the others answer. Why:
+docs/decisions/node/fast-dds-profile.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+import os
+import tempfile
+from collections.abc import Mapping, MutableMapping
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
@@ -83,3 +86,33 @@ def _is_local(environment: MutableMapping[str, str]) -> bool:
             environment.pop(name, None)
         return True
     return environment.get(RANGE) == "LOCALHOST"
+
+
+_VARIABLE, _HOME_VARIABLE = "ROS_LOG_DIR", "ROS_HOME"
+
+
+def ensure_log_folder(environment: MutableMapping[str, str]) -> str:
+    """Set a temporary folder where the usual one cannot be written: rclpy does not start without.
+
+    Returns
+    -------
+    str
+        A sentence on it; empty if the usual one is used.
+    """
+    usual = usual_folder(environment)
+    try:
+        usual.mkdir(parents=True, exist_ok=True)
+        if os.access(usual, os.W_OK):
+            return ""
+    except OSError:
+        pass
+    environment[_VARIABLE] = instead = tempfile.mkdtemp(prefix="ros-log-")
+    return f"{usual} cannot be written; ROS's log files are in {instead} ({_VARIABLE} changes that)"
+
+
+def usual_folder(environment: Mapping[str, str]) -> Path:
+    """Return where rcl writes its log files."""
+    if environment.get(_VARIABLE):
+        return Path(environment[_VARIABLE]).expanduser()
+    home = environment.get(_HOME_VARIABLE) or "~/.ros"
+    return Path(home).expanduser() / "log"

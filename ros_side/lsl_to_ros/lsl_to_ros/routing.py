@@ -20,13 +20,12 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import clock_of, read_counters
-from lsl_to_ros.statistics.counters import NodeCounters, can_estimate_losses
-from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.statistics.stamping import Stamping
-from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
+from lsl_to_ros.statistics.losses import NodeCounters, can_estimate_losses
+from lsl_to_ros.statistics.ros_time import RosTime, Stamping
+from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.originals import BESIDE, ORIGINALS, Alone, Joined, Original, Shape
 from lsl_to_ros.topics.outputs import open_outputs

@@ -24,8 +24,7 @@ from biosensor_common.ros.fields import Field
 from biosensor_common.ros.layout import Layout, LayoutChangedError
 from lsl_to_ros.ros_to_lsl.fields import fields_of, has_header, message_class
 from lsl_to_ros.ros_to_lsl.outlets import Origin, sample_info
-from lsl_to_ros.ros_to_lsl.parameters import requests_of
-from lsl_to_ros.ros_to_lsl.requests import Requests
+from lsl_to_ros.ros_to_lsl.parameters import Requests, requests_of
 from lsl_to_ros.ros_to_lsl.senders import ToText, as_json, is_text, marker_of, text_of
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import counted_pieces

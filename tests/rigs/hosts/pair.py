@@ -17,7 +17,7 @@ from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import declaration
-from lsl_to_ros.statistics.gaps import GAP_PERIODS
+from lsl_to_ros.statistics.losses import GAP_PERIODS
 from tests.rigs.hosts import recordings
 from tests.rigs.hosts.completeness import MARGIN_S, Span, fault, is_current
 from tests.rigs.hosts.lan import Host, Lan

@@ -26,7 +26,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from biosensor_common.doctor.probe import Request, answer, serve
 from lsl_to_ros import ros_environment
-from lsl_to_ros.log_folder import ensure_log_folder
+from lsl_to_ros.ros_environment import ensure_log_folder
 
 PREFIX = "_biosensor_doctor_"
 """Of the names of these nodes; ROS's tools do not list what begins with an underscore."""
@@ -81,7 +81,9 @@ def _look(request: Request) -> None:
 def _node(name: str) -> Generator[Any]:
     # As the node itself starts, so that what holds for it holds here.
     middleware = get_rmw_implementation_identifier()
-    ros_environment.configure_fast_dds(os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation())
+    ros_environment.configure_fast_dds(
+        os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation()
+    )
     ensure_log_folder(os.environ)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -25,8 +25,7 @@ from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.lsl.descriptions import about
-from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
+from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState, about
 from lsl_to_ros.lsl.rivals import Rivals, Swap
 
 RETRY_S = 0.5

@@ -24,6 +24,7 @@ from rclpy.parameter import Parameter
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
+from lsl_to_ros.command_line import page
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import QOS_OVERRIDES
 
@@ -250,3 +251,18 @@ def _descriptor(key: str, *, dynamic: bool = False) -> ParameterDescriptor:
         dynamic_typing=dynamic,
         integer_range=[limits] if is_length and not dynamic else [],
     )
+
+
+_BEGIN = """\
+Publish streams of the Lab Streaming Layer as topics of ROS 2.
+
+  ros2 run lsl_to_ros lsl_to_ros
+  ros2 run lsl_to_ros lsl_to_ros --ros-args -p Chunk_Length:=36
+  ros2 run lsl_to_ros lsl_to_ros --ros-args --params-file lsl_to_ros.yaml
+"""
+_OF_STREAMS = "For all, or behind a sensor and data name, as in SENSOR.DATA.Chunk_Length:"
+
+
+def usage() -> str:
+    """Return the help, for a console of 80 columns."""
+    return page(_BEGIN, {"Parameters:": node_parameters.TEXTS, _OF_STREAMS: TEXTS})

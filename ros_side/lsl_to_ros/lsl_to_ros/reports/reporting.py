@@ -12,13 +12,12 @@ from std_msgs.msg import Header
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.parameters.node import COMPAT, DIAGNOSTICS_PERIOD
-from lsl_to_ros.reports.diagnostics import LEASE_S, status
-from lsl_to_ros.reports.overload import crowded_out, overload
+from lsl_to_ros.reports.diagnostics import LEASE_S, crowded_out, overload, status
 from lsl_to_ros.reports.survey import Concern, Part
 from lsl_to_ros.routing import Route
-from lsl_to_ros.topics.messages import HAS_STAMPED_TOPICS
+from lsl_to_ros.statistics.ros_time import RosTime
+from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS
 from lsl_to_ros.topics.publishers import make_publisher
 
 TOPIC = "~/streams"

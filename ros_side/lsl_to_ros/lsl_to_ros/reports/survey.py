@@ -17,13 +17,12 @@ from biosensor_common.quantities import ROLES_OF_DEVICE, TYPES_OF_DEVICE, Channe
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.statistics.load import Load, LoadFacts
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.parameters.node import COMPAT, SMARTLAB
-from lsl_to_ros.reports.diagnostics import LEASE_S, status, stream_facts, stream_status
-from lsl_to_ros.reports.overload import overload
+from lsl_to_ros.reports.diagnostics import LEASE_S, overload, status, stream_facts, stream_status
 from lsl_to_ros.routing import Route, Routing
+from lsl_to_ros.statistics.load import Load, LoadFacts
 from lsl_to_ros.topics.bridge import Bridge
 from lsl_to_ros.topics.originals import ORIGINALS
 

@@ -31,14 +31,13 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros import program
-from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID, peers_of
 from lsl_to_ros.reports.clock_pairs import events_outlet
 from lsl_to_ros.reports.reporting import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, are_named
-from lsl_to_ros.ros_to_lsl.parameters import read_requests
+from lsl_to_ros.ros_to_lsl.parameters import TopicRequest, read_requests, stream_name
 from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
@@ -46,8 +45,8 @@ from lsl_to_ros.ros_to_lsl.reports import (
     topic_facts,
     topic_status,
 )
-from lsl_to_ros.ros_to_lsl.requests import TopicRequest, stream_name
 from lsl_to_ros.ros_to_lsl.topic import Topic
+from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import TakenElsewhere, Taker
 from lsl_to_ros.topics.publishers import make_publisher
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum, unique
 from typing import Any, NamedTuple, cast
 
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rclpy.node import Node
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from lsl_to_ros.command_line import page
 from lsl_to_ros.parameters.node import (
     DIAGNOSTICS_PERIOD,
     KNOWN_PEERS,
@@ -19,7 +22,71 @@ from lsl_to_ros.parameters.node import (
     SESSION_ID,
     period_fault,
 )
-from lsl_to_ros.ros_to_lsl.requests import Requests, SendAs, TopicRequest, stream_name
+
+
+@unique
+class SendAs(StrEnum):
+    """What becomes of a topic's messages."""
+
+    AUTO = ""
+    """Numbers are samples, and text beside them markers when it changes; else markers."""
+    SAMPLES = "samples"
+    MARKERS = "markers"
+    """Each message is one marker: its only field, or all of it as JSON."""
+    JSON = "json"
+    """Each message is one marker, all of it as JSON."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRequest:
+    """What the parameters say of one topic.
+
+    Attributes
+    ----------
+    topic
+        Full name.
+    name
+        Of the stream.
+    fields
+        Which of the message's; all if there is none.
+    rate
+        Nominal, in Hz; 0 for an irregular stream.
+    type_name
+        Of the message, if it was said; else the publishers say it.
+    """
+
+    topic: str
+    name: str
+    send_as: SendAs = SendAs.AUTO
+    fields: tuple[str, ...] = ()
+    rate: float = 0.0
+    type_name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Requests:
+    """What the parameters say in all.
+
+    Attributes
+    ----------
+    all_small
+        Send every other topic, too, but those with bytes without a limit.
+    by_arrival
+        Stamp everything by the time of its arrival.
+    """
+
+    topics: tuple[TopicRequest, ...] = ()
+    all_small: bool = False
+    by_arrival: bool = False
+
+
+def stream_name(topic: str) -> str:
+    """Return a stream's name for a topic: ``robot-odom`` for ``/robot/odom``.
+
+    Topics have no hyphen, so different ones have different names.
+    """
+    return topic.strip("/").replace("/", "-")
+
 
 TOPICS, ALL_SMALL, STAMPS = "topics", "all_small", "stamps"
 MEASURED, ARRIVAL = "measured", "arrival"
@@ -233,3 +300,19 @@ def _declare(node: Node, values: Mapping[str, Any]) -> None:
 
 def _wrong(message: str) -> ConfigError:
     return ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+_BEGIN = """\
+Send topics of ROS 2 as streams of the Lab Streaming Layer.
+
+  ros2 run lsl_to_ros ros_to_lsl --ros-args -p topics:="[/joint_states, /odom]"
+  ros2 run lsl_to_ros ros_to_lsl --ros-args --params-file ros_to_lsl.yaml
+"""
+_OF_TOPIC = 'Of one topic, as in -p /odom.name:=pose, after it is in "topics":'
+
+
+def usage() -> str:
+    """Return the help, for a console of 80 columns."""
+    of_node = {name: each.text for name, each in NODE_OPTIONS.items()}
+    of_topic = {f"TOPIC.{name}": each.text for name, each in TOPIC_OPTIONS.items()}
+    return page(_BEGIN, {"Parameters:": of_node, _OF_TOPIC: of_topic})

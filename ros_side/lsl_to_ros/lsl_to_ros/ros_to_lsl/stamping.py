@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.ros_clock import NS_PER_S
-from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, Offset, PublisherClock
+from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 
 

@@ -12,10 +12,10 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
 from biosensor_common.refusal import Refusal
-from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Quality, are_named, full_name, quality_of
+from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 
 _USUAL = Quality()

@@ -1,6 +1,7 @@
-"""Counts lost samples of a stream by comparing with the agent's own count.
+"""Counts what became of a stream's samples: received, lost, left out.
 
-The agent says once a second how many samples of each stream it has pushed, up
+Of another program's regular stream, gaps of the stamps tell what is lost; of ours, the agent's own
+count does. The agent says once a second how many samples of each stream it has pushed, up
 to which stamp, and how many it lost before. Compared with what was pulled up
 to that stamp, the difference is what LSL did not deliver. The comparison waits
 until the stream has passed the stamp: both come over connections of their own,
@@ -9,11 +10,97 @@ and samples that were pushed together may have one stamp.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_common.lsl.inlet import Stamps
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from biosensor_common.stream_header import StreamHeader
+
+# Two samples whose stamps are further apart than this many periods are not neighbours.
+GAP_PERIODS = 1.5
+# Other programs often stamp with the time at which they push, so their stamps jitter.
+FOREIGN_JITTER_S = 0.1
+# Stamps that jump to another clock must not make a count that no message can hold.
+MOST_MISSING = 1_000_000_000
+# Up to so many stamps are looked at one by one, in less time than numpy needs to begin.
+FEW = 32
+
+
+class Gap(NamedTuple):
+    """A break before one sample of a block.
+
+    Attributes
+    ----------
+    place
+        Of the first sample after the gap.
+    missing
+        Samples that would fit into it, an estimate.
+    """
+
+    place: int
+    missing: int
+
+
+class GapFinder:
+    """Looks at every stamp of one stream, in the order of arrival.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz; an irregular stream (0) has no gaps.
+    foreign
+        Whether the stamps are another program's, which may be anything.
+    """
+
+    def __init__(self, rate: float, *, foreign: bool) -> None:
+        self._last: float | None = None
+        self._rate = rate
+        jitter = FOREIGN_JITTER_S if foreign else 0.0
+        self._longest_step = max(GAP_PERIODS / rate, jitter) if rate > 0 else math.inf
+
+    @property
+    def last_stamp(self) -> float:
+        """Newest finite stamp; 0 before the first."""
+        return self._last or 0.0
+
+    def find(self, stamps: Stamps) -> list[Gap]:
+        """Take in the stamps of a block; return its gaps."""
+        if len(stamps) <= FEW:
+            stepwise = enumerate(stamps.tolist())
+            return [gap for place, stamp in stepwise for gap in self._find_one(place, stamp)]
+        finite = np.flatnonzero(np.isfinite(stamps))
+        if not len(finite):
+            return []  # nothing is dropped: NaN stamps are reported where they are published
+        times = stamps[finite]
+        previous, self._last = self._last, float(times[-1])
+        if math.isinf(self._longest_step):
+            return []  # nothing is dropped: an irregular stream has no gaps
+        with np.errstate(over="ignore"):
+            steps = np.diff(times, prepend=times[0] if previous is None else previous)
+        places = np.flatnonzero(steps > self._longest_step)
+        return [self._gap(int(finite[at]), float(steps[at])) for at in places]
+
+    def _find_one(self, place: int, stamp: float) -> Sequence[Gap]:
+        if not math.isfinite(stamp):
+            return ()  # nothing is dropped: as above
+        previous, self._last = self._last, stamp
+        if previous is None or stamp - previous <= self._longest_step:
+            return ()  # nothing is dropped: there is no gap
+        return (self._gap(place, stamp - previous),)
+
+    def _gap(self, place: int, step_s: float) -> Gap:
+        periods = step_s * self._rate
+        return Gap(place, round(min(periods, MOST_MISSING)) - 1)
+
 
 _RECENT = 2048
 _WAITING = 16
@@ -162,3 +249,131 @@ class CountersComparison:
                 break
             count += 1
         return count
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Samples of a stream that did not reach the node.
+
+    Attributes
+    ----------
+    count
+        -1 if nobody can know.
+    is_estimated
+        From stamps, not from the agent's count.
+    """
+
+    count: int
+    is_estimated: bool
+
+    def __str__(self) -> str:
+        if self.count < 0:
+            return "unknown"
+        return f"about {self.count}" if self.is_estimated else str(self.count)
+
+
+@dataclass(slots=True)
+class Delays:
+    """Ages of blocks of samples when the node got them, in seconds."""
+
+    total: float = 0.0
+    count: int = 0
+    longest: float = 0.0
+
+    def add(self, age_s: float) -> None:
+        """Take in the age of a block's newest sample."""
+        self.total += age_s
+        self.count += 1
+        self.longest = max(self.longest, age_s)
+
+    @property
+    def mean(self) -> float | None:
+        """None if there was no block."""
+        return self.total / self.count if self.count else None
+
+
+@dataclass(slots=True)
+class NodeCounters:
+    """Counters of one stream in the node; they outlive its bridges.
+
+    Attributes
+    ----------
+    received
+        Samples received.
+    missing
+        Samples that did not come, estimated from the stamps of a regular stream.
+    refusals
+        What was not published as it came.
+    undelivered
+        Samples that LSL dropped with the last connection.
+    comparison
+        Of the agent's counters with what was pulled.
+    delays
+        Since the last report.
+    clock
+        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.topic_text`; of one
+        stream of each device.
+    """
+
+    received: int = 0
+    missing: int = 0
+    refusals: Refusals = field(default_factory=Refusals)
+    undelivered: int = 0
+    comparison: CountersComparison = field(default_factory=CountersComparison)
+    delays: Delays = field(default_factory=Delays)
+    clock: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @property
+    def unfit(self) -> int:
+        """Samples that do not fit a message type, and were not published there."""
+        return self.refusals.count(Refusal.UNFIT, Refusal.NO_TIME)
+
+    @property
+    def unstamped(self) -> int:
+        """Samples that no stamped topic got, because the sender's clock stayed unknown."""
+        return self.refusals.count(Refusal.UNSTAMPED)
+
+    @property
+    def discarded(self) -> int:
+        """Samples of partial chunks that ended at a gap; they went out raw."""
+        return self.refusals.count(Refusal.CHUNK_CUT)
+
+    def lost(self, *, can_estimate: bool) -> Lost:
+        """By the agent's count, else by an estimate, else unknown."""
+        losses = self.comparison.losses
+        if losses is not None:
+            return Lost(losses.total, is_estimated=False)
+        return (
+            Lost(self.missing, is_estimated=True) if can_estimate else Lost(-1, is_estimated=False)
+        )
+
+    def connection_ended(self, undelivered: int) -> None:
+        """Take note of what LSL dropped; an outlet that continues reports it itself."""
+        self.undelivered = undelivered
+        self.missing += undelivered
+        if undelivered:
+            self.refusals.refuse(Refusal.UNDELIVERED, undelivered)
+
+    def shape_changed(self, name: str, channels: int, kind: ChannelFormat, rate: float) -> None:
+        """Report that a stream came back in another shape; each time, however soon."""
+        shape = f"{channels} channels of {kind} at {rate or 'an irregular rate'}"
+        self.refusals.over(Refusal.FORMAT_CHANGED, name)
+        self.refusals.refuse(Refusal.FORMAT_CHANGED, about=name, shape=shape)
+
+    def outlet_changed(self) -> None:
+        """Take note that the samples to come are another outlet's."""
+        self.comparison.restarted(self.undelivered)
+        self.undelivered = 0
+
+    def take_delays(self) -> Delays:
+        """Return the delays since the last call."""
+        delays, self.delays = self.delays, Delays()
+        return delays
+
+
+def can_estimate_losses(header: StreamHeader) -> bool:
+    """Whether gaps of the stamps tell of losses; our own streams have the agent's count.
+
+    A replay has none: it is sent by a program that measures nothing.
+    """
+    return (header.foreign or header.replay is not None) and header.rate > 0

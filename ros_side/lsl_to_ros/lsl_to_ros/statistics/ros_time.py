@@ -1,14 +1,16 @@
-"""Converts LSL time to ROS time, and back."""
+"""Converts LSL time to ROS time, and back; a stream's stamps by its sender's clock."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pylsl
 from numpy.typing import NDArray
 from rclpy.node import Node
 
+from biosensor_common.lsl.inlet import Stamps, local_clock
 from biosensor_common.ros_clock import (
     MAX_TIME_S,
     NS_PER_S,
@@ -63,3 +65,107 @@ class RosTime:
 
 def _measure() -> int:
     return measure_offset_ns(time.time_ns, pylsl.local_clock)
+
+
+NEAR_S = 86_400.0
+"""A stamp within a day of now, by a clock, is meant by that clock."""
+_UNKNOWN = "the sender's clock has not been measured yet"
+
+
+class Stamping:
+    """Stamps of one stream as ROS time.
+
+    Parameters
+    ----------
+    ros_time
+        This machine's LSL clock to ROS time.
+    correction
+        Returns the seconds between the sender's LSL clock and ours, None while unknown.
+
+    Attributes
+    ----------
+    is_unix
+        Whether the newest stamps are times since 1970, which scripts take from ``time.time()``.
+    """
+
+    def __init__(self, ros_time: RosTime, correction: Callable[[], float | None]) -> None:
+        self._ros_time = ros_time
+        self._correction = correction
+        self.is_unix = False
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the sender's clock has been measured."""
+        return self._correction() is not None
+
+    def local(self, stamp: float) -> float:
+        """Return a stamp on this machine's LSL clock, in seconds.
+
+        Raises
+        ------
+        ValueError
+            If the sender's clock is not known yet.
+        """
+        correction = self._correction()
+        if correction is None:
+            raise ValueError(_UNKNOWN)
+        is_near = abs(stamp - time.time()) < NEAR_S
+        self.is_unix = is_near and abs(stamp + correction - local_clock()) >= NEAR_S
+        # By the sender's system clock, which nobody has measured: as it is.
+        return self._ros_time.to_lsl_s(_to_ns(stamp)) if self.is_unix else stamp + correction
+
+    def are_times(self, stamps: Stamps) -> NDArray[np.bool_]:
+        """Say of each stamp whether :meth:`to_ns` has a time for it.
+
+        Raises
+        ------
+        ValueError
+            If the sender's clock is not known yet.
+        """
+        correction = self._correction()
+        if correction is None:
+            raise ValueError(_UNKNOWN)
+        is_time = self._ros_time.are_times(stamps + correction)
+        return is_time | _are_unix(stamps, correction)
+
+    def to_ns(self, stamps: Stamps) -> NDArray[np.int64]:
+        """Return the ROS times of stamps, in nanoseconds.
+
+        Raises
+        ------
+        ValueError
+            If the sender's clock is not known yet, or a stamp is not finite.
+        """
+        times = [self._ros_time.to_ns(self.local(stamp)) for stamp in stamps.tolist()]
+        return np.array(times, np.int64)
+
+    def of_run(self, stamps: Stamps) -> NDArray[np.int64]:
+        """Return the ROS times of samples that came together, in nanoseconds.
+
+        They are as far apart as their stamps. In simulated time the newest is of now, and no
+        sample of later: there would be no transform for it.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`to_ns`.
+        """
+        if self._ros_time.is_simulated:
+            (now,) = self.to_ns(stamps[-1:])
+            ages_s = np.clip(stamps[-1] - stamps, 0.0, now / NS_PER_S)
+            return now - np.rint(ages_s * NS_PER_S).astype(np.int64)
+        # One time for all, for the relation of the clocks may change from one to the next.
+        offsets = np.rint((stamps - stamps[0]) * NS_PER_S).astype(np.int64)
+        return self.to_ns(stamps[:1]) + offsets
+
+
+def _are_unix(stamps: Stamps, correction: float) -> NDArray[np.bool_]:
+    """Say of each stamp whether it is a time since 1970; some LSL clocks count from then, too."""
+    with np.errstate(invalid="ignore"):
+        is_unix = np.abs(stamps - time.time()) < NEAR_S
+        return is_unix & (np.abs(stamps + correction - local_clock()) >= NEAR_S)
+
+
+def _to_ns(stamp: float) -> int:
+    whole = int(stamp)
+    return whole * NS_PER_S + round((stamp - whole) * NS_PER_S)

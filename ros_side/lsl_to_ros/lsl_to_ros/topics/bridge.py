@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from biosensor_common.lsl.inlet import Block, local_clock
 from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.statistics.counters import NodeCounters
-from lsl_to_ros.statistics.gaps import Gap, GapFinder
-from lsl_to_ros.statistics.stamping import Stamping
 from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.statistics.losses import Gap, GapFinder, NodeCounters
+from lsl_to_ros.statistics.ros_time import Stamping
 from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.runs import Run, part, split
 from lsl_to_ros.topics.writers import ChunkWriter, Writer

@@ -18,8 +18,8 @@ from biosensor_common.ros.standard_messages import StandardMessage
 from biosensor_common.ros.texts import StampedTexts, counters_message, raw_text
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import text_of
-from lsl_to_ros.statistics.counters import Lost
-from lsl_to_ros.statistics.stamping import Stamping
+from lsl_to_ros.statistics.losses import Lost
+from lsl_to_ros.statistics.ros_time import Stamping
 from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.runs import Run
 
