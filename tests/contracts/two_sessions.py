@@ -24,7 +24,7 @@ from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
-from biosensor_gateway.page.network.reader import Reader
+from biosensor_gateway.page.network.source import Reader
 from biosensor_gateway.recording.recorder import receiver, streams
 from biosensor_gateway.recording.recorder.program import predicate
 from biosensor_gateway.recording.replay.errors import ReplayError

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
-from biosensor_gateway.page.recorder import Story
+from biosensor_gateway.page.routes.recording import Story
 from biosensor_gateway.recording.recorder.result import By, LocalStarted, LocalStatus
 from biosensor_gateway.recording.recorder.streams import VisibleStream
 from tests.page.test_whose import BELT, Page

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
-from biosensor_gateway.page.network_page.server import NetworkServer
+from biosensor_gateway.page.network_server import NetworkServer
 
 pytestmark = pytest.mark.nightly
 

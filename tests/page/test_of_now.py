@@ -14,7 +14,7 @@ from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStat
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.page.history import HOLDS_S, History
 from biosensor_gateway.page.models import DeviceView, StreamView
-from biosensor_gateway.page.view import Viewer
+from biosensor_gateway.page.agent import Viewer
 
 NOW = 500.0
 STRAP = DeviceIdentity("polar_h10", "A1", "P01")

@@ -16,7 +16,7 @@ import psutil
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from biosensor_gateway.page.running import ADDRESS, ask_for_window, page_folder
+from biosensor_gateway.page.instance import ADDRESS, ask_for_window, page_folder
 from tests.page.conftest import DEADLINE_S, STARTED, Programs, Server
 from tests.rigs.chromium import OPTIONS
 

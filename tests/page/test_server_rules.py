@@ -10,9 +10,9 @@ import pytest
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 
-from biosensor_gateway.page.guard import ViewKeys
+from biosensor_gateway.page.auth import ViewKeys
 from biosensor_gateway.page.models import AgentState
-from biosensor_gateway.page.refusals import misformed
+from biosensor_gateway.page.routes.errors import misformed
 from biosensor_gateway.page.session import STARTING_S, Session
 
 

@@ -15,7 +15,7 @@ import psutil
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.page.running import LOCK_FILE, page_folder
+from biosensor_gateway.page.instance import LOCK_FILE, page_folder
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 
 _PROGRAMS = frozenset({"biosensor-gateway.exe", "biosensor gateway.exe"})

@@ -15,7 +15,7 @@ import typer
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.heap import limit_arenas
 from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.page.running import (
+from biosensor_gateway.page.instance import (
     ADDRESS,
     IS_SHARED,
     SETTINGS,
@@ -223,7 +223,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     TransportError
         The page cannot be served.
     """
-    from biosensor_gateway.page.network_page.server import (
+    from biosensor_gateway.page.network_server import (
         NetworkServer,  # takes a fifth of a second
     )
 

@@ -38,7 +38,7 @@ from biosensor_gateway.demo.expectation import (
 )
 from biosensor_gateway.demo.programs import Programs, state_of
 from biosensor_gateway.devices.registry import declaration, sensor_title
-from biosensor_gateway.page.running import ADDRESS, ask_for_window, ask_to_end
+from biosensor_gateway.page.instance import ADDRESS, ask_for_window, ask_to_end
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import printing
 from biosensor_gateway.recording.export.exporting import Task, export

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from biosensor_gateway.page.front import LIVE
+from biosensor_gateway.page.static_files import LIVE
 from biosensor_gateway.page.screen import Screen, View
 from biosensor_gateway.page.traces import Traces
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import FastAPI
 
-from biosensor_gateway.page.front import PREFIX
+from biosensor_gateway.page.static_files import PREFIX
 
 
 def new_app() -> FastAPI:

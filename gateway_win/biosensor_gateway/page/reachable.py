@@ -10,7 +10,7 @@ import structlog
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent.control_server import Command, ControlServer
-from biosensor_gateway.page.running import END, OPEN, page_folder
+from biosensor_gateway.page.instance import END, OPEN, page_folder
 
 _log = structlog.get_logger("biosensor_gateway.page")
 

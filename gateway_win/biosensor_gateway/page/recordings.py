@@ -11,7 +11,7 @@ from pathlib import Path
 from fastapi import APIRouter
 
 from biosensor_gateway.page.models import Outcome
-from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.replay_models import (
     NewReplay,
     RecordedStream,
@@ -19,7 +19,7 @@ from biosensor_gateway.page.replay_models import (
     RecordingFile,
     RecordingPath,
 )
-from biosensor_gateway.page.replaying import Replaying, whole_path
+from biosensor_gateway.page.routes.replay import Replaying, whole_path
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.replay import words
 from biosensor_gateway.recording.replay.source import opened

@@ -110,7 +110,7 @@ class Screen:
         if self._view is None or self._begin_s is None:
             return None
         # They bring numpy, and there is something to show before.
-        from biosensor_gateway.page.bins import binned, newest_bins, packed
+        from biosensor_gateway.page.downsampling import binned, newest_bins, packed
 
         bin_s = self._view.bin_s
         begin = int(self._begin_s // bin_s)

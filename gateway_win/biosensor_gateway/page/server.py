@@ -25,10 +25,10 @@ from starlette.types import ASGIApp
 
 from biosensor_common.ending import end_within
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.page.front import Front
-from biosensor_gateway.page.guard import DOOR, OPENS_ONCE, Guard, Keys
+from biosensor_gateway.page.static_files import Front
+from biosensor_gateway.page.auth import DOOR, OPENS_ONCE, Guard, Keys
 from biosensor_gateway.page.listening import listening_at
-from biosensor_gateway.page.running import ADDRESS, IS_SHARED, SETTINGS, only_server
+from biosensor_gateway.page.instance import ADDRESS, IS_SHARED, SETTINGS, only_server
 
 if TYPE_CHECKING:
     from biosensor_gateway.page.models import ShareView

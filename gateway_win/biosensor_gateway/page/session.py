@@ -19,7 +19,7 @@ from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, 
 from biosensor_gateway.page.network.models import SeenStreamView
 from biosensor_gateway.page.replayed import Replayed
 from biosensor_gateway.page.traces import Traces
-from biosensor_gateway.page.view import Viewer
+from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.recording.participants import Worn
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings

@@ -24,7 +24,7 @@ from fastapi.staticfiles import StaticFiles
 from biosensor_common.doctor.network import adapters
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.page.beside import ServerBeside
-from biosensor_gateway.page.guard import DOOR, Guard, ViewKeys
+from biosensor_gateway.page.auth import DOOR, Guard, ViewKeys
 from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.live import live
 from biosensor_gateway.page.models import ShareView, StatusView

@@ -10,17 +10,17 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.features.outputs import feature_streams
-from biosensor_gateway.page.api import add_api
-from biosensor_gateway.page.devices import worn_by
+from biosensor_gateway.page.interface import add_api
+from biosensor_gateway.page.routes.devices import worn_by
 from biosensor_gateway.page.experiments.server import ExperimentServer
-from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.routes.markers import Marking
 from biosensor_gateway.page.network.models import SeenStreamView
-from biosensor_gateway.page.network.reader import Reader
-from biosensor_gateway.page.network_answer import NetworkAnswer
+from biosensor_gateway.page.network.source import Reader
+from biosensor_gateway.page.routes.doctor import NetworkAnswer
 from biosensor_gateway.page.new_app import new_app
-from biosensor_gateway.page.quitting import add_quit
-from biosensor_gateway.page.recorder import Recorder
-from biosensor_gateway.page.replaying import Replaying
+from biosensor_gateway.page.routes.agent import add_quit
+from biosensor_gateway.page.routes.recording import Recorder
+from biosensor_gateway.page.routes.replay import Replaying
 from biosensor_gateway.page.service import Service
 from biosensor_gateway.page.session import Session
 

@@ -22,13 +22,13 @@ from biosensor_common.errors import ConfigError, GatewayError, TransportError, T
 from biosensor_gateway.page.beside import ServerBeside
 from biosensor_gateway.page.experiments.conversation import Conversation
 from biosensor_gateway.page.experiments.models import NewMark, Sent
-from biosensor_gateway.page.experiments.sending import Sending, WebMark
+from biosensor_gateway.page.experiments.markers import Sending, WebMark
 from biosensor_gateway.page.experiments.token import experiment_token, is_same
-from biosensor_gateway.page.guard import Refusal, Sockets, body_refusal, with_headers
+from biosensor_gateway.page.auth import Refusal, Sockets, body_refusal, with_headers
 from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.marker_models import ExperimentsView, ExperimentView
 from biosensor_gateway.page.models import Problem
-from biosensor_gateway.page.refusals import misformed
+from biosensor_gateway.page.routes.errors import misformed
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.web_markers import WebMarkerSettings
 from biosensor_gateway.streaming.markers import TimedBy, Timing

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.page.bins import binned
+from biosensor_gateway.page.downsampling import binned
 
 DRAWN_CHANNELS = 8
 """Of one stream at a time; which ones can be chosen."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import FastAPI
 
-from biosensor_gateway.page.front import PREFIX
+from biosensor_gateway.page.static_files import PREFIX
 from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network_page.source import NetworkSource
 from biosensor_gateway.page.new_app import new_app

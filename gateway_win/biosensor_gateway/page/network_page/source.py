@@ -12,7 +12,7 @@ from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.network.models import NetworkView
-from biosensor_gateway.page.network.reader import Reader
+from biosensor_gateway.page.network.source import Reader
 from biosensor_gateway.page.network_page.lsl_settings import lsl_settings
 from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.settings.models import LslSettings

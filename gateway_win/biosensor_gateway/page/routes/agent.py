@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.stopping import stop_agent
-from biosensor_gateway.page.front import PREFIX
+from biosensor_gateway.page.static_files import PREFIX
 from biosensor_gateway.page.models import AgentState, Outcome, Problem
-from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.page.shutdown import Shutdown
 

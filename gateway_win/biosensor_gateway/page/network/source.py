@@ -24,7 +24,7 @@ from biosensor_gateway.page.network.listing import Listing
 from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network.receiver import Receiver
 from biosensor_gateway.page.network.stream import NetworkStream
-from biosensor_gateway.page.network.viewer import Viewer
+from biosensor_gateway.page.network.view import Viewer
 from biosensor_gateway.page.network.windows import chosen, key_of, measured_rate, window
 
 READ_S = 0.05

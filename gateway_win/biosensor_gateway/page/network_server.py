@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from starlette.applications import Starlette
 
-from biosensor_gateway.page.front import Front
-from biosensor_gateway.page.guard import DOOR, Keys
+from biosensor_gateway.page.static_files import Front
+from biosensor_gateway.page.auth import DOOR, Keys
 from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.server import HOST, cancelled, guarded, raise_error_of, responsive
 

@@ -18,7 +18,7 @@ from biosensor_gateway.page.models import (
     RecordingView,
     VerdictView,
 )
-from biosensor_gateway.page.refusals import QuestionError
+from biosensor_gateway.page.routes.errors import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.recorder.local import LocalRecorder

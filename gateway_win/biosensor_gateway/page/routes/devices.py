@@ -23,7 +23,7 @@ from biosensor_gateway.page.models import (
     ParticipantNow,
     SettingsChange,
 )
-from biosensor_gateway.page.refusals import QuestionError
+from biosensor_gateway.page.routes.errors import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings import editing

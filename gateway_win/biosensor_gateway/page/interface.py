@@ -5,14 +5,14 @@ from __future__ import annotations
 from fastapi import APIRouter, FastAPI
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.page.access import Access, add_access
+from biosensor_gateway.page.routes.secrets import Access, add_access
 from biosensor_gateway.page.device_log import add_device_log
 from biosensor_gateway.page.device_test import DeviceTester, add_device_test
-from biosensor_gateway.page.devices import add_devices, asked, started
+from biosensor_gateway.page.routes.devices import add_devices, asked, started
 from biosensor_gateway.page.doctor import Doctor, add_doctor
-from biosensor_gateway.page.front import PREFIX
+from biosensor_gateway.page.static_files import PREFIX
 from biosensor_gateway.page.marker_models import MarkerButtons, MarkerNumber, NewMarker
-from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.routes.markers import Marking
 from biosensor_gateway.page.models import (
     DeviceName,
     NewRecording,
@@ -21,13 +21,13 @@ from biosensor_gateway.page.models import (
     SearchView,
     StatusView,
 )
-from biosensor_gateway.page.network_answer import NetworkAnswer, add_network_answer
+from biosensor_gateway.page.routes.doctor import NetworkAnswer, add_network_answer
 from biosensor_gateway.page.network_check import NetworkCheck, add_network_check
-from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.recordings import add_replay
-from biosensor_gateway.page.refusals import add_refusals
-from biosensor_gateway.page.replaying import Replaying
-from biosensor_gateway.page.searching import Search
+from biosensor_gateway.page.routes.errors import add_refusals
+from biosensor_gateway.page.routes.replay import Replaying
+from biosensor_gateway.page.routes.search import Search
 from biosensor_gateway.page.session import Session
 
 
