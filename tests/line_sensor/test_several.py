@@ -6,8 +6,8 @@ from biosensor_common.naming import source_id, topic
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.readiness import steady_streams
 from biosensor_gateway.agent.status import AgentStatus
-from biosensor_gateway.page.history import History
 from biosensor_gateway.page.agent import Viewer
+from biosensor_gateway.page.live import History
 from biosensor_gateway.recording.xdf.expectation import by_devices
 from tests.line_sensor.conftest import line_settings
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.page.device_log import MOST_BYTES, MOST_LINES, last_lines
+from biosensor_gateway.page.routes.devices import MOST_BYTES, MOST_LINES, last_lines
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 

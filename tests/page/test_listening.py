@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import biosensor_gateway.page
-from biosensor_gateway.page.listening import listening_at
+from biosensor_gateway.page.server import listening_at
 
 
 @pytest.mark.nightly
@@ -28,4 +28,4 @@ def test_no_server_of_the_page_listens_by_other_means() -> None:
     found = [
         each.name for each in sources if re.search(r"create_server|\.bind\(", each.read_text())
     ]
-    assert found == ["listening.py"]
+    assert found == ["server.py"]

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.page import devices, recorder
-from biosensor_gateway.page.models import NewRecording
+from biosensor_gateway.page.routes import devices
+from biosensor_gateway.page.routes.recording import NewRecording, Recorder
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import (
@@ -44,7 +44,7 @@ def test_a_recording_looks_where_the_settings_say(
     async def nobody(_participant: str) -> None:
         return None
 
-    recording = recorder.Recorder(Session(tmp_path, settings), nobody)
+    recording = Recorder(Session(tmp_path, settings), nobody)
     wanted = NewRecording(participant="p01", session="S001", task="rest", folder=str(tmp_path))
     with pytest.raises(RecorderError, match="not in this test"):
         asyncio.run(recording.start(wanted))

@@ -11,9 +11,8 @@ import pytest
 
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.status import AgentStatus
-from biosensor_gateway.page.marker_models import MarkerButtons, NewMarker
-from biosensor_gateway.page.routes.markers import Marking
 from biosensor_gateway.page.models import RecordingView
+from biosensor_gateway.page.routes.markers import MarkerButtons, Marking, NewMarker
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.file import load_settings
 

@@ -15,12 +15,12 @@ import pylsl
 import pytest
 
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.page.network.inlets import MAX_INLETS
-from biosensor_gateway.page.network.models import SeenDeviceView, SeenState
+from biosensor_gateway.page.downsampling import MAX_ROWS_HZ, key_of, window
+from biosensor_gateway.page.models import SeenDeviceView, SeenState
+from biosensor_gateway.page.network.listing import MAX_INLETS
 from biosensor_gateway.page.network.source import Reader
-from biosensor_gateway.page.network.received import Placer
+from biosensor_gateway.page.network.stream import Placer
 from biosensor_gateway.page.network.view import entry_of, readable
-from biosensor_gateway.page.network.windows import MAX_ROWS_HZ, key_of, window
 
 DEADLINE_S = 60.0
 MANY = 100

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
-from biosensor_gateway.page.network_server import NetworkServer
+from biosensor_gateway.page.network_page import NetworkPage
 
 pytestmark = pytest.mark.nightly
 
@@ -27,7 +27,7 @@ def test_wrong_settings_end_it(tmp_path: Path) -> None:
     settings = tmp_path / "settings.toml"
     settings.write_text('[lsl]\nport_range = "wide"\n')
     with pytest.raises(ConfigError, match="port_range"):
-        NetworkServer(settings, lambda _address: None).run()
+        NetworkPage(settings, lambda _address: None).run()
 
 
 def test_a_page_that_cannot_be_opened_ends_it(tmp_path: Path) -> None:
@@ -35,4 +35,4 @@ def test_a_page_that_cannot_be_opened_ends_it(tmp_path: Path) -> None:
         raise TransportError(TransportReason.UNAVAILABLE, "there is no browser")
 
     with pytest.raises(TransportError, match="no browser"):
-        NetworkServer(tmp_path / "none.toml", refuse).run()
+        NetworkPage(tmp_path / "none.toml", refuse).run()

@@ -12,9 +12,9 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.page.history import HOLDS_S, History
-from biosensor_gateway.page.models import DeviceView, StreamView
 from biosensor_gateway.page.agent import Viewer
+from biosensor_gateway.page.live import HOLDS_S, History
+from biosensor_gateway.page.models import DeviceView, StreamView
 
 NOW = 500.0
 STRAP = DeviceIdentity("polar_h10", "A1", "P01")

@@ -13,8 +13,7 @@ from playwright.sync_api import expect
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.replay import PREFIX
-from biosensor_gateway.page.recordings import MOST_LISTED, recordings
-from biosensor_gateway.page.routes.replay import whole_path
+from biosensor_gateway.page.routes.replay import MOST_LISTED, recordings, whole_path
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Server
 from tests.page.test_window import OpenWindow

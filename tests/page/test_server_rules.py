@@ -12,7 +12,7 @@ from fastapi.exceptions import RequestValidationError
 
 from biosensor_gateway.page.auth import ViewKeys
 from biosensor_gateway.page.models import AgentState
-from biosensor_gateway.page.routes.errors import misformed
+from biosensor_gateway.page.routes.api import misformed
 from biosensor_gateway.page.session import STARTING_S, Session
 
 

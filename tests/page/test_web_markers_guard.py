@@ -18,7 +18,8 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.page.experiments.server import MAX_SOCKETS, SOCKET
+from biosensor_gateway.page.auth import MAX_EXPERIMENT_SOCKETS
+from biosensor_gateway.page.experiments.server import SOCKET
 from tests.page.conftest import DEADLINE_S
 from tests.page.web_lab import Answer, MarkerReader, WebLab, until
 
@@ -295,7 +296,7 @@ def test_a_flood_of_messages_ends_its_socket_and_the_page_goes_on(lab: WebLab) -
                 bad.send(json.dumps({"type": "pong", "n": 1, "at": 0.0}))
     assert caught.value.rcvd is None or caught.value.rcvd.code == 1008
     with ExitStack() as stack:
-        for _ in range(MAX_SOCKETS):
+        for _ in range(MAX_EXPERIMENT_SOCKETS):
             greet(lab, stack.enter_context(opened(lab)))
         with pytest.raises(InvalidStatus):
             opened(lab).close()

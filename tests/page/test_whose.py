@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
-from biosensor_gateway.page.service import Service
-from biosensor_gateway.page.steering import Steering
+from biosensor_gateway.page.interface import Interface
+from biosensor_gateway.page.session import Session, Shutdown
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 
 STRAP = '[[device]]\nsensor = "polar_h10"\nunit = "A"\nparticipant = "{}"\nenabled = {}\n'
@@ -28,9 +28,8 @@ class Page:
     def __init__(self, folder: Path, settings: str) -> None:
         self.settings = folder / "settings.toml"
         self.settings.write_text(settings)
-        service = Service(folder, self.settings)
-        self.session = service.session
-        self._app = Steering(service).app
+        self.session = Session(folder, self.settings)
+        self._app = Interface(self.session, Shutdown(self.session)).app
 
     def has_agent(self, *participants: str, virtual: bool = False) -> None:
         """Have an agent whose sensors these people wear."""

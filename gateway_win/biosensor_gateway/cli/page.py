@@ -146,7 +146,7 @@ def _serve(
     end_after_s: float,
     share_port: int | None,
 ) -> None:
-    from biosensor_gateway.page.server import PageServer  # takes a fifth of one
+    from biosensor_gateway.page.agent_page import AgentPage
 
     def ready(address: str) -> None:
         show(address)
@@ -162,7 +162,7 @@ def _serve(
     limit_arenas(os.environ)
     with LaterLog(page_folder(folder)) as log:
         try:
-            server = PageServer(folder, settings, ready, log.open, end_after_s, share_port)
+            server = AgentPage(folder, settings, ready, log.open, end_after_s, share_port)
             server.run()
         except OSError as error:
             message = f"the page cannot be served: {error.strerror or error}"
@@ -223,9 +223,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     TransportError
         The page cannot be served.
     """
-    from biosensor_gateway.page.network_server import (
-        NetworkServer,  # takes a fifth of a second
-    )
+    from biosensor_gateway.page.network_page import NetworkPage
 
     def ready(address: str) -> None:
         show(address)
@@ -234,7 +232,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     # Inlets come and go with what is looked at, each with threads.
     limit_arenas(os.environ)
     try:
-        NetworkServer(settings, ready).run()
+        NetworkPage(settings, ready).run()
     except OSError as error:
         message = f"the page cannot be served: {error.strerror or error}"
         raise TransportError(TransportReason.BUSY, message) from error

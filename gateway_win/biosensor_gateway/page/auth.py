@@ -1,18 +1,18 @@
-"""Lets in nobody but the browser that the program itself has opened.
+"""Lets in nobody but the browser that the program itself has opened, and pages that may mark.
 
 Any web page that a person visits can send requests to this computer, and any program on it can,
 too. So a request must name this server by its own address (else a foreign name that was pointed
-to it would make the server a part of that foreign page), come from this server's own page, and
-have the cookie that only the program gives away.
+to it would make the server a part of that foreign page), come from a page that may ask, and
+have a secret that only the program gives away: a cookie, or the token of web experiments.
 """
 
 from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from http.cookies import CookieError, SimpleCookie
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
@@ -20,17 +20,22 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 DOOR = "/door"
+MARKERS = "/api/v1/markers"
+"""Where web experiments post markers; the socket is below it."""
 MAX_BODY = 64 * 1024
 MAX_SOCKETS = 32
 """Browser windows at a time."""
+MAX_EXPERIMENT_BODY = 4096
+MAX_EXPERIMENT_SOCKETS = 16
 OPENS_ONCE = (
     "This address opens once. Open the page again from the program: biosensor-gateway page, or "
     "the entry of the Start menu."
 )
-_TOKENS_KEPT = 16
 REFUSED_SOCKET = 1008
 """The code with which a WebSocket is closed that is not wanted."""
-
+_TOKENS_KEPT = 16
+_PREFLIGHT_HOLDS_S = 600
+_BEARER = "bearer "
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
@@ -52,13 +57,13 @@ class Refusal(NamedTuple):
     sentence: str
 
 
+def is_same(given: str, secret: str) -> bool:
+    """Whether a secret is the right one, in a time that does not tell how much of it is."""
+    return hmac.compare_digest(given.encode(errors="replace"), secret.encode())
+
+
 class Keys:
     """Opens the page: tokens that are good once, and the cookie that they are changed for.
-
-    Parameters
-    ----------
-    port
-        Browsers send a cookie to every port of a computer, so it is in the cookie's name.
 
     Attributes
     ----------
@@ -69,6 +74,7 @@ class Keys:
     same_site: Literal["lax", "strict"] = "strict"
 
     def __init__(self, port: int) -> None:
+        # Browsers send a cookie to every port of a computer.
         self.cookie_name = f"biosensor_gateway_{port}"
         self._cookie = secrets.token_urlsafe(32)
         self._tokens: list[str] = []
@@ -82,14 +88,14 @@ class Keys:
     def cookie_for(self, token: str) -> str | None:
         """Take a token, and return the cookie; None for one that is wrong or used."""
         for known in self._tokens:
-            if hmac.compare_digest(known.encode(), token.encode(errors="replace")):
+            if is_same(token, known):
                 self._tokens.remove(known)
                 return self._cookie
         return None
 
     def fits(self, cookie: str) -> bool:
         """Whether a cookie is the right one."""
-        return hmac.compare_digest(cookie.encode(errors="replace"), self._cookie.encode())
+        return is_same(cookie, self._cookie)
 
 
 class ViewKeys(Keys):
@@ -106,86 +112,57 @@ class ViewKeys(Keys):
 
     def cookie_for(self, token: str) -> str | None:
         """Return the cookie; None for a token that is wrong."""
-        fits = hmac.compare_digest(token.encode(errors="replace"), self.token.encode())
-        return self._cookie if fits else None
+        return self._cookie if is_same(token, self.token) else None
 
 
-class Sockets:
-    """Passes WebSockets on, so many at a time.
+class BrowserRules:
+    """For the page itself, on this computer or on another one: a cookie, and its own origins.
 
-    Parameters
-    ----------
-    most
-        How many.
-    """
-
-    def __init__(self, app: ASGIApp, most: int) -> None:
-        self._app = app
-        self._most = most
-        self._open = 0
-
-    async def serve(self, scope: Scope, receive: Receive, send: Send, *, is_refused: bool) -> None:
-        """Pass one on, unless it is refused or there are as many already."""
-        if is_refused or self._open >= self._most:
-            await receive()
-            await send({"type": "websocket.close", "code": REFUSED_SOCKET})
-            return
-        self._open += 1
-        try:
-            await self._app(scope, receive, send)
-        finally:
-            self._open -= 1
-
-
-class Guard:
-    """Checks every request and WebSocket before the application sees it.
+    Both kinds of rules say why another page may not ask at all (`foreign`), why whoever asks is
+    not let in (`stranger`), and answer what they themselves are asked for (`answer`).
 
     Parameters
     ----------
     origins
-        Addresses of the server, such as ``http://127.0.0.1:1234``; it is asked by no other.
+        Addresses of the server, such as ``http://127.0.0.1:1234``.
     refused
         What is said to whoever comes without the cookie.
     """
 
-    def __init__(self, app: ASGIApp, origins: Iterable[str], keys: Keys, refused: str) -> None:
-        self._app = app
-        self._keys = keys
-        self._refused = refused
+    max_body = MAX_BODY
+    max_sockets = MAX_SOCKETS
+
+    def __init__(self, origins: Iterable[str], keys: Keys, refused: str) -> None:
+        self._keys, self._refused = keys, refused
         self._origins = frozenset(origins)
-        self._hosts = {each.partition("://")[2] for each in self._origins}
+        self.hosts = {each.partition("://")[2] for each in self._origins}
         self._is_secure = all(each.startswith("https:") for each in self._origins)
-        self._sockets = Sockets(app, MAX_SOCKETS)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it with a sentence."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await self._socket(scope, receive, send)
-        else:
-            await self._request(scope, receive, send)
+    def foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
+        """Refuse what another web page has sent."""
+        origin = headers.get("origin")
+        if origin not in self._origins and (needs_origin or origin is not None):
+            return Refusal(403, "Another web page has sent this; only the program's own may.")
+        is_link = self._keys.same_site == "lax" and headers.get("sec-fetch-mode") == "navigate"
+        if not is_link and headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
+            return Refusal(403, "Another web page has sent this; only the program's own may.")
+        return None
 
-    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = Headers(scope=scope)
-        refusal = self._foreign(headers, needs_origin=True) or self._stranger(headers)
-        await self._sockets.serve(scope, receive, send, is_refused=refusal is not None)
+    def stranger(self, headers: Headers, *, is_socket: bool) -> Refusal | None:
+        """Refuse whoever has no cookie, or a wrong one."""
+        try:
+            cookies = SimpleCookie(headers.get("cookie", ""))
+        except CookieError:
+            cookies = SimpleCookie()
+        cookie = cookies.get(self._keys.cookie_name)
+        if cookie is None or not self._keys.fits(cookie.value):
+            return Refusal(401, self._refused)
+        return None
 
-    async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = Headers(scope=scope)
-        changes = scope["method"] not in {"GET", "HEAD"}
-        refusal = self._foreign(headers, needs_origin=changes)
-        if refusal is None and scope["path"] == DOOR:
-            await self._door(Request(scope))(scope, receive, with_headers(send))
-            return
-        refusal = refusal or self._stranger(headers) or (body_refusal(headers) if changes else None)
-        if refusal is not None:
-            response = PlainTextResponse(refusal.sentence + "\n", refusal.code)
-            await response(scope, receive, with_headers(send))
-            return
-        await self._app(scope, receive, with_headers(send))
-
-    def _door(self, request: Request) -> Response:
+    def answer(self, request: Request) -> Response | None:
+        """Change a token for the cookie, at the door."""
+        if request.scope["path"] != DOOR:
+            return None
         cookie = self._keys.cookie_for(request.query_params.get("token", ""))
         if cookie is None:
             return PlainTextResponse(self._refused + "\n", 403)
@@ -200,38 +177,144 @@ class Guard:
         )
         return response
 
-    def _foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
-        if headers.get("host", "") not in self._hosts:
-            return Refusal(421, "This server is asked by a name that is not its own.")
-        origin = headers.get("origin")
-        if origin not in self._origins and (needs_origin or origin is not None):
-            return Refusal(403, "Another web page has sent this; only the program's own may.")
-        is_link = self._keys.same_site == "lax" and headers.get("sec-fetch-mode") == "navigate"
-        if not is_link and headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
-            return Refusal(403, "Another web page has sent this; only the program's own may.")
-        return None
+    def has_body(self, method: str) -> bool:
+        """Whether something is changed."""
+        return method not in {"GET", "HEAD"}
 
-    def _stranger(self, headers: Headers) -> Refusal | None:
-        try:
-            cookies = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            cookies = SimpleCookie()
-        cookie = cookies.get(self._keys.cookie_name)
-        if cookie is None or not self._keys.fits(cookie.value):
-            return Refusal(401, self._refused)
-        return None
+    def headers_for(self, headers: Headers) -> Mapping[str, str]:
+        """Add nothing."""
+        return {}
 
 
-def body_refusal(headers: Headers, most: int = MAX_BODY) -> Refusal | None:
-    """Return why what comes with a request is not read; None if it is.
+class ExperimentRules:
+    """For web experiments: origins of the settings, and a token.
 
     Parameters
     ----------
-    headers
-        Of the request.
-    most
-        How many bytes it may have.
+    port
+        On which the server listens, on the loopback address alone.
+    token
+        What a request has to have; a WebSocket says it later, for a browser lets no script
+        choose the headers of one.
+    on_foreign
+        Is told the origin of a page that was refused.
     """
+
+    max_body = MAX_EXPERIMENT_BODY
+    max_sockets = MAX_EXPERIMENT_SOCKETS
+
+    def __init__(
+        self, port: int, origins: Collection[str], token: str, on_foreign: Callable[[str], None]
+    ) -> None:
+        self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self._origins = frozenset(origins)
+        self._token = token
+        self._on_foreign = on_foreign
+
+    def foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
+        """Refuse what comes of no web page, or of one that the settings do not name."""
+        origin = headers.get("origin")
+        if origin in self._origins:
+            return None
+        if origin is None:
+            return Refusal(403, "Markers come from web pages here, whose browser names an Origin.")
+        self._on_foreign(origin)
+        return Refusal(403, "This origin is not among the origins under [markers.web].")
+
+    def stranger(self, headers: Headers, *, is_socket: bool) -> Refusal | None:
+        """Refuse a request without the token, or with a wrong one."""
+        given = headers.get("authorization", "")
+        if is_socket:
+            return None
+        if given[: len(_BEARER)].lower() == _BEARER:
+            token = given[len(_BEARER) :].strip()
+            if is_same(token, self._token):
+                return None
+        return Refusal(401, "The token is wrong; biosensor-gateway mark --web shows the right one.")
+
+    def answer(self, request: Request) -> Response | None:
+        """Tell a browser that asks first what a page may send."""
+        if request.method != "OPTIONS" or request.scope["path"] != MARKERS:
+            return None
+        allowed: dict[str, Any] = {
+            "Access-Control-Allow-Methods": "POST",
+            "Access-Control-Allow-Headers": "Authorization, Content-Type",
+            "Access-Control-Max-Age": str(_PREFLIGHT_HOLDS_S),
+        }
+        # Asked by browsers before a public page may reach this computer.
+        if request.headers.get("access-control-request-private-network") == "true":
+            allowed["Access-Control-Allow-Private-Network"] = "true"
+        return Response(status_code=204, headers=allowed)
+
+    def has_body(self, method: str) -> bool:
+        """Whether a marker comes with it."""
+        return method == "POST"
+
+    def headers_for(self, headers: Headers) -> Mapping[str, str]:
+        """Let the page read the answer, also one that refuses."""
+        # Never '*', and no word of credentials: cookies have no part in this.
+        return {"Access-Control-Allow-Origin": headers["origin"], "Vary": "Origin"}
+
+
+class Guard:
+    """Checks every request and WebSocket by rules before the application sees it."""
+
+    def __init__(self, app: ASGIApp, rules: BrowserRules | ExperimentRules) -> None:
+        self._app, self._rules = app, rules
+        self._open_sockets = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it with a sentence."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._socket(scope, receive, send)
+        else:
+            await self._request(scope, receive, send)
+
+    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = Headers(scope=scope)
+        refusal = self._foreign(headers, needs_origin=True)
+        refusal = refusal or self._rules.stranger(headers, is_socket=True)
+        if refusal is not None or self._open_sockets >= self._rules.max_sockets:
+            await receive()
+            await send({"type": "websocket.close", "code": REFUSED_SOCKET})
+            return
+        self._open_sockets += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._open_sockets -= 1
+
+    async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers, rules = Headers(scope=scope), self._rules
+        has_body = rules.has_body(scope["method"])
+        refusal = self._foreign(headers, needs_origin=has_body)
+        if refusal is not None:
+            # Without a word of CORS: the browser keeps the answer from the page.
+            await _refused(refusal)(scope, receive, with_headers(send, {}))
+            return
+        shown = with_headers(send, rules.headers_for(headers))
+        if (answer := rules.answer(Request(scope))) is not None:
+            await answer(scope, receive, shown)
+            return
+        refusal = rules.stranger(headers, is_socket=False)
+        if refusal is None and has_body:
+            refusal = _body_refusal(headers, rules.max_body)
+        await (self._app if refusal is None else _refused(refusal))(scope, receive, shown)
+
+    def _foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
+        if headers.get("host", "") not in self._rules.hosts:
+            return Refusal(421, "This server is asked by a name that is not its own.")
+        return self._rules.foreign(headers, needs_origin=needs_origin)
+
+
+def _refused(refusal: Refusal) -> Response:
+    return PlainTextResponse(refusal.sentence + "\n", refusal.code)
+
+
+def _body_refusal(headers: Headers, most: int) -> Refusal | None:
+    """Return why what comes with a request is not read; None if it is."""
     kind = headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
         return Refusal(415, "What is sent here is JSON: Content-Type: application/json.")
@@ -244,15 +327,9 @@ def body_refusal(headers: Headers, most: int = MAX_BODY) -> Refusal | None:
     return None
 
 
-def with_headers(send: Send, more: Mapping[str, str] | None = None) -> Send:
-    """Add to every answer what forbids a browser whatever no page of ours needs.
-
-    Parameters
-    ----------
-    more
-        Other headers to add.
-    """
-    added = _HEADERS | dict(more or {})
+def with_headers(send: Send, more: Mapping[str, str]) -> Send:
+    """Add to every answer what forbids a browser whatever no page of ours needs, and some more."""
+    added = _HEADERS | dict(more)
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Generator
+from collections.abc import AsyncGenerator, Generator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
+
+if TYPE_CHECKING:
+    from biosensor_gateway.agent.control_server import Command
 
 OPEN, END = "open", "end"
 ADDRESS, SETTINGS, IS_SHARED = "address", "settings", "shared"
@@ -98,3 +101,36 @@ def _ask(folder: Path, command: str) -> dict[str, Any] | None:
                 message = "the page runs already and does not answer; end its process, or wait"
                 raise TransportError(TransportReason.SILENT, message) from error
         time.sleep(_ASK_AGAIN_S)
+
+
+@contextlib.asynccontextmanager
+async def reachable(
+    folder: Path, new_window: Command, end: Command, problem: ConfigError | None
+) -> AsyncGenerator[None]:
+    """Let `ask_for_window` and `ask_to_end` reach this server while the context lasts.
+
+    Parameters
+    ----------
+    folder
+        The agent's state folder.
+    new_window, end
+        What the two ask for.
+    problem
+        Why no other program will find it; the log says so.
+    """
+    # Commands ask for the page, and serve nothing.
+    import structlog
+
+    from biosensor_gateway.agent.control_server import ControlServer
+
+    commands = {OPEN: new_window, END: end}
+    async with contextlib.AsyncExitStack() as stack:
+        try:
+            server = ControlServer(page_folder(folder), commands, looks=commands)
+            await stack.enter_async_context(server)
+        except ConfigError as error:
+            problem = problem or error
+        if problem is not None:
+            log = structlog.get_logger("biosensor_gateway.page")
+            log.warning("a second page would be a second server", reason=str(problem))
+        yield

@@ -6,16 +6,348 @@ What the agent says of itself has the models of ``status --json``; here is what 
 from __future__ import annotations
 
 from enum import StrEnum, unique
+from pathlib import Path
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
-from biosensor_gateway.doctor.scan import SearchedPlace
-from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
-from biosensor_gateway.page.network.models import SeenStreamView
-from biosensor_gateway.page.replay_models import PathText, ReplayView
-from biosensor_gateway.page.screen_models import ScreenStream
-from biosensor_gateway.settings.models import ShortText, UnitText
+
+
+class ScreenStream(BaseModel):
+    """What a screen shows of a stream, of whichever program.
+
+    Attributes
+    ----------
+    source_id, lsl_name, topic
+        Its names for programs, for LabRecorder, and in ROS with the usual prefix.
+    measured_hz
+        Over the last seconds, by the samples' own times; None while nothing comes, and for
+        streams that come when they come.
+    age_s
+        Of the newest sample; None before the first.
+    is_fresh
+        Whether the newest values are those of now; a stale value is not shown.
+    is_signal
+        Whether it was measured on the body: not a battery, a radio or a counter.
+    values
+        Newest values by channel; empty when they are stale, and for text.
+    """
+
+    source_id: str
+    data_name: str
+    lsl_name: str
+    topic: str
+    content_type: str
+    channels: list[str]
+    units: list[str]
+    measured_hz: float | None
+    age_s: float | None
+    is_fresh: bool
+    is_signal: bool
+    values: list[float | None]
+
+
+@unique
+class SeenState(StrEnum):
+    """How a stream or a device does, as this computer sees it."""
+
+    READING = "reading"
+    LISTED = "listed"
+    OPENING = "opening"
+    STREAMING = "streaming"
+    WAITING = "waiting"
+    SILENT = "silent"
+    GONE = "gone"
+
+
+class TextView(BaseModel):
+    """One entry of a stream of text."""
+
+    text: str
+    age_s: float
+
+
+class WindowView(BaseModel):
+    """Some channels of a stream that are drawn together."""
+
+    channels: list[str]
+    units: list[str]
+    values: list[float | None]
+
+
+class SeenStreamView(ScreenStream):
+    """One stream of the network.
+
+    The base's `source_id` is a number by which the page asks for its traces, and `channels`,
+    `units` and `values` are those of its first channels.
+
+    Attributes
+    ----------
+    nominal_hz
+        Declared; 0 for streams that come when they come.
+    lost
+        None where nobody counts.
+    seen
+        How it does.
+    silent_s
+        How long nothing came, or how long it has been gone.
+    note
+        What is wrong with it; empty if nothing is.
+    is_lost_estimated
+        Whether `lost` is what the stamps show, and only since it is received.
+    texts
+        Its newest entries, the newest first.
+    channel_count
+        Of all its channels.
+    windows
+        Further channels that somebody looks at, by the number of the first.
+    derived_from
+        Of a feature: the `source_id` of the stream that it was computed of if that is listed, else
+        what LSL calls that; empty if it is none.
+    bytes_per_s
+        What receiving it costs by its nominal rate; 0 if that is irregular.
+    """
+
+    nominal_hz: float
+    lost: int | None
+    seen: SeenState
+    silent_s: float
+    note: str
+    is_lost_estimated: bool
+    is_text: bool
+    texts: list[TextView]
+    channel_count: int
+    windows: dict[int, WindowView]
+    bytes_per_s: float
+    derived_from: str
+
+    def outdated(self) -> SeenStreamView:
+        """Return the same without what is not of now."""
+        windows = {n: each.model_copy(update={"values": []}) for n, each in self.windows.items()}
+        over: dict[str, object] = {"is_fresh": False, "values": [], "measured_hz": None}
+        over["windows"] = windows
+        return self.model_copy(update=over)
+
+
+class SeenDeviceView(BaseModel):
+    """One device of an agent, or what another program calls by one name on one computer.
+
+    Attributes
+    ----------
+    name
+        By which the page knows it.
+    section
+        Below which heading it stands.
+    replay
+        The recording that is played; empty if it is measured now.
+    is_ours
+        Whether an agent of ours says so.
+    worn
+        None where nobody knows.
+    """
+
+    name: str
+    title: str
+    unit: str
+    label: str
+    participant: str
+    host: str
+    section: str
+    replay: str
+    is_ours: bool
+    seen: SeenState
+    silent_s: float
+    worn: bool | None
+    battery_percent: float | None
+    lost: int | None
+    is_lost_estimated: bool
+    streams: list[SeenStreamView]
+
+
+class NetworkView(BaseModel):
+    """All streams that this computer sees.
+
+    Attributes
+    ----------
+    made_s
+        Local LSL time at which this was so.
+    searched_s
+        For how long it has looked.
+    search
+        How it looks for streams, for whoever finds none; one sentence each.
+    inlets, most_inlets, not_received
+        How many streams are received now, how many at most, and how many are shown without.
+    problems
+        Streams that cannot be shown, and what else is wrong; one sentence each.
+    """
+
+    made_s: float = 0.0
+    searched_s: float = 0.0
+    search: list[str] = Field(default_factory=list[str])
+    inlets: int = 0
+    most_inlets: int = 0
+    not_received: int = 0
+    problems: list[str] = Field(default_factory=list[str])
+    devices: list[SeenDeviceView] = Field(default_factory=list[SeenDeviceView])
+
+
+class MarkerView(BaseModel):
+    """One marker of the experimenter, or of a web experiment.
+
+    Attributes
+    ----------
+    source
+        Of a web experiment, where its page comes from.
+    uncertainty_s
+        By how many seconds its time may be wrong, where that was measured.
+    received
+        Whether any program received it.
+    time
+        Its Unix time in s, for people.
+    earlier
+        Whether it was before the recording that goes on, or that was the last here.
+    can_be_undone
+        Whether the agent that has sent it still runs, and it is of that recording.
+    """
+
+    id: int
+    marker: str
+    note: str
+    kind: str
+    source: str
+    lsl_time: float
+    undone: bool
+    uncertainty_s: float | None = None
+    received: bool = True
+    time: float | None = None
+    earlier: bool = False
+    can_be_undone: bool = True
+
+
+class MarkersView(BaseModel):
+    """The newest markers, the newest last, and the names of the buttons.
+
+    Attributes
+    ----------
+    told
+        Whether an agent has said so; else there may be some.
+    """
+
+    told: bool = False
+    markers: list[MarkerView] = Field(default_factory=list[MarkerView])
+    buttons: list[str] = Field(default_factory=list[str])
+
+
+class ExperimentView(BaseModel):
+    """A page that is connected: its origin, and how well its clock is known, in seconds."""
+
+    origin: str
+    uncertainty_s: float | None = None
+
+
+class ExperimentsView(BaseModel):
+    """Where web experiments can mark, and which are there.
+
+    Attributes
+    ----------
+    address
+        Of the WebSocket's server; empty if nothing listens.
+    problem
+        Why nothing listens, though the settings name origins.
+    foreign
+        The origin that was refused last.
+    """
+
+    address: str = ""
+    problem: str = ""
+    origins: list[str] = Field(default_factory=list[str])
+    connected: list[ExperimentView] = Field(default_factory=list[ExperimentView])
+    foreign: str = ""
+
+
+LongText = Annotated[str, Field(max_length=1024)]
+
+
+def _can_be_path(text: str) -> str:
+    try:
+        is_usable = "\0" not in str(Path(text).expanduser())
+    except RuntimeError:
+        # It names the home folder of somebody whom this computer does not know.
+        is_usable = False
+    if not is_usable:
+        raise ValueError("nothing on this computer can be called so")
+    return text
+
+
+PathText = Annotated[LongText, AfterValidator(_can_be_path)]
+
+
+class ReplayedStreamView(ScreenStream):
+    """One stream that is played.
+
+    Attributes
+    ----------
+    nominal_hz
+        At the speed of the replay.
+    is_empty
+        Whether the recording has no sample of it.
+    """
+
+    nominal_hz: float
+    is_empty: bool
+
+
+class ReplayedDeviceView(BaseModel):
+    """Streams of a recording that belong to one device, or to one name of another program.
+
+    Attributes
+    ----------
+    title
+        What people call the kind of sensor.
+    battery_percent
+        As it was then; None where nothing tells it.
+    streams
+        By source_id.
+    """
+
+    name: str
+    title: str
+    unit: str
+    participant: str
+    label: str
+    battery_percent: float | None
+    streams: dict[str, ReplayedStreamView]
+
+
+class ReplayView(BaseModel):
+    """The replay that was begun on this page.
+
+    Attributes
+    ----------
+    is_running
+        From the request on.
+    is_playing
+        Whether samples are sent, so that what receivers see is no person.
+    file
+        Without its folder.
+    lap, position_s, length_s, sent, received, stream_count, said
+        See `ReplayProgress`; the last ones stay when it has ended.
+    """
+
+    is_running: bool = False
+    is_playing: bool = False
+    file: str = ""
+    speed: float = 1.0
+    loop: bool = False
+    lap: int = 0
+    position_s: float = 0.0
+    length_s: float = 0.0
+    sent: int = 0
+    received: int = 0
+    stream_count: int = 0
+    said: list[str] = Field(default_factory=list[str])
+    devices: list[ReplayedDeviceView] = Field(default_factory=list[ReplayedDeviceView])
 
 
 @unique
@@ -168,98 +500,6 @@ class StatusView(AgentFacts):
     replay: ReplayView = Field(default_factory=ReplayView)
     share: ShareView | None = None
     experiments: ExperimentsView | None = None
-
-
-class SearchView(BaseModel):
-    """How a search goes on; what it finds is that of ``scan --json``."""
-
-    running: bool = False
-    seconds: float = 0.0
-    elapsed_s: float = 0.0
-    places: list[SearchedPlace] = Field(default_factory=list[SearchedPlace])
-    done: bool = False
-
-
-class SettingsChange(BaseModel):
-    """A change of the settings.
-
-    Attributes
-    ----------
-    while_recording
-        Whether it is wanted although a recording goes on.
-    """
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    while_recording: bool = False
-
-
-class NewDevice(SettingsChange):
-    """A device to add to the settings."""
-
-    sensor: str
-    settings: dict[str, str | int | float | bool]
-    participant: ShortText = ""
-    label: ShortText = ""
-
-
-class DeviceName(BaseModel):
-    """Which device."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    sensor: str
-    unit: UnitText
-
-
-class DeviceRemoval(SettingsChange, DeviceName):
-    """Which device to take out of the settings."""
-
-
-class DeviceChange(SettingsChange, DeviceName):
-    """What a device of the settings is to have; None leaves it as it is."""
-
-    participant: ShortText | None = None
-    label: ShortText | None = None
-    enabled: bool | None = None
-
-
-class ParticipantNow(SettingsChange):
-    """Who is to wear all sensors of the settings."""
-
-    participant: str
-
-
-class NewRecording(BaseModel):
-    """What a recording is to be called, in the words of BIDS, and where it goes.
-
-    Attributes
-    ----------
-    folder
-        Empty for the usual one.
-    only_ours
-        Leave out streams of other programs, live features included.
-    allow_missing
-        Record although streams of the agent's devices are not there.
-    set_sensors
-        Have the participant wear all sensors first.
-    other_participants
-        Record although others than the participant wear the sensors.
-    without_away
-        Record although sensors are paused or do not stream.
-    """
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    participant: str
-    session: str = "S001"
-    task: str = "Default"
-    folder: PathText = ""
-    only_ours: bool = False
-    allow_missing: bool = False
-    set_sensors: bool = False
-    other_participants: bool = False
-    without_away: bool = False
 
 
 class Outcome(BaseModel):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,18 @@ from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
-from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, StatusView
-from biosensor_gateway.page.network.models import SeenStreamView
-from biosensor_gateway.page.replayed import Replayed
-from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.page.agent import Viewer
+from biosensor_gateway.page.live import Traces
+from biosensor_gateway.page.models import (
+    AgentState,
+    ExperimentsView,
+    MarkersView,
+    RecordingView,
+    ReplayView,
+    SeenStreamView,
+    ShareView,
+    StatusView,
+)
 from biosensor_gateway.recording.participants import Worn
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
@@ -45,6 +53,8 @@ class Session:
         How often an agent has come or gone.
     came
         Set once there was an agent.
+    replay_view
+        Describes the replay; whoever plays replaces it.
     features
         Live features that are on the network.
     told
@@ -57,7 +67,7 @@ class Session:
         self.traces = Traces()
         self.recording = RecordingView()
         self.markers = MarkersView()
-        self.replay = Replayed(self.traces)
+        self.replay_view: Callable[[], ReplayView] = ReplayView
         self.features: Sequence[SeenStreamView] = ()
         self.has_ended = False
         self.turns = 0
@@ -173,7 +183,7 @@ class Session:
             self.told.set()
         facts = self._settings_facts()
         facts["recording"] = self.recording
-        facts["replay"] = self.replay.view(self.now() if self.replay.is_running else 0.0)
+        facts["replay"] = self.replay_view()
         facts["share"] = self.share
         facts["experiments"] = self.experiments
         if status is None:
@@ -232,3 +242,60 @@ def _version(path: Path) -> tuple[int, int, int] | str:
     except OSError as error:
         return str(error)
     return stat.st_mtime_ns, stat.st_size, stat.st_ino
+
+
+_LOOK_S = 0.5
+_FIRST_WINDOW_S = 60.0
+"""How much longer the first one may take: a browser that has just been installed asks things."""
+_GOODBYE_S, _HEARD_S = 1.0, 0.05
+"""How long windows have to hear of the end, and how often it is asked whether they have."""
+
+
+class Shutdown:
+    """Ends the server when it is asked to, or when nobody has needed it for a while.
+
+    Parameters
+    ----------
+    session
+        Its windows are told of the end.
+    after_s
+        How long there must have been neither window nor agent, recording or replay; infinite for a
+        server that stays.
+    """
+
+    def __init__(self, session: Session, after_s: float = math.inf) -> None:
+        self._session = session
+        self._after_s = after_s
+        self._asked = asyncio.Event()
+
+    def request(self) -> None:
+        """End the server soon; what is being answered is answered first."""
+        self._asked.set()
+
+    async def run(self) -> None:
+        """Wait until the time has come and all windows have heard of it."""
+        await self._until_asked_or_not_needed()
+        self._session.has_ended = True
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_GOODBYE_S):
+                while self._session.traces.screens:  # noqa: ASYNC110 - each leaves by itself
+                    await asyncio.sleep(_HEARD_S)
+
+    async def _until_asked_or_not_needed(self) -> None:
+        needed = time.monotonic() + _FIRST_WINDOW_S
+        opened = 0
+        while time.monotonic() - needed < self._after_s:
+            # A window may have come and gone since the last look.
+            if self._is_needed() or self._session.traces.opened != opened:
+                needed = time.monotonic()
+                opened = self._session.traces.opened
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._asked.wait(), _LOOK_S)
+                return
+
+    def _is_needed(self) -> bool:
+        session = self._session
+        is_recording = session.recording.is_running or bool(session.recording.busy)
+        has_window = bool(session.traces.screens)
+        is_going_on = is_recording or session.replay_view().is_running
+        return has_window or is_going_on or session.agent is not AgentState.ABSENT

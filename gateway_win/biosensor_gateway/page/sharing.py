@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import datetime
 import ipaddress
 import socket
-from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
-from functools import partial
+from collections.abc import AsyncGenerator, Generator, Sequence
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import uvicorn
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
-from fastapi import FastAPI
-from fastapi.responses import FileResponse
-from fastapi.staticfiles import StaticFiles
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from biosensor_common.doctor.network import adapters
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.page.beside import ServerBeside
-from biosensor_gateway.page.auth import DOOR, Guard, ViewKeys
-from biosensor_gateway.page.listening import listening_at
+from biosensor_gateway.page.auth import DOOR, BrowserRules, Guard, ViewKeys
 from biosensor_gateway.page.live import live
 from biosensor_gateway.page.models import ShareView, StatusView
+from biosensor_gateway.page.server import PEOPLE, listening_at, served_alongside
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.static_files import PREFIX, Front
 from biosensor_gateway.system import state_file
 
 EVERYWHERE = "0.0.0.0"  # noqa: S104 - asked for, and nothing can be changed there
@@ -42,8 +40,9 @@ _RENEWED_BEFORE_END = datetime.timedelta(days=30)
 _ISSUER = "Biosensor Gateway"
 
 
-class Sharing:
-    """Serves the page once more, for other computers.
+@contextlib.asynccontextmanager
+async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[ShareView]:
+    """Serve the page once more, for other computers, while the context lasts.
 
     Parameters
     ----------
@@ -51,93 +50,64 @@ class Sharing:
         What is shown; its `share` says where.
     pages
         The folder of the page's files.
-    options
-        Of the server, as for the page itself.
+    port
+        On every network of this computer; 0 for any that is free.
+
+    Raises
+    ------
+    TransportError
+        ``BUSY`` if the port is taken; ``ABSENT`` if there is no network, or the
+        certificate cannot be kept.
     """
-
-    def __init__(self, session: Session, pages: Path, options: Mapping[str, Any]) -> None:
-        self._session = session
-        self._pages = pages
-        self._options = options
-
-    @contextlib.contextmanager
-    def opened(self, port: int) -> Generator[Callable[[], Coroutine[Any, Any, None]]]:
-        """Open a TCP port on every network of this computer; 0 for any that is free.
-
-        Yields what serves until it is cancelled.
-
-        Raises
-        ------
-        TransportError
-            ``BUSY`` if the port is taken; ``ABSENT`` if there is no network, or the
-            certificate cannot be kept.
-        """
-        with _listening(port) as listening:
-            number: int = listening.getsockname()[1]
-            addresses = _addresses()
-            names = [*addresses, socket.gethostname().lower()]
-            certificate = _certificate(self._session.folder, names)
-            keys = ViewKeys(number)
-            self._session.share = ShareView(
-                addresses=[
-                    f"https://{each}:{number}{DOOR}?token={keys.token}" for each in addresses
-                ],
-                fingerprint=certificate.fingerprint,
-            )
-            guard = Guard(
-                self._app(), [f"https://{name}:{number}" for name in names], keys, _REFUSED
-            )
-            config = uvicorn.Config(
-                guard, ssl_certfile=certificate.file, lifespan="off", **self._options
-            )
-            yield partial(_serve, ServerBeside(config), listening)
-
-    def _app(self) -> FastAPI:
-        app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-
-        @app.get("/api/v1/status")
-        async def status() -> StatusView:
-            """Say how the agent and its devices are."""
-            return self._status()
-
-        @app.get("/")
-        async def page() -> FileResponse:
-            return FileResponse(self._pages / "view.html")
-
-        app.router.routes.append(live(self._session, self._status))
-        app.mount("/", StaticFiles(directory=self._pages))
-        return app
-
-    def _status(self) -> StatusView:
-        """Describe everything but where this computer keeps its files."""
-        status = self._session.status()
-        recording = status.recording
-        verdict = recording.verdict
-        if verdict is not None:
-            names = {each: PurePath(getattr(verdict, each)).name for each in ("file", "salvaged")}
-            verdict = verdict.model_copy(update=names)
-        shown = recording.model_copy(
-            update={"folder": "", "file": PurePath(recording.file).name, "verdict": verdict}
+    with _listening(port) as listening:
+        number: int = listening.getsockname()[1]
+        addresses = _addresses()
+        names = [*addresses, socket.gethostname().lower()]
+        certificate = _certificate(session.folder, names)
+        keys = ViewKeys(number)
+        session.share = view = ShareView(
+            addresses=[f"https://{each}:{number}{DOOR}?token={keys.token}" for each in addresses],
+            fingerprint=certificate.fingerprint,
         )
-        return status.model_copy(
-            update={
-                "share": None,
-                "experiments": None,
-                "settings_file": "",
-                "problem": "The settings file has a mistake." if status.problem else "",
-                "recording": shown,
-                "replay": status.replay.model_copy(update={"said": []}),
-            }
-        )
+        rules = BrowserRules([f"https://{name}:{number}" for name in names], keys, _REFUSED)
+        guard = Guard(_view_of(session, pages), rules)
+        async with served_alongside(guard, listening, PEOPLE, certificate.file):
+            yield view
 
 
-async def _serve(server: uvicorn.Server, listening: socket.socket) -> None:
-    serving = asyncio.create_task(server.serve([listening]))
-    try:
-        await asyncio.shield(serving)
-    finally:
-        server.should_exit = True
-        await serving
+def _view_of(session: Session, pages: Path) -> Front:
+    """Return an application that tells how all is, and takes nothing."""
+
+    async def status(_request: Request) -> Response:
+        return Response(_status(session).model_dump_json(), media_type="application/json")
+
+    front = Front(pages, "view.html")
+    front.show(live(session, lambda: _status(session)))
+    front.complete(Starlette(routes=[Route(f"{PREFIX}/status", status)]))
+    return front
+
+
+def _status(session: Session) -> StatusView:
+    """Describe everything but where this computer keeps its files."""
+    status = session.status()
+    recording = status.recording
+    verdict = recording.verdict
+    if verdict is not None:
+        names = {each: PurePath(getattr(verdict, each)).name for each in ("file", "salvaged")}
+        verdict = verdict.model_copy(update=names)
+    shown = recording.model_copy(
+        update={"folder": "", "file": PurePath(recording.file).name, "verdict": verdict}
+    )
+    return status.model_copy(
+        update={
+            "share": None,
+            "experiments": None,
+            "settings_file": "",
+            "problem": "The settings file has a mistake." if status.problem else "",
+            "recording": shown,
+            "replay": status.replay.model_copy(update={"said": []}),
+        }
+    )
 
 
 @contextlib.contextmanager

@@ -38,7 +38,7 @@ class Front:
         What goes on beside the requests.
     """
 
-    def __init__(self, pages: Path, document: str, lifespan: Lifespan) -> None:
+    def __init__(self, pages: Path, document: str, lifespan: Lifespan | None = None) -> None:
         # Windows asks its registry, where any program may have said otherwise.
         mimetypes.add_type("text/javascript", ".js")
         routes = [_file("/", pages / document)]

@@ -15,11 +15,18 @@ from pylsl import local_clock
 
 from biosensor_common.errors import GatewayError, TransportError
 from biosensor_gateway.agent.marking import MAX_LEAD_S, MAX_WEB_AGE_S
-from biosensor_gateway.page.experiments.models import MESSAGE, Hello, Mark, Pong, Sent
-from biosensor_gateway.page.experiments.markers import Pace, Sending, WebMark
-from biosensor_gateway.page.experiments.token import is_same
-from biosensor_gateway.page.auth import REFUSED_SOCKET
-from biosensor_gateway.page.marker_models import ExperimentView
+from biosensor_gateway.page.auth import REFUSED_SOCKET, is_same
+from biosensor_gateway.page.experiments.markers import (
+    MESSAGE,
+    Hello,
+    Mark,
+    Pace,
+    Pong,
+    Sending,
+    Sent,
+    WebMark,
+)
+from biosensor_gateway.page.models import ExperimentView
 from biosensor_gateway.streaming.markers import TimedBy, Timing
 
 HELLO_WITHIN_S = 5.0

@@ -3,50 +3,32 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import socket
-from collections.abc import Callable, Collection
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import structlog
-import uvicorn
 from fastapi import FastAPI, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pylsl import local_clock
-from starlette.datastructures import Headers
-from starlette.responses import PlainTextResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from biosensor_common.errors import ConfigError, GatewayError, TransportError, TransportReason
-from biosensor_gateway.page.beside import ServerBeside
+from biosensor_gateway.page.auth import MARKERS, ExperimentRules, Guard
 from biosensor_gateway.page.experiments.conversation import Conversation
-from biosensor_gateway.page.experiments.models import NewMark, Sent
-from biosensor_gateway.page.experiments.markers import Sending, WebMark
-from biosensor_gateway.page.experiments.token import experiment_token, is_same
-from biosensor_gateway.page.auth import Refusal, Sockets, body_refusal, with_headers
-from biosensor_gateway.page.listening import listening_at
-from biosensor_gateway.page.marker_models import ExperimentsView, ExperimentView
-from biosensor_gateway.page.models import Problem
-from biosensor_gateway.page.routes.errors import misformed
+from biosensor_gateway.page.experiments.markers import NewMark, Sending, Sent, WebMark
+from biosensor_gateway.page.experiments.token import experiment_token
+from biosensor_gateway.page.models import ExperimentsView, ExperimentView, Problem
+from biosensor_gateway.page.routes.api import misformed
+from biosensor_gateway.page.server import EXPERIMENTS, HOST, listening_at, served_alongside
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.web_markers import WebMarkerSettings
 from biosensor_gateway.streaming.markers import TimedBy, Timing
 
-HOST = "127.0.0.1"
 LOOK_S = 1.0
-MAX_MESSAGE = 4096
-MAX_CONNECTIONS = 50
-_END_WITHIN_S = 1
 _FOREIGN_SHOWN = 100
 
 _log = structlog.get_logger("biosensor_gateway.page")
-MARKERS = "/api/v1/markers"
 SOCKET = "/api/v1/markers/socket"
-MAX_BODY = 4096
-MAX_SOCKETS = 16
-_PREFLIGHT_HOLDS_S = 600
-_BEARER = "bearer "
 
 
 class _Wanted(NamedTuple):
@@ -102,27 +84,11 @@ class ExperimentServer:
         """Serve until something else is wanted."""
         port = wanted.settings.port
         experiments = Experiments(wanted.token, self._sending)
-        app = ExperimentGuard(
-            experiments.app(), port, wanted.settings.origins, wanted.token, self._note_foreign
-        )
-        server = ServerBeside(
-            uvicorn.Config(
-                app,
-                log_config=None,
-                log_level=logging.WARNING,
-                access_log=False,
-                server_header=False,
-                limit_concurrency=MAX_CONNECTIONS,
-                ws_max_size=MAX_MESSAGE,
-                ws_per_message_deflate=False,
-                timeout_graceful_shutdown=_END_WITHIN_S,
-                lifespan="off",
-            )
-        )
-        serving = asyncio.create_task(server.serve([listening]))
+        rules = ExperimentRules(port, wanted.settings.origins, wanted.token, self._note_foreign)
+        app = Guard(experiments.app(), rules)
         address = f"ws://{HOST}:{port}"
-        _log.info("web experiments can mark", address=address, origins=wanted.settings.origins)
-        try:
+        async with served_alongside(app, listening, EXPERIMENTS) as serving:
+            _log.info("web experiments can mark", address=address, origins=wanted.settings.origins)
             while not serving.done() and (self._wanted() or wanted) == wanted:
                 self._session.experiments = ExperimentsView(
                     address=address,
@@ -131,10 +97,7 @@ class ExperimentServer:
                     foreign=self._foreign,
                 )
                 await asyncio.wait({serving}, timeout=LOOK_S)
-        finally:
-            server.should_exit = True
-            await serving
-            self._foreign = ""
+        self._foreign = ""
 
     def _note_foreign(self, origin: str) -> None:
         self._foreign = origin[:_FOREIGN_SHOWN]
@@ -200,107 +163,3 @@ async def _refused(_request: Request, error: Exception) -> JSONResponse:
         is_flood = error.reason is TransportReason.BUSY
         code, headers = (429 if is_flood else 503), {"Retry-After": "1"}
     return JSONResponse(Problem(problem=str(error)).model_dump(), code, headers)
-
-
-class ExperimentGuard:
-    """Checks every request and WebSocket of an experiment before the application sees it.
-
-    Parameters
-    ----------
-    port
-        On which the server listens, on the loopback address alone.
-    origins
-        Those that may send markers.
-    token
-        What a request has to have; a WebSocket says it later, for a browser lets no script
-        choose the headers of one.
-    on_foreign
-        Is told the origin of a page that was refused.
-    """
-
-    def __init__(
-        self,
-        app: ASGIApp,
-        port: int,
-        origins: Collection[str],
-        token: str,
-        on_foreign: Callable[[str], None],
-    ) -> None:
-        self._app = app
-        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self._origins = frozenset(origins)
-        self._token = token
-        self._on_foreign = on_foreign
-        self._sockets = Sockets(app, MAX_SOCKETS)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it with a sentence."""
-        if scope["type"] == "websocket":
-            await self._socket(scope, receive, send)
-        else:
-            await self._request(scope, receive, send)
-
-    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        refusal = self._foreign(Headers(scope=scope))
-        await self._sockets.serve(scope, receive, send, is_refused=refusal is not None)
-
-    async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = Headers(scope=scope)
-        foreign = self._foreign(headers)
-        if foreign is not None:
-            # Without a word of CORS: the browser keeps the answer from the page.
-            await _answer(foreign)(scope, receive, with_headers(send))
-            return
-        # What is refused is for the page to read, too.
-        shown = with_headers(send, _named(headers["origin"]))
-        is_preflight = scope["method"] == "OPTIONS" and scope["path"] == MARKERS
-        if is_preflight:
-            await _preflight(headers)(scope, receive, shown)
-            return
-        refusal = self._stranger(headers) or (
-            body_refusal(headers, MAX_BODY) if scope["method"] == "POST" else None
-        )
-        if refusal is None:
-            await self._app(scope, receive, shown)
-        else:
-            await _answer(refusal)(scope, receive, shown)
-
-    def _foreign(self, headers: Headers) -> Refusal | None:
-        if headers.get("host", "") not in self._hosts:
-            return Refusal(421, "This server is asked by a name that is not its own.")
-        origin = headers.get("origin")
-        if origin in self._origins:
-            return None
-        if origin is None:
-            return Refusal(403, "Markers come from web pages here, whose browser names an Origin.")
-        self._on_foreign(origin)
-        return Refusal(403, "This origin is not among the origins under [markers.web].")
-
-    def _stranger(self, headers: Headers) -> Refusal | None:
-        given = headers.get("authorization", "")
-        if given[: len(_BEARER)].lower() == _BEARER:
-            token = given[len(_BEARER) :].strip()
-            if is_same(token, self._token):
-                return None
-        return Refusal(401, "The token is wrong; biosensor-gateway mark --web shows the right one.")
-
-
-def _answer(refusal: Refusal) -> Response:
-    return PlainTextResponse(refusal.sentence + "\n", refusal.code)
-
-
-def _named(origin: str) -> dict[str, str]:
-    # Never '*', and no word of credentials: cookies have no part in this.
-    return {"Access-Control-Allow-Origin": origin, "Vary": "Origin"}
-
-
-def _preflight(headers: Headers) -> Response:
-    allowed: dict[str, Any] = {
-        "Access-Control-Allow-Methods": "POST",
-        "Access-Control-Allow-Headers": "Authorization, Content-Type",
-        "Access-Control-Max-Age": str(_PREFLIGHT_HOLDS_S),
-    }
-    # Asked by browsers before a public page may reach this computer.
-    if headers.get("access-control-request-private-network") == "true":
-        allowed["Access-Control-Allow-Private-Network"] = "true"
-    return Response(status_code=204, headers=allowed)

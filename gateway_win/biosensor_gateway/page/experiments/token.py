@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 import json
 import secrets
 from pathlib import Path
@@ -55,11 +54,6 @@ def new_experiment_token(folder: Path) -> str:
     except OSError as error:
         raise _unreadable(folder, error) from error
     return token
-
-
-def is_same(given: str, token: str) -> bool:
-    """Whether a token is the right one, in a time that does not tell how much of it is."""
-    return hmac.compare_digest(given.encode(errors="replace"), token.encode())
 
 
 def _unreadable(folder: Path, error: OSError) -> ConfigError:

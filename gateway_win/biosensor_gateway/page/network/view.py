@@ -16,11 +16,9 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import CoreFields, StreamHeader
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
 from biosensor_gateway.devices.registry import sensor_title
-from biosensor_gateway.page.history import is_of_now
-from biosensor_gateway.page.network.inlets import MAX_INLETS
-from biosensor_gateway.page.network.listing import Listing
-from biosensor_gateway.page.network.losses import Counted, counted_by_source, is_counters
-from biosensor_gateway.page.network.models import (
+from biosensor_gateway.page.downsampling import DRAWN_CHANNELS, chosen
+from biosensor_gateway.page.live import is_of_now
+from biosensor_gateway.page.models import (
     NetworkView,
     SeenDeviceView,
     SeenState,
@@ -28,8 +26,14 @@ from biosensor_gateway.page.network.models import (
     TextView,
     WindowView,
 )
+from biosensor_gateway.page.network.listing import (
+    MAX_INLETS,
+    Counted,
+    Listing,
+    counted_by_source,
+    is_counters,
+)
 from biosensor_gateway.page.network.stream import NetworkStream
-from biosensor_gateway.page.network.windows import DRAWN_CHANNELS, chosen
 from biosensor_gateway.streaming.gateway import GATEWAY
 
 _SLOW_PERIODS = 3

@@ -1,21 +1,52 @@
-"""*Quit* of the page: ends its server, and what runs if that is wanted, too."""
+"""Starts and ends the agent; *Quit* ends the page, and what runs if that is wanted, too."""
 
 from __future__ import annotations
 
 import asyncio
 from typing import Literal
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict
 
-from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.stopping import stop_agent
-from biosensor_gateway.page.static_files import PREFIX
-from biosensor_gateway.page.models import AgentState, Outcome, Problem
+from biosensor_gateway.page.models import AgentState, Outcome, StatusView
+from biosensor_gateway.page.routes.devices import (
+    asked,
+    started,
+)
 from biosensor_gateway.page.routes.recording import Recorder
-from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.shutdown import Shutdown
+from biosensor_gateway.page.session import Session, Shutdown
+
+
+def add_agent(router: APIRouter, session: Session) -> None:
+    """Add how the agent is, begins and ends."""
+
+    @router.get("/status")
+    async def status() -> StatusView:
+        """Say how the agent and its devices are."""
+        return session.status()
+
+    @router.post("/agent/start")
+    async def start() -> Outcome:
+        """Start the agent with the devices of the settings."""
+        if not any(each.enabled for each in session.configured()):
+            message = "the settings name no device yet; add one first"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        return started(session, virtual=False)
+
+    @router.post("/agent/try")
+    async def start_virtual() -> Outcome:
+        """Start the agent with virtual devices of every kind."""
+        return started(session, virtual=True)
+
+    @router.post("/agent/stop")
+    async def stop() -> Outcome:
+        """End the agent; every stream ends with it."""
+        await asked(session, "stop", {})
+        return Outcome(sentence="The agent has been told to end.")
+
 
 _LOOK_S = 0.2
 
@@ -28,9 +59,8 @@ class Quitting(BaseModel):
     rest: Literal["end", "leave"]
 
 
-def add_quit(app: FastAPI, session: Session, recorder: Recorder, shutdown: Shutdown) -> None:
+def add_quit(router: APIRouter, session: Session, recorder: Recorder, shutdown: Shutdown) -> None:
     """Add `/api/v1/quit`."""
-    router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
 
     @router.post("/quit")
     async def leave(quitting: Quitting) -> Outcome:
@@ -38,8 +68,6 @@ def add_quit(app: FastAPI, session: Session, recorder: Recorder, shutdown: Shutd
         said = await _end_the_rest(session, recorder) if quitting.rest == "end" else _left(session)
         shutdown.request()
         return Outcome(sentence=" ".join(said))
-
-    app.include_router(router)
 
 
 async def _end_the_rest(session: Session, recorder: Recorder) -> list[str]:

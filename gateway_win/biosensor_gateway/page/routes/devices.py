@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
@@ -16,20 +19,90 @@ from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.page.models import (
     Choice,
-    DeviceChange,
-    DeviceRemoval,
-    NewDevice,
     Outcome,
-    ParticipantNow,
-    SettingsChange,
 )
-from biosensor_gateway.page.routes.errors import QuestionError
+from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings import editing
+from biosensor_gateway.settings.models import ShortText, UnitText
 from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 from biosensor_gateway.system.child import start_beside
+from biosensor_gateway.system.console_lines import on_one_line, sentence_of
+from biosensor_gateway.system.logs import LOG_FILE_NAME
+
+
+class SettingsChange(BaseModel):
+    """A change of the settings.
+
+    Attributes
+    ----------
+    while_recording
+        Whether it is wanted although a recording goes on.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    while_recording: bool = False
+
+
+class NewDevice(SettingsChange):
+    """A device to add to the settings."""
+
+    sensor: str
+    settings: dict[str, str | int | float | bool]
+    participant: ShortText = ""
+    label: ShortText = ""
+
+
+class DeviceName(BaseModel):
+    """Which device."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    sensor: str
+    unit: UnitText
+
+
+class DeviceRemoval(SettingsChange, DeviceName):
+    """Which device to take out of the settings."""
+
+
+class DeviceChange(SettingsChange, DeviceName):
+    """What a device of the settings is to have; None leaves it as it is."""
+
+    participant: ShortText | None = None
+    label: ShortText | None = None
+    enabled: bool | None = None
+
+
+class ParticipantNow(SettingsChange):
+    """Who is to wear all sensors of the settings."""
+
+    participant: str
+
+
+def _add_pauses(router: APIRouter, session: Session) -> None:
+    @router.post("/devices/pause")
+    async def pause(device: DeviceName) -> Outcome:
+        """Send nothing of a device from now on, until it is resumed."""
+        return await _switched(session, "pause", device)
+
+    @router.post("/devices/resume")
+    async def resume(device: DeviceName) -> Outcome:
+        """Send again what a device measures from now on."""
+        return await _switched(session, "resume", device)
+
+
+async def _switched(session: Session, command: str, device: DeviceName) -> Outcome:
+    answer = await asked(session, command, {"device": f"{device.sensor}/{device.unit}"})
+    problem = answer.get("problem")
+    if problem and not answer.get("pending"):
+        # It is done; only the next start of the agent does not know.
+        return Outcome(sentence=f"Done, but it is not kept for the next start: {problem}.")
+    return Outcome(sentence=f"The device is {command}d.")
+
 
 BACK_WITHIN_S = 30.0
 """A sensor that was renamed is connected again, which by Bluetooth takes some seconds."""
@@ -77,6 +150,12 @@ def add_devices(router: APIRouter, session: Session) -> None:
         editing.remove_device(session.settings, models, device.sensor, device.unit)
         return await _applied(session, "The device is no longer in the settings")
 
+    @router.get("/devices/log")
+    async def device_log(sensor: str, unit: str) -> LogView:
+        """Say what the log says last of a device."""
+        return await asyncio.to_thread(last_lines, session.folder, sensor, unit)
+
+    _add_pauses(router, session)
     _add_participant(router, session)
 
 
@@ -201,3 +280,86 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
     except OSError as error:
         message = f"the agent could not be started: {error.strerror or error}"
         raise TransportError(TransportReason.ABSENT, message) from error
+
+
+MOST_LINES = 20
+MOST_BYTES = 256 * 1024
+"""That is read of a file, from its end."""
+_MOST_LETTERS = 400
+# When a file is full, the next one begins empty.
+_FILES = (LOG_FILE_NAME, f"{LOG_FILE_NAME}.1")
+
+
+class LogLine(BaseModel):
+    """One line of the log.
+
+    Attributes
+    ----------
+    time
+        ISO 8601 in UTC.
+    level
+        ``debug``, ``info``, ``warning``, ``error`` or ``critical``.
+    sentence
+        What happened, with its facts; at most 400 letters.
+    """
+
+    time: str
+    level: str
+    sentence: str
+
+
+class LogView(BaseModel):
+    """What the log says last of a device, the newest first; nothing if there is no log."""
+
+    lines: list[LogLine] = Field(default_factory=list[LogLine])
+
+
+def last_lines(folder: Path, sensor: str, unit: str) -> LogView:
+    """Return the newest lines about a device, `MOST_LINES` at most.
+
+    Of each file the last `MOST_BYTES` are read; what is no line of the log is passed over.
+
+    Parameters
+    ----------
+    folder
+        The state folder of the agent.
+    sensor, unit
+        Which device.
+    """
+    lines: list[LogLine] = []
+    for name in _FILES:
+        for record in _newest_first(folder / name):
+            if len(lines) == MOST_LINES:
+                return LogView(lines=lines)
+            if (record.get("sensor"), record.get("unit")) == (sensor, unit):
+                lines.append(_line(record))
+    return LogView(lines=lines)
+
+
+def _newest_first(path: Path) -> Iterator[dict[str, Any]]:
+    for text in reversed(_end_of(path).splitlines()):
+        try:
+            record = json.loads(text)
+        except (ValueError, RecursionError):
+            # It begins within a line, and the last one may be half written.
+            continue
+        if isinstance(record, dict):
+            yield record
+
+
+def _end_of(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - MOST_BYTES))
+            return file.read(MOST_BYTES)
+    except OSError:
+        return b""
+
+
+def _line(record: dict[str, Any]) -> LogLine:
+    sentence = on_one_line(sentence_of(record))
+    return LogLine(
+        time=str(record.get("timestamp", ""))[:40],
+        level=str(record.get("level", ""))[:10],
+        sentence=sentence if len(sentence) <= _MOST_LETTERS else f"{sentence[:_MOST_LETTERS]} …",
+    )

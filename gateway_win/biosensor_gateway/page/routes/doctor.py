@@ -1,4 +1,4 @@
-"""Answers the network check of another computer, as ``biosensor-gateway doctor --answer`` does."""
+"""Examines this computer, and the network to another one from both sides."""
 
 from __future__ import annotations
 
@@ -7,17 +7,174 @@ import contextlib
 from collections.abc import Generator
 from enum import StrEnum, unique
 from pathlib import Path
+from typing import Annotated
 
 from fastapi import APIRouter
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-from biosensor_common.doctor.check import AGENT
-from biosensor_common.doctor.network_check.command import WayHere, answer_one, way_here
+from biosensor_common.doctor.check import AGENT, checks_of
+from biosensor_common.doctor.network_check import judgement
+from biosensor_common.doctor.network_check.command import (
+    Outcome,
+    WayHere,
+    answer_one,
+    check_with,
+    way_here,
+)
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT, Answerer
-from biosensor_common.doctor.report import printable
+from biosensor_common.doctor.report import Report, content, printable, run_checks
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.doctor.context import read_context
-from biosensor_gateway.page.network_check import NetworkView, network_view
+from biosensor_gateway.page.session import Session
+
+
+class FindingView(BaseModel):
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    category
+        What it is about, in words for people.
+    level
+        ``ok``, ``note``, ``warning`` or ``error``.
+    what, why, fix
+        What is the case, why it matters, and the exact command or click; the last two are
+        empty if all is well.
+    """
+
+    check: str
+    category: str
+    level: str
+    what: str
+    why: str
+    fix: str
+
+
+class Examination(BaseModel):
+    """What ``doctor --json`` says; see `biosensor_common.doctor.report`.
+
+    Attributes
+    ----------
+    good
+        There are no errors.
+    seconds
+        How long it took.
+    checks
+        What was to be looked at.
+    counts
+        How many findings there are of each level.
+    """
+
+    version: int
+    good: bool
+    seconds: float
+    checks: list[str]
+    counts: dict[str, int]
+    findings: list[FindingView]
+
+
+class Doctor:
+    """Runs the checks of ``biosensor-gateway doctor``, once at a time.
+
+    Parameters
+    ----------
+    settings
+        The settings file, whether it is there or not.
+    folder
+        The state folder of the agent.
+    """
+
+    def __init__(self, settings: Path, folder: Path) -> None:
+        self._settings, self._folder = settings, folder
+        self._is_busy = False
+
+    async def examine(self) -> Examination:
+        """Run all checks, which takes up to some seconds.
+
+        Raises
+        ------
+        ConfigError
+            ``IN_USE`` if an examination goes on.
+        """
+        if self._is_busy:
+            message = "this computer is being examined already; wait for the outcome"
+            raise ConfigError(ConfigReason.IN_USE, message)
+        self._is_busy = True
+        try:
+            return Examination.model_validate(content(await asyncio.to_thread(self._run)))
+        finally:
+            self._is_busy = False
+
+    def _run(self) -> Report:
+        return run_checks(checks_of(AGENT), read_context(self._settings, self._folder))
+
+
+HostText = Annotated[str, StringConstraints(min_length=1, max_length=253, pattern=r"^[^\s/]+$")]
+CodeText = Annotated[str, StringConstraints(min_length=1, max_length=16)]
+
+
+class OtherComputer(BaseModel):
+    """Which computer is to be asked, and the code that it shows."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    host: HostText
+    code: CodeText
+    port: int = Field(ANSWER_PORT, ge=1024, le=65535)
+
+
+class NetworkView(Examination):
+    """What both computers have found out; of the findings, the cause before what follows from it.
+
+    Attributes
+    ----------
+    sides
+        A line about each computer; none if there was no conversation.
+    rows
+        What, from there to here, from here to there; the first one has the headings.
+    """
+
+    sides: list[str] = Field(default_factory=list[str])
+    rows: list[tuple[str, str, str]] = Field(default_factory=list[tuple[str, str, str]])
+
+
+class NetworkCheck:
+    """Runs ``biosensor-gateway doctor --with``, once at a time; parameters as of `Doctor`."""
+
+    def __init__(self, settings: Path, folder: Path) -> None:
+        self._settings, self._folder = settings, folder
+        self._is_busy = False
+
+    async def check(self, other: OtherComputer) -> NetworkView:
+        """Try it, which takes a quarter of a minute.
+
+        Raises
+        ------
+        ConfigError
+            ``IN_USE`` if it is being tried.
+        """
+        if self._is_busy:
+            message = "the network is being tried already; wait for the outcome"
+            raise ConfigError(ConfigReason.IN_USE, message)
+        self._is_busy = True
+        try:
+            return network_view(await asyncio.to_thread(self._run, other))
+        finally:
+            self._is_busy = False
+
+    def _run(self, other: OtherComputer) -> Outcome:
+        context = read_context(self._settings, self._folder)
+        return check_with(context, AGENT, other.host, other.port, other.code)
+
+
+def network_view(outcome: Outcome) -> NetworkView:
+    """Return an outcome as the page shows it."""
+    ends = outcome.ends
+    return NetworkView(
+        **content(outcome.report),
+        sides=[] if ends is None else list(judgement.sides_of(*ends)),
+        rows=[] if ends is None else list(judgement.rows(*ends)),
+    )
 
 
 @unique
@@ -151,8 +308,31 @@ class NetworkAnswer:
             yield answerer, way_here(context, answerer.port)
 
 
-def add_network_answer(router: APIRouter, answer: NetworkAnswer) -> None:
-    """Add what the page asks for to answer another computer."""
+def _waiting(answerer: Answerer, way: WayHere) -> AnswerView:
+    return AnswerView(
+        state=AnswerState.WAITING,
+        code=answerer.code,
+        address=way.address,
+        port=answerer.port,
+        others=list(way.others),
+        opening=way.opening,
+    )
+
+
+def add_doctor(router: APIRouter, session: Session, answer: NetworkAnswer) -> None:
+    """Add what the page asks of this computer, and of the network between two."""
+    doctor = Doctor(session.settings, session.folder)
+    check = NetworkCheck(session.settings, session.folder)
+
+    @router.post("/doctor")
+    async def examine() -> Examination:
+        """Say what is wrong on this computer, and how to mend it."""
+        return await doctor.examine()
+
+    @router.post("/network-check")
+    async def try_network(other: OtherComputer) -> NetworkView:
+        """Say which of two computers blocks the other's streams, and what opens the way."""
+        return await check.check(other)
 
     @router.get("/network-check/answer")
     async def state() -> AnswerView:
@@ -168,14 +348,3 @@ def add_network_answer(router: APIRouter, answer: NetworkAnswer) -> None:
     async def cancel() -> AnswerView:
         """Answer nobody any more."""
         return await answer.cancel()
-
-
-def _waiting(answerer: Answerer, way: WayHere) -> AnswerView:
-    return AnswerView(
-        state=AnswerState.WAITING,
-        code=answerer.code,
-        address=way.address,
-        port=answerer.port,
-        others=list(way.others),
-        opening=way.opening,
-    )

@@ -6,20 +6,69 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.marking import LISTED
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.page.marker_models import (
-    MarkerButtons,
+from biosensor_gateway.page.models import (
     MarkersView,
     MarkerView,
-    NewMarker,
+    Outcome,
 )
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings import editing
+
+
+class NewMarker(BaseModel):
+    """A marker of the experimenter: a button, or a note."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    marker: str
+    note: str = ""
+    kind: Literal["button", "note"] = "button"
+
+
+class MarkerButtons(BaseModel):
+    """The names of the buttons, in their order."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    buttons: list[str]
+
+
+class MarkerNumber(BaseModel):
+    """Which marker; without a number the last that is not undone."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    id: int | None = None
+
+
+def add_markers(router: APIRouter, marking: Marking) -> None:
+    """Add how markers are sent and named."""
+
+    @router.post("/markers")
+    async def mark(marker: NewMarker) -> Outcome:
+        """Send a marker, stamped with now."""
+        return Outcome(sentence=await marking.mark(marker))
+
+    @router.put("/markers/buttons")
+    async def name_buttons(wanted: MarkerButtons) -> Outcome:
+        """Name the buttons of markers in the settings."""
+        return Outcome(sentence=await marking.name_buttons(wanted))
+
+    @router.post("/markers/undo")
+    async def undo(which: MarkerNumber) -> Outcome:
+        """Say that a marker was a mistake; nothing is deleted."""
+        await marking.undo(which.id)
+        return Outcome(sentence="The marker is marked as a mistake; it stays in the recording.")
+
 
 LOOK_S = 1.0
 

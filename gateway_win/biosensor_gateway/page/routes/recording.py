@@ -9,16 +9,19 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict
+
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.absences import Absence, absences, clock_time
 from biosensor_gateway.page.models import (
     Choice,
-    NewRecording,
     Outcome,
+    PathText,
     RecordingView,
     VerdictView,
 )
-from biosensor_gateway.page.routes.errors import QuestionError
+from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.recorder.local import LocalRecorder
@@ -39,6 +42,58 @@ from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.system.cloud_folders import usual_recordings_folder, warnings_of
+
+
+class NewRecording(BaseModel):
+    """What a recording is to be called, in the words of BIDS, and where it goes.
+
+    Attributes
+    ----------
+    folder
+        Empty for the usual one.
+    only_ours
+        Leave out streams of other programs, live features included.
+    allow_missing
+        Record although streams of the agent's devices are not there.
+    set_sensors
+        Have the participant wear all sensors first.
+    other_participants
+        Record although others than the participant wear the sensors.
+    without_away
+        Record although sensors are paused or do not stream.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    participant: str
+    session: str = "S001"
+    task: str = "Default"
+    folder: PathText = ""
+    only_ours: bool = False
+    allow_missing: bool = False
+    set_sensors: bool = False
+    other_participants: bool = False
+    without_away: bool = False
+
+
+def add_recording(router: APIRouter, recorder: Recorder) -> None:
+    """Add how a recording begins and ends, and how one that was cut off is salvaged."""
+
+    @router.post("/recording/start")
+    async def start(recording: NewRecording) -> Outcome:
+        """Begin to record all streams."""
+        return await recorder.start(recording)
+
+    @router.post("/recording/stop")
+    async def stop() -> Outcome:
+        """End the recording, and judge it."""
+        return await recorder.stop()
+
+    @router.post("/recording/salvage")
+    async def salvage() -> Outcome:
+        """Write what can be read of a recording that was cut off to a file beside it."""
+        return await recorder.salvage()
+
 
 LOOK_S = 1.0
 _MOST_TOLD_OF = 20

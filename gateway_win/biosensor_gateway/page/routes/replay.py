@@ -4,22 +4,110 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import subprocess
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import groupby, islice
 from pathlib import Path
 from typing import IO
 
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+from pylsl import local_clock
+
+from biosensor_common import naming
 from biosensor_common.child import close_input, send
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.agent.feed_frames import HEAD, FrameKind
+from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelRole
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.feed_frames import HEAD, FrameKind, Samples
+from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.sample_frames import read_samples
-from biosensor_gateway.page.models import Outcome
-from biosensor_gateway.page.replay_models import NewReplay
+from biosensor_gateway.devices.registry import sensor_title
+from biosensor_gateway.page.live import Traces, is_of_now
+from biosensor_gateway.page.models import (
+    LongText,
+    Outcome,
+    PathText,
+    ReplayedDeviceView,
+    ReplayedStreamView,
+    ReplayView,
+)
+from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.replay import words
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
-from biosensor_gateway.recording.replay.told import Phase, ReplayJob, ReplayProgress, Told
+from biosensor_gateway.recording.replay.source import opened
+from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
+from biosensor_gateway.recording.replay.told import (
+    Phase,
+    PlayedStream,
+    ReplayJob,
+    ReplayProgress,
+    Told,
+)
 from biosensor_gateway.system.child import start_for
+
+
+class RecordingFile(BaseModel):
+    """A recording that can be played.
+
+    Attributes
+    ----------
+    modified
+        Unix time in s.
+    """
+
+    path: str
+    name: str
+    bytes: int
+    modified: float
+
+
+class RecordedStream(BaseModel):
+    """A stream of a recording; `wearer` is empty if nobody is named."""
+
+    name: str
+    wearer: str
+    samples: int
+
+
+class RecordingContents(BaseModel):
+    """What is in a recording.
+
+    Attributes
+    ----------
+    length_s
+        From the first sample to the last.
+    problems
+        What cannot be read, one sentence each.
+    """
+
+    length_s: float
+    streams: list[RecordedStream]
+    problems: list[str]
+
+
+class RecordingPath(BaseModel):
+    """Which recording."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    path: PathText
+
+
+class NewReplay(RecordingPath):
+    """What to play, and how; as the options of ``biosensor-gateway replay``."""
+
+    speed: float = Field(default=1.0, ge=SLOWEST, le=FASTEST)
+    begin: LongText = ""
+    end: LongText = ""
+    streams: list[LongText] = Field(default_factory=list[str], max_length=1024)
+    loop: bool = False
+    beside_live: bool = False
+
 
 PLAYER = "play-recording"
 """First argument of the command line that is a player."""
@@ -34,11 +122,13 @@ class Replaying:
     Parameters
     ----------
     session
-        Its `replay` is kept up to date.
+        Its `replay_view` is that of this replay.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
+        self._replayed = Replayed(session.traces)
+        session.replay_view = self._replayed.view
         self._process: subprocess.Popen[bytes] | None = None
         self._begun = asyncio.Event()
         self._over = asyncio.Event()
@@ -63,7 +153,7 @@ class Replaying:
         TransportError
             ``ABSENT`` if the system cannot start what plays it.
         """
-        if self._session.replay.is_running:
+        if self._replayed.is_running:
             message = "a recording is being played already; end that replay first"
             raise ConfigError(ConfigReason.IN_USE, message)
         file = whole_path(wanted.path)
@@ -72,11 +162,11 @@ class Replaying:
         )
         self._begun.clear()
         self._over.clear()
-        self._session.replay.begin(file.name, wanted.speed, loop=wanted.loop)
+        self._replayed.begin(file.name, wanted.speed, loop=wanted.loop)
         try:
             self._process = start_for([PLAYER])
         except OSError as error:
-            self._session.replay.end()
+            self._replayed.end()
             message = f"the recording cannot be played: {error.strerror or error}"
             raise TransportError(TransportReason.ABSENT, message) from error
         self._listen(self._process, job)
@@ -93,7 +183,7 @@ class Replaying:
         ConfigError
             ``NOT_FOUND`` if there is none.
         """
-        if not self._session.replay.is_running:
+        if not self._replayed.is_running:
             raise ConfigError(ConfigReason.NOT_FOUND, "no recording is being played")
         self._close_input()
         try:
@@ -132,24 +222,24 @@ class Replaying:
 
     def _take(self, kind: int, content: bytes) -> None:
         if kind == FrameKind.SAMPLES:
-            self._session.replay.take(read_samples(content))
+            self._replayed.take(read_samples(content))
         elif kind == FrameKind.STATUS:
             told = Told.model_validate_json(content)
             self._last = told.progress
             if told.streams is not None:
-                self._session.replay.show(told.streams)
+                self._replayed.show(told.streams)
                 self._begun.set()
             # Why it was refused is the answer of the request.
             if told.progress.phase is not Phase.REFUSED:
                 is_playing = told.progress.phase is Phase.PLAYING
-                self._session.replay.note(told.progress, is_playing=is_playing)
+                self._replayed.note(told.progress, is_playing=is_playing)
 
     def _end(self) -> None:
         if self._last.phase is not Phase.REFUSED and self._last.phase is not Phase.ENDED:
             self._last = self._last.model_copy(update={"said": [*self._last.said, _DIED]})
-            self._session.replay.note(self._last, is_playing=False)
+            self._replayed.note(self._last, is_playing=False)
         self._close_input()
-        self._session.replay.end()
+        self._replayed.end()
         self._begun.set()
         self._over.set()
 
@@ -178,3 +268,217 @@ def _read_frame(output: IO[bytes]) -> tuple[int, bytes]:
     if len(content) < length:
         raise EOFError
     return kind, content
+
+
+class Replayed:
+    """Describes the replay, and keeps its newest samples; on the loop of the server alone.
+
+    Parameters
+    ----------
+    traces
+        Where its samples go, to be drawn like all others.
+    """
+
+    def __init__(self, traces: Traces) -> None:
+        self._traces = traces
+        self._view = ReplayView()
+        self._streams: Sequence[PlayedStream] = ()
+        self._meters: dict[str, RateMeter] = {}
+        self._counts: dict[str, int] = {}
+
+    @property
+    def is_running(self) -> bool:
+        """Whether there is one, or will be in a moment."""
+        return self._view.is_running
+
+    def begin(self, file: str, speed: float, *, loop: bool) -> None:
+        """Show a replay that is being opened."""
+        self._view = ReplayView(is_running=True, file=file, speed=speed, loop=loop)
+
+    def show(self, streams: Sequence[PlayedStream]) -> None:
+        """Take in what is played."""
+        self._streams = streams
+        self._meters = {each.source_id: RateMeter() for each in streams}
+        self._counts = dict.fromkeys(self._meters, 0)
+
+    def take(self, samples: Samples) -> None:
+        """Keep what was sent."""
+        source_id = samples.source_id
+        if source_id in self._counts and len(samples.stamps):
+            self._counts[source_id] += len(samples.stamps)
+            self._meters[source_id].note(self._counts[source_id], float(samples.stamps[-1]))
+            self._traces.take(samples)
+
+    def note(self, progress: ReplayProgress, *, is_playing: bool) -> None:
+        """Take in how far it is."""
+        self._view = self._view.model_copy(
+            update={
+                "is_playing": is_playing,
+                "lap": progress.lap,
+                "position_s": progress.position_s,
+                "length_s": progress.length_s,
+                "sent": progress.sent,
+                "received": progress.received,
+                "stream_count": progress.streams,
+                "said": progress.said,
+            }
+        )
+
+    def end(self) -> None:
+        """Show it as ended; nothing that it has sent is shown any more."""
+        self._traces.history.forget(self._counts)
+        self._streams, self._meters, self._counts = (), {}, {}
+        self._view = self._view.model_copy(update={"is_running": False, "is_playing": False})
+
+    def view(self) -> ReplayView:
+        """Describe it as it is now."""
+        if not self._streams:
+            return self._view
+        now = local_clock()
+        topics = self._topics()
+        known = sorted((each for each in self._streams if each.channels), key=_device_of)
+        devices = [
+            self._device(who, list(parts), topics, now) for who, parts in groupby(known, _device_of)
+        ]
+        return self._view.model_copy(update={"devices": devices})
+
+    def _topics(self) -> dict[str, str]:
+        """Resolve ROS topics as a node does that sees these streams alone."""
+        claims = {
+            each.source_id: (
+                DeviceIdentity(each.sensor, each.unit, each.participant, each.label),
+                each.data_name,
+            )
+            for each in self._streams
+            if each.is_ours
+        }
+        return {key: f"/{name.name}" for key, name in naming.resolve_topics(claims).items()}
+
+    def _device(
+        self, who: tuple[str, ...], streams: list[PlayedStream], topics: dict[str, str], now: float
+    ) -> ReplayedDeviceView:
+        first = streams[0]
+        return ReplayedDeviceView(
+            name=f"replay of {'/'.join(each for each in who if each)}",
+            title=sensor_title(first.sensor),
+            unit=first.unit,
+            participant=first.participant,
+            label=first.label,
+            battery_percent=self._battery(streams),
+            streams={
+                each.source_id: self._stream(each, topics, now)
+                for each in sorted(streams, key=_rank)
+            },
+        )
+
+    def _stream(
+        self, stream: PlayedStream, topics: dict[str, str], now: float
+    ) -> ReplayedStreamView:
+        newest = self._traces.history.newest(stream.source_id)
+        age_s = max(0.0, now - newest[0]) if newest else None
+        is_regular, is_signal = stream.nominal_hz > 0, stream.content_type not in TYPES_OF_DEVICE
+        is_fresh = is_of_now(age_s, is_regular=is_regular, is_signal=is_signal)
+        meter = self._meters[stream.source_id]
+        return ReplayedStreamView(
+            source_id=stream.source_id,
+            data_name=stream.data_name,
+            lsl_name=stream.lsl_name,
+            topic=topics.get(stream.source_id, ""),
+            content_type=stream.content_type,
+            channels=stream.channels,
+            units=stream.units,
+            nominal_hz=stream.nominal_hz,
+            is_empty=stream.is_empty,
+            measured_hz=meter.rate_hz(now) if is_regular else None,
+            age_s=age_s,
+            is_fresh=is_fresh,
+            is_signal=is_signal,
+            values=newest[1] if newest and is_fresh else [],
+        )
+
+    def _battery(self, streams: Sequence[PlayedStream]) -> float | None:
+        for each in streams:
+            if ChannelRole.STATE_OF_CHARGE in each.roles:
+                newest = self._traces.history.newest(each.source_id)
+                return newest[1][each.roles.index(ChannelRole.STATE_OF_CHARGE)] if newest else None
+        return None
+
+
+def _rank(stream: PlayedStream) -> tuple[object, ...]:
+    """Order: what was measured on the body, the fastest first; then the rest."""
+    return (stream.content_type in TYPES_OF_DEVICE, -stream.nominal_hz, stream.data_name)
+
+
+def _device_of(stream: PlayedStream) -> tuple[str, ...]:
+    return (stream.participant, stream.sensor, stream.unit, stream.label)
+
+
+MOST_LISTED = 100
+_MOST_LOOKED_AT = 20_000
+_SUFFIXES = (".xdf", ".xdfz")
+
+
+def add_replay(router: APIRouter, recorder: Recorder, replaying: Replaying) -> None:
+    """Add how recordings are found and played."""
+
+    @router.get("/recordings")
+    async def known() -> list[RecordingFile]:
+        """List the recordings in the folders that were recorded to, the newest first."""
+        going_on = recorder.file_going_on
+        found = await asyncio.to_thread(recordings, recorder.folders)
+        return [each for each in found if each.path != going_on]
+
+    @router.post("/recordings/contents")
+    async def contents(recording: RecordingPath) -> RecordingContents:
+        """Say what is in a recording; a long one takes some seconds."""
+        return await asyncio.to_thread(_contents, whole_path(recording.path))
+
+    @router.post("/replay/start")
+    async def start(wanted: NewReplay) -> Outcome:
+        """Play a recording as LSL streams."""
+        return await replaying.start(wanted)
+
+    @router.post("/replay/stop")
+    async def stop() -> Outcome:
+        """End the replay."""
+        return await replaying.stop()
+
+
+def recordings(folders: Iterable[Path]) -> list[RecordingFile]:
+    """Find recordings below some folders, the newest first, `MOST_LISTED` at most."""
+    paths = {path for folder in folders for path in islice(_below(folder), _MOST_LOOKED_AT)}
+    found = [_described(path) for path in paths if path.suffix.lower() in _SUFFIXES]
+    known = sorted((each for each in found if each), key=lambda each: -each.modified)
+    return known[:MOST_LISTED]
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    for place, _, names in os.walk(folder):
+        yield from (Path(place, name) for name in names)
+
+
+def _described(path: Path) -> RecordingFile | None:
+    try:
+        stat = path.stat()
+    except OSError:
+        # It was there a moment ago.
+        return None
+    return RecordingFile(path=str(path), name=path.name, bytes=stat.st_size, modified=stat.st_mtime)
+
+
+def _contents(path: Path) -> RecordingContents:
+    with opened(path) as contents:
+        return RecordingContents(
+            length_s=contents.end_s - contents.begin_s,
+            streams=[_stream(each) for each in contents.streams],
+            problems=list(words.damaged(contents.damages)),
+        )
+
+
+def _stream(stream: Stream) -> RecordedStream:
+    identity = stream.header.identity
+    return RecordedStream(
+        name=stream.header.name,
+        wearer="" if identity is None else identity.participant,
+        samples=stream.sample_count,
+    )

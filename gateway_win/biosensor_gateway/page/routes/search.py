@@ -1,17 +1,56 @@
-"""Searches for devices while the page shows how far it is."""
+"""Searches for devices, and connects to one for some seconds to see what it sends."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.devices.registry import driver
 from biosensor_gateway.doctor import scan
-from biosensor_gateway.page.models import SearchView
+from biosensor_gateway.doctor.device_test import DeviceTestResult, described, run_device_test
+from biosensor_gateway.doctor.scan import SearchedPlace
+from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.models import DeviceSettings
 
-SECONDS = 6.0
+
+class SearchView(BaseModel):
+    """How a search goes on; what it finds is that of ``scan --json``."""
+
+    running: bool = False
+    seconds: float = 0.0
+    elapsed_s: float = 0.0
+    places: list[SearchedPlace] = Field(default_factory=list[SearchedPlace])
+    done: bool = False
+
+
+def add_search(router: APIRouter, session: Session) -> None:
+    """Add how devices are found, and tried before a study relies on them."""
+    search = Search(session.configured)
+    tester = DeviceTester(session.streamed)
+
+    @router.get("/search")
+    async def found() -> SearchView:
+        """Say how far the search for devices is."""
+        return search.view()
+
+    @router.post("/search")
+    async def look() -> SearchView:
+        """Search for devices in reach."""
+        search.start()
+        return search.view()
+
+    @router.post("/devices/test")
+    async def test(candidate: Candidate) -> DeviceTestResult:
+        """Connect to a device for some seconds; nothing is streamed."""
+        return await tester.run(candidate)
+
+
+SEARCH_S = 6.0
 
 
 class Search:
@@ -46,11 +85,11 @@ class Search:
     def view(self) -> SearchView:
         """Say how far it is."""
         if self._task is None:
-            return SearchView(seconds=SECONDS)
+            return SearchView(seconds=SEARCH_S)
         return SearchView(
             running=self._is_running,
-            seconds=SECONDS,
-            elapsed_s=min(SECONDS, time.monotonic() - self._begun_s),
+            seconds=SEARCH_S,
+            elapsed_s=min(SEARCH_S, time.monotonic() - self._begun_s),
             places=scan.described(self._sections, self._configured()),
             done=not self._is_running,
         )
@@ -60,4 +99,67 @@ class Search:
         return self._task is not None and not self._task.done()
 
     async def _run(self) -> None:
-        self._sections = await scan.scan(SECONDS, self._configured())
+        self._sections = await scan.scan(SEARCH_S, self._configured())
+
+
+TRIAL_S = 5.0
+
+
+class Candidate(BaseModel):
+    """A device that may not be in the settings yet: what its table there would have."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    sensor: str
+    settings: dict[str, str | int | float | bool]
+
+
+class DeviceTester:
+    """Tests one device at a time, beside an agent that streams others.
+
+    Parameters
+    ----------
+    streamed
+        Tells the devices that the agent is connected to, as sensor and unit.
+    """
+
+    def __init__(self, streamed: Callable[[], Sequence[tuple[str, str]]]) -> None:
+        self._streamed = streamed
+        self._is_busy = False
+
+    async def run(self, candidate: Candidate) -> DeviceTestResult:
+        """Connect, listen for `TRIAL_S`, and judge.
+
+        Raises
+        ------
+        ConfigError
+            ``WRONG_VALUE`` if no device can be made of this; ``IN_USE`` while another is tested.
+        TransportError
+            ``BUSY`` if the agent has the device.
+        SpecError
+            No sensor is called so.
+        """
+        settings = _settings(candidate)
+        if (settings.sensor_name, settings.unit) in self._streamed():
+            message = "the agent has this device; its card shows what it sends"
+            raise TransportError(TransportReason.BUSY, message)
+        if self._is_busy:
+            message = "another device is being tried; wait for the outcome"
+            raise ConfigError(ConfigReason.IN_USE, message)
+        self._is_busy = True
+        try:
+            return described(await run_device_test(settings, TRIAL_S))
+        finally:
+            self._is_busy = False
+
+
+def _settings(candidate: Candidate) -> DeviceSettings:
+    fields: Mapping[str, object] = {"unit": "trial", **candidate.settings}
+    try:
+        return driver(candidate.sensor).settings.model_validate(
+            {**fields, "sensor": candidate.sensor}
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the settings"
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"{place}: {first['msg']}") from None

@@ -88,7 +88,7 @@ class Access:
         return {(each.sensor, each.name): each for each in names}
 
 
-def add_access(router: APIRouter, access: Access) -> None:
+def add_secrets(router: APIRouter, access: Access) -> None:
     """Add what is asked of secrets; there is no way to read one."""
 
     @router.get("/secrets")

@@ -1,4 +1,4 @@
-"""Refuses a request: with a code of HTTP, and one sentence for people."""
+"""What all interfaces of the page share: the application, and how it refuses a request."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError, TransportReason
 from biosensor_gateway.page.models import Choice, Problem
+from biosensor_gateway.page.static_files import PREFIX
 
 _CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
 
@@ -22,10 +23,18 @@ class QuestionError(ConfigError):
         self.problem = Problem(problem=sentence, title=title, choices=[*choices])
 
 
-def add_refusals(app: FastAPI) -> None:
-    """Answer errors of ours, and content that the interface does not take, with a sentence."""
+def new_app() -> FastAPI:
+    """Return an application that refuses with a sentence, and loads no script of other servers."""
+    app = FastAPI(
+        title="Biosensor Gateway",
+        version="1",
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=f"{PREFIX}/openapi.json",
+    )
     app.exception_handler(GatewayError)(_refused)
     app.exception_handler(RequestValidationError)(misformed)
+    return app
 
 
 async def misformed(_request: Request, error: Exception) -> JSONResponse:

@@ -1,0 +1,171 @@
+"""The page of the agent: loads its parts while the browser opens, and runs them.
+
+Only what it takes to listen is imported here; the rest is loaded in a thread, first what the page
+shows, then what a person can ask for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncGenerator, Callable, Coroutine, Mapping
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from biosensor_common.errors import ConfigError, GatewayError
+from biosensor_gateway.page.instance import ADDRESS, IS_SHARED, SETTINGS, only_server, reachable
+from biosensor_gateway.page.server import PageServer, cancelled, responsive
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp
+
+    from biosensor_gateway.page.agent import AgentLink
+    from biosensor_gateway.page.interface import Interface
+    from biosensor_gateway.page.models import ShareView
+    from biosensor_gateway.page.session import Session, Shutdown
+
+_FIRST_S = 1.5
+
+
+class AgentPage:
+    """Serves the page until it is told to end.
+
+    Parameters
+    ----------
+    folder
+        The state folder of the agent; other programs of its user find the server there.
+    settings
+        The settings file.
+    on_ready
+        Called in a thread with an address that opens the page once, as soon as it can be
+        opened. An error that it raises ends the server.
+    open_log
+        Called in another thread once the page has something to show.
+    end_after_s
+        How long there must have been neither window nor agent nor recording for the server to
+        end by itself.
+    share_port
+        TCP port where other computers look on, 0 for any that is free; None for no other.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Path,
+        on_ready: Callable[[str], None],
+        open_log: Callable[[], None],
+        end_after_s: float = math.inf,
+        share_port: int | None = None,
+    ) -> None:
+        self._folder, self._settings = folder, settings
+        self._on_ready, self._open_log = on_ready, open_log
+        self._end_after_s, self._share_port = end_after_s, share_port
+        self._server = PageServer("index.html", self._run)
+        self._unfound: ConfigError | None = None
+        self._unopened: GatewayError | None = None
+        self.share: ShareView | None = None
+
+    def run(self) -> None:
+        """Serve until SIGINT or SIGTERM, or until somebody ends the page.
+
+        Raises
+        ------
+        ConfigError
+            ``IN_USE`` if the state folder has a server already.
+        OSError
+            There is no port on the loopback address.
+        TransportError
+            Other computers were to look on, and cannot.
+        GatewayError
+            Whatever `on_ready` has raised.
+        """
+        with only_server(self._folder) as self._unfound:
+            self._server.serve()
+        if self._unopened is not None:
+            raise self._unopened
+
+    async def _run(self) -> None:
+        """Load the rest and run it until somebody ends the page; an error ends it, too."""
+        running: list[asyncio.Task[None]] = []
+
+        def begin(alongside: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+            running.append(asyncio.create_task(alongside))
+            return running[-1]
+
+        try:
+            if self._share_port is None:
+                begin(self._show())
+            session, shutdown, link, live = await asyncio.to_thread(self._load)
+            self._server.front.show(live)
+            ended = begin(shutdown.run())
+            begin(link.run())
+            # What follows needs the processor twice as long, and a person looks before a click.
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_FIRST_S):
+                    await session.told.wait()
+            interface = await asyncio.to_thread(self._load_more, session, shutdown)
+            self._server.front.complete(interface.app)
+            begin(interface.run())
+            async with self._shared(session), self._reachable(shutdown):
+                if self._share_port is not None:
+                    begin(self._show())
+                await ended
+        finally:
+            await cancelled(running)
+
+    def _load(self) -> tuple[Session, Shutdown, AgentLink, ASGIApp]:
+        with responsive():
+            from biosensor_gateway.page.agent import AgentLink
+            from biosensor_gateway.page.live import live
+            from biosensor_gateway.page.session import Session, Shutdown
+
+            session = Session(self._folder, self._settings)
+            link = AgentLink(
+                self._folder, session.take_status, session.traces.take, session.take_dropped
+            )
+            shutdown = Shutdown(session, self._end_after_s)
+            return session, shutdown, link, live(session, session.status)
+
+    def _load_more(self, session: Session, shutdown: Shutdown) -> Interface:
+        self._open_log()
+        with responsive():
+            from biosensor_gateway.page.interface import Interface
+
+            return Interface(session, shutdown)
+
+    async def _show(self) -> None:
+        try:
+            await asyncio.to_thread(self._on_ready, self._server.way_in())
+        except GatewayError as error:
+            self._unopened = error
+            self._server.end()
+
+    @contextlib.asynccontextmanager
+    async def _shared(self, session: Session) -> AsyncGenerator[None]:
+        """Let other computers look on, if that is wanted."""
+        if self._share_port is None:
+            yield
+            return
+        # Its certificate takes a fifth of the time of a start.
+        from biosensor_gateway.page.sharing import shared
+
+        async with shared(session, self._server.pages, self._share_port) as self.share:
+            yield
+
+    def _reachable(self, shutdown: Shutdown) -> AbstractAsyncContextManager[None]:
+        """Let other programs of the same user ask for a window, or for the end."""
+
+        async def new_window(_arguments: Mapping[str, Any]) -> dict[str, Any]:
+            return {
+                ADDRESS: self._server.way_in(),
+                SETTINGS: str(self._settings),
+                IS_SHARED: self.share is not None,
+            }
+
+        async def end(_arguments: Mapping[str, Any]) -> dict[str, Any]:
+            shutdown.request()
+            return {}
+
+        return reachable(self._folder, new_window, end, self._unfound)

@@ -1,1 +1,0 @@
-"""The page of the network: its server, its API, and what it shows."""
