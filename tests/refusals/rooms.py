@@ -33,7 +33,7 @@ _PATTERNS = (
     *(f"{_AGENT}/pulses/{each}.py" for each in ("filters", "finding")),
     *(f"{_NODE}/accounts/{each}.py" for each in ("gaps", "lateness", "load", "losses")),
     *(f"{_AGENT}/page/network/{each}.py" for each in (
-        "inlets", "listing", "losses", "placing", "reader", "received", "receiver",
+        "listing", "source", "stream",
     )),
 )  # fmt: skip
 _DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*_emitter.py")

@@ -80,7 +80,7 @@ class NetworkSource:
         loop = asyncio.get_running_loop()
 
         def hand_over(samples: list[Samples]) -> None:
-            # The loop may have ended a moment before the thread.
+            # nothing is dropped: the loop may have ended a moment before the thread
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(self._take, samples)
 

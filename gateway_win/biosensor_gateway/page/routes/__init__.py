@@ -1,1 +1,1 @@
-"""What the page can ask for, a module for each feature: its models, its handlers, its state."""
+"""All that can be asked of the page, a module for each feature: models, handlers and state."""

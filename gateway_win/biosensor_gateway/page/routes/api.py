@@ -1,4 +1,4 @@
-"""What all interfaces of the page share: the application, and how it refuses a request."""
+"""The application of an interface of the page, and how it refuses a request."""
 
 from __future__ import annotations
 
