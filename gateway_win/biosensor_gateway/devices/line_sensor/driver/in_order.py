@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from math import isnan
 
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import Row
+from biosensor_gateway.devices.line_sensor.driver.protocol import Row
 
 PATIENCE_S = 0.35
 """So long a line waits for one before it, as those of other senders of datagrams do."""

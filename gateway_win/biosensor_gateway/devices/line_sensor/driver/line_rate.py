@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isnan
 
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import Row
+from biosensor_gateway.devices.line_sensor.driver.protocol import Row
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
 
 WINDOW_S = 5.0
