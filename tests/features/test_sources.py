@@ -65,7 +65,7 @@ def test_a_pulse_is_not_looked_for_in_ambient_light(labels: tuple[str, ...], tak
 @pytest.mark.parametrize(
     ("header", "reason"),
     [
-        (_header("ECG", ""), FeatureReason.UNIT),
+        (_header("GSR", ""), FeatureReason.UNIT),
         (_header("GSR", "kohm"), FeatureReason.UNIT),
         (_header("RR", "bpm", 0), FeatureReason.UNIT),
         (_header("Accelerometer", "deg", channels=3), FeatureReason.UNIT),
@@ -84,6 +84,14 @@ def test_a_wrong_or_missing_unit_rate_or_channel_is_one_sentence(
     assert caught.value.reason is reason
     assert "'ECG Amp 1'" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["ECG", "PPG", "Respiration"])
+def test_what_ratios_tell_needs_no_unit(kind: str) -> None:
+    source = judge("Amp", "", _header(kind, ""))
+    assert source is not None
+    assert source.features
+    assert source.scale == 1.0
 
 
 def test_a_type_that_nothing_is_computed_of_is_passed_over() -> None:

@@ -63,7 +63,7 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
 
 def test_pandas_reads_a_table_without_options(read: dict[str, dict[str, Any]]) -> None:
     found = read["table"]
-    assert found["types"] == {"lsl_time": "float64", "ECG": "float64"}
+    assert found["types"] == {"lsl_time": "float64", "seconds": "float64", "ECG": "float64"}
     values = np.array(found["columns"]["ECG"], np.float32)
     assert values.tolist() == ecg_values(2600)[:, 0].tolist()
     assert found["columns"]["lsl_time"][0] == BEGIN_S

@@ -58,7 +58,7 @@ def test_every_format_is_told_and_bids_leaves_it_out(exported: Exporting) -> Non
 def test_alone_it_is_written_on_its_own_clock(exported: Exporting) -> None:
     (bids,) = exported(ALONE, "bids").written
     assert bids.is_whole
-    assert list(bids.path.rglob("*_physio.tsv.gz"))
+    assert list(bids.path.rglob("*_eeg.eeg"))
 
 
 def test_a_stream_that_no_bag_can_hold_is_missing(exported: Exporting) -> None:

@@ -9,6 +9,7 @@ import json
 import tempfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -41,16 +42,18 @@ def test_each_stream_is_a_table(exported: Exporting) -> None:
     ecg, _, gsr, markers, _ = _streams(folder)
     assert ecg["columns"] == [
         {"name": "lsl_time", "unit": "s"},
+        {"name": "seconds", "unit": "s"},
         {"name": "ECG", "label": "ECG", "unit": "microvolts"},
     ]
     assert (ecg["samples"], ecg["participant"], ecg["nominal_rate_hz"]) == (2600, "P1", 130)
     head, *rows = _rows((folder / ecg["file"]).read_bytes())
-    assert head == ["lsl_time", "ECG"]
-    assert [np.float32(row[1]) for row in rows] == ecg_values(2600)[:, 0].tolist()
+    assert head == ["lsl_time", "seconds", "ECG"]
+    assert [float(row[1]) for row in rows[:2]] == [0.0, round(1 / 130, 6)]
+    assert [np.float32(row[2]) for row in rows] == ecg_values(2600)[:, 0].tolist()
     assert float(rows[0][0]) == BEGIN_S
-    assert _rows((folder / gsr["file"]).read_bytes())[8][1] == "NaN"
+    assert _rows((folder / gsr["file"]).read_bytes())[8][2] == "NaN"
     marks = _rows((folder / markers["file"]).read_bytes())
-    assert marks[2] == ["1012.0", 'say "no",\nthen stop']
+    assert marks[2] == ["1012.0", "12.0", 'say "no",\nthen stop']
 
 
 def test_the_time_of_day(exported: Exporting) -> None:
@@ -139,7 +142,7 @@ def test_every_sample_is_read_back(
         cells = [line[column] for line in lines]
         read = [cells[at : at + width] for at in range(0, len(cells), width)]
     else:
-        times, read = [float(line[0]) for line in lines], [line[1:] for line in lines]
+        times, read = [float(line[0]) for line in lines], [line[2:] for line in lines]
     assert times == stamps
     if fmt == "string":
         assert read == rows
@@ -178,3 +181,18 @@ def test_names_that_no_file_can_have_everywhere(exported: Exporting) -> None:
         "rf.csv",
         "all_markers_2.csv",
     ]
+
+
+def test_a_channel_that_is_called_like_a_column_of_times_gets_another_name(
+    exported: Exporting,
+) -> None:
+    desc = ET.fromstring(
+        "<desc><channels><channel><label>seconds</label></channel><channel><label>lsl_time"
+        "</label></channel></channels></desc>"
+    )
+    header = made.stream_header(1, "a", channels=2, desc=desc)
+    content = made.xdf(header, made.samples(1, "float32", [[1.0, 2.0]], [5.0]))
+    folder = exported(content, "csv").written[0].path
+    head, row = _rows((folder / "a.csv").read_bytes())
+    assert head == ["lsl_time", "seconds", "seconds_2", "lsl_time_2"]
+    assert row == ["5.0", "0.0", "1.0", "2.0"]

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 from edfio import read_bdf
 from numpy.typing import NDArray
 
+from biosensor_gateway.features.errors import FeatureError
+from biosensor_gateway.features.offline import compute
+from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
+from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.outcome import Outcome, Written
+from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S
 from tests.xdf import xdf_file as made
@@ -160,3 +168,55 @@ def test_all_agree(shape: str, exported: Exporting) -> None:
     assert sum(each["Samples"] for each in sidecars) == sum(rows) or any(
         "ecg" in note for note in bids.notes
     ), bids.notes
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_bag_and_the_way_back_have_what_check_counts(
+    shape: str, exported: Exporting, tmp_path: Path
+) -> None:
+    content = made.xdf(*SHAPES[shape])
+    expected = Counter({each.name: each.stream.sample_count for each in check(content).streams})
+    bag = _of(exported(content, "mcap"), "mcap")
+    assert bag is not None
+    again = tmp_path / "again.xdf"
+    import_bag(bag.path, again)
+    held = {each.header.name: each.sample_count for each in read_recording(again).streams}
+    for name, count in expected.items():
+        # What is missing, the export has said.
+        assert held.get(name) == count or any(name in note for note in bag.notes), bag.notes
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_replay_is_as_long_as_the_recording(shape: str, tmp_path: Path) -> None:
+    content = made.xdf(*SHAPES[shape])
+    path = tmp_path / "study.xdf"
+    path.write_bytes(content)
+    length_s = check(content).extent.length_s
+    with open_contents(path) as contents:
+        timed, _ = on_one_clock(choose(contents, Wish()))
+        ends = [found for each in timed.streams if (found := each.ends())]
+        begin_s = min(begin for begin, _ in ends)
+        end_s = max(end for _, end in ends)
+    # A single stamp from the future stays where it is.
+    assert shape == "a stamp from the future" or end_s - begin_s == pytest.approx(length_s, abs=0.1)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_features_read_each_signal_or_say_why_not(shape: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(made.xdf(*SHAPES[shape]))
+    if shape == "no rate in the header":
+        with pytest.raises(FeatureError, match="nominal rate"):
+            compute(path, tmp_path / "features.csv")
+        return
+    computed = compute(path, tmp_path / "features.csv")
+    assert any(name.endswith("-ecg_sqi") for name in computed.counts)
+    # What is done about stamps is said, of the shapes that need it and of no other.
+    needs = {
+        "bursts": "even stamps",
+        "overlaps": "even stamps",
+        "a stamp from the future": "stamp",
+        "a clock that was set back": "step",
+    }
+    told = " ".join(computed.remarks)
+    assert (needs[shape] in told) if shape in needs else not told, told

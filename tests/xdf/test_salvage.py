@@ -15,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from tests.xdf import xdf_file as x
@@ -291,3 +293,25 @@ def test_places_in_the_file_follow_each_other(tmp_path: Path) -> None:
     ends = [(each.damage.start, each.damage.end) for each in outcome.places]
     assert len(ends) == 3
     assert all(before[1] <= after[0] for before, after in pairwise(ends))
+
+
+@pytest.mark.parametrize("chunk", [1, 50, 300])
+def test_a_last_sample_of_another_time_is_cut_off(chunk: int, tmp_path: Path) -> None:
+    stamps = [5000.0 + each / 130 for each in range(300)] + [805030.5]
+    values = [[float(each)] for each in range(301)]
+    parts = [
+        x.samples(1, "float32", values[at : at + chunk], stamps[at : at + chunk])
+        for at in range(0, 301, chunk)
+    ]
+    header = x.stream_header(1, "Polar", kind="ECG", rate=130.0)
+    path = tmp_path / "garbage.xdf"
+    path.write_bytes(x.xdf(header, *parts, x.footer(1, 300)))
+    assert judge(read_recording(path)).can_be_salvaged
+    written = tmp_path / "mended.xdf"
+    outcome = salvage(path, written)
+    (stream,) = read_recording(written).streams
+    assert stream.stamps.tolist() == stamps[:300]
+    assert stream.footer is not None
+    assert stream.footer.sample_count == 300
+    assert any("cut off" in each for each in printing.after_table(outcome))
+    assert salvage(written, tmp_path / "again.xdf").survey.is_whole

@@ -28,8 +28,11 @@ _SCALES: dict[str, dict[str, float]] = {
         "m/s2": 1 / at.STANDARD_GRAVITY,
     },
 }
-"""By type: what a unit, in lower case, is multiplied by. Of other types only ratios matter."""
+"""By type: what a unit, in lower case, is multiplied by. Of other types only ratios matter, so
+they need no unit."""
 
+_ANY = "arbitrary"
+"""Unit of what is derived of a stream without one."""
 _AXES = 3
 _NOT_LIT = "ambient"
 _SKIN = "skin"
@@ -171,7 +174,9 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     _require_rate(name, header)
     scale = _scale(name, header, columns)
     data_name = _ros_name(header.data_name)
-    features = features_of(kind, data_name, header.units[columns.start], header.rate)
+    features = features_of(
+        kind, data_name, header.units[columns.start].strip() or _ANY, header.rate
+    )
     return Source(name, source_id, header, _identity(header), features, columns, scale)
 
 
@@ -211,15 +216,15 @@ def _require_rate(name: str, header: StreamHeader) -> None:
 
 
 def _scale(name: str, header: StreamHeader, columns: range) -> float:
+    known = _SCALES.get(header.content_type)
+    if known is None:
+        return 1.0
     units = {unit.strip() for unit in header.units[columns.start : columns.stop]}
     unit = units.pop()
     if units or not unit:
         what = "several units" if units else "no unit"
         message = f"stream {name!r} has {what}; say in its header what its values are in"
         raise FeatureError(FeatureReason.UNIT, message)
-    known = _SCALES.get(header.content_type)
-    if known is None:
-        return 1.0
     scale = known.get(unit.lower())
     if scale is None:
         message = (

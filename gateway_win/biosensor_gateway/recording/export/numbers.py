@@ -23,11 +23,11 @@ _POWERS = 10.0 ** np.arange(_EXACT_POWER + 1)
 
 
 def rows_of_numbers(times: NDArray[np.float64], values: NDArray[Any]) -> bytes:
-    """Return a line for each sample: its time and its values, with commas.
+    """Return a line for each sample: its time, or several times, and its values, with commas.
 
     Parameters
     ----------
-    times : ndarray of float64, shape (n_samples,)
+    times : ndarray of float64, shape (n_samples,) or (n_samples, n_times)
     values : ndarray of a float or integer type, shape (n_samples, n_channels)
 
     Returns
@@ -39,7 +39,8 @@ def rows_of_numbers(times: NDArray[np.float64], values: NDArray[Any]) -> bytes:
         rows: list[Any] = np.column_stack((times, tidied(values))).tolist()
     else:
         # A float64 does not hold all integers of 64 bits.
-        rows = list(zip(times.tolist(), *values.T.tolist(), strict=True))
+        lead = times.reshape(len(times), -1).T.tolist()
+        rows = list(zip(*lead, *values.T.tolist(), strict=True))
     return _text(rows, values)[2:-2].replace(b"],[", b"\n") + b"\n"
 
 

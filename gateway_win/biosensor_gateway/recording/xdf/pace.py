@@ -22,7 +22,7 @@ MOST_LOST = 1_000_000_000
 STEP_BACK_S = 1.0
 """Stamps that step back further are of another clock, or of a clock that was set."""
 _FEW = 3
-_NO_PAUSE_S = 3600.0
+NO_PAUSE_S = 3600.0
 """Nobody pauses for longer, for a few samples more."""
 _FEWEST = 16
 """In fewer samples no line can be seen."""
@@ -94,6 +94,8 @@ class Pace:
     turns: tuple[int, ...]
     odd_steps_back: int
     stray: tuple[int, ...]
+    ends_astray: bool = False
+    """Whether the last sample is stray, and more than a pause away."""
 
     @property
     def cuts(self) -> tuple[int, ...]:
@@ -113,6 +115,7 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     """
     is_number = np.isfinite(stamps)
     is_stray = is_number & _stray(_filled(stamps, is_number), 1.0 / nominal_hz)
+    last = float(stamps[-1])
     stamps = _filled(stamps, is_number & ~is_stray)
     steps = np.diff(stamps)
     turns = (np.flatnonzero(steps < -STEP_BACK_S) + 1).tolist()
@@ -141,6 +144,7 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         tuple(turns),
         len(back) - len(usual),
         tuple(np.flatnonzero(is_stray).tolist()),
+        bool(is_stray[-1]) and abs(last - stamps[-1]) > NO_PAUSE_S,
     )
 
 
@@ -226,7 +230,7 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
         else:
             # An outlet that ends while it is recorded may leave garbage behind its last sample.
             is_last = at + _FEW >= len(stamps) > 2 * _FEW
-            if is_last and away_s > _NO_PAUSE_S:
+            if is_last and away_s > NO_PAUSE_S:
                 is_stray[at:] = True
     return is_stray
 

@@ -36,7 +36,8 @@ class Measured:
 class Extent:
     """When a recording begins and ends on the recorder's clock, in s.
 
-    That is the first and last sample of all streams that are on the LSL clock. Of ours that have
+    That is the first and last sample of all streams that are on the LSL clock; of all others where
+    there is none. Of ours that have
     no rate only where there are no others: a device may compute a heart rate for seconds, and a
     web experiment sends a marker when it can. So, too, of those that tell of a device, which may
     be older than the recording.
@@ -62,17 +63,22 @@ class Extent:
 
 def extent(streams: Sequence[Measured]) -> Extent:
     """Work out the extent of a recording; empty at 0 if no stream has samples."""
-    present = [
-        (each.stream.header, figures.first + offset_s, figures.last + offset_s)
-        for each in streams
-        for figures, offset_s in [(each.figures, each.recorder_offset_s)]
-        if figures.first is not None and figures.last is not None and not figures.clock_error
-    ]
+    on_clock = [each for each in streams if not each.figures.clock_error]
+    present = _bounds(on_clock) or _bounds(streams)
     timely = [bound for bound in present if not bound[0].may_be_older]
     bounds = [bound for bound in timely if not _comes_when_it_comes(bound[0])] or timely or present
     if not bounds:
         return Extent(0.0, 0.0)
     return Extent(min(begin for _, begin, _ in bounds), max(end for _, _, end in bounds))
+
+
+def _bounds(streams: Sequence[Measured]) -> list[tuple[RecordedHeader, float, float]]:
+    return [
+        (each.stream.header, figures.first + offset_s, figures.last + offset_s)
+        for each in streams
+        for figures, offset_s in [(each.figures, each.recorder_offset_s)]
+        if figures.first is not None and figures.last is not None
+    ]
 
 
 def _comes_when_it_comes(header: RecordedHeader) -> bool:
@@ -95,8 +101,13 @@ class Report:
 
     @property
     def can_be_salvaged(self) -> bool:
-        """Whether the file is cut or damaged, and samples can be read nevertheless."""
+        """Whether the file is cut or damaged, and samples can be read nevertheless.
+
+        A last sample of another time is a damage, too.
+        """
         recording = self.recording
         is_open = any(each.is_unclosed for each in recording.streams)
         is_broken = bool(recording.damages or recording.orphans)
+        ends = (each.figures.pace for each in self.streams)
+        is_broken |= any(pace is not None and pace.ends_astray for pace in ends)
         return (is_broken or is_open) and any(each.sample_count for each in recording.streams)

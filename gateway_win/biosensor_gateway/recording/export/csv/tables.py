@@ -15,6 +15,8 @@ from biosensor_gateway.recording.export import names
 from biosensor_gateway.recording.export.exporter import Clock
 
 _TIMES = {Clock.LSL: "lsl_time", Clock.WALL: "unix_time"}
+SECONDS = "seconds"
+"""Name of the column of times since the begin of what was exported."""
 # Faster than the usual 6 by half, and hardly larger.
 _GZIP_LEVEL = 4
 
@@ -51,6 +53,12 @@ def columns(stream: Stream) -> list[str]:
     """Return a name for the column of each channel."""
     labels = stream.header.labels
     return names.unique(label.strip() or str(place) for place, label in enumerate(labels, 1))
+
+
+def own_columns(stream: Stream) -> list[str]:
+    """Return the same where columns of times stand before them, whose names no channel has."""
+    taken = [*_TIMES.values(), SECONDS]
+    return names.unique([*taken, *columns(stream)])[len(taken) :]
 
 
 def quoted(rows: Iterable[Sequence[str | float]]) -> bytes:

@@ -8,6 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.merging import merged
@@ -32,6 +34,7 @@ from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.timeline import Timeline, timeline
 
+_MICROSECONDS = 6
 CONTENTS = "streams.json"
 """What the tables are, beside them."""
 MARKERS = "all_markers.csv"
@@ -40,7 +43,7 @@ _README = """\
 One table for each stream of {recording}, as biosensor-gateway {version} has exported it.
 
 - {time}: when it was, in s{clock}. The recording begins at {begin}.
-  {time} - {begin} is the time since then.
+- seconds: the time since then, which is the same for all tables.
 - One row for each sample, one column for each channel. NaN means that there is no value; nothing
   was filled in. Where samples are missing, so are their rows.
 - streams.json: unit of each column, rate, sensor and who wore it.
@@ -99,10 +102,11 @@ class WideCsv:
     ) -> int:
         written = 0
         with tables.table_file(path, is_packed=self._is_packed) as file:
-            names = [tables.time_column(clock), *tables.columns(stream)]
-            file.write(tables.quoted([names]))
+            heads = [tables.time_column(clock), tables.SECONDS, *tables.own_columns(stream)]
+            file.write(tables.quoted([heads]))
+            line = timeline(chosen, clock)
             for samples in batches(chosen, stream):
-                file.write(_rows(chosen, clock, samples))
+                file.write(_rows(chosen, clock, line, samples))
                 written += len(samples)
                 count.add(len(samples))
         return written
@@ -147,12 +151,13 @@ def _begin_s(clock: Clock, line: Timeline) -> float:
     return (line.zero_unix_ns or 0) / NS_PER_S if clock is Clock.WALL else line.zero_s
 
 
-def _rows(chosen: Chosen, clock: Clock, samples: Samples) -> bytes:
+def _rows(chosen: Chosen, clock: Clock, line: Timeline, samples: Samples) -> bytes:
     times = on_clock(chosen, clock, samples.times)
+    since = np.round(line.since_zero(samples.times), _MICROSECONDS)
     if isinstance(samples.values, list):
-        rows = zip(times.tolist(), samples.values, strict=True)
-        return tables.quoted((time_s, *texts) for time_s, texts in rows)
-    return rows_of_numbers(times, samples.values)
+        rows = zip(times.tolist(), since.tolist(), samples.values, strict=True)
+        return tables.quoted((time_s, since_s, *texts) for time_s, since_s, texts in rows)
+    return rows_of_numbers(np.column_stack((times, since)), samples.values)
 
 
 def _described(stream: Stream, clock: Clock, samples: int, file: str) -> dict[str, Any]:
@@ -170,10 +175,11 @@ def _described(stream: Stream, clock: Clock, samples: int, file: str) -> dict[st
         "samples": samples,
         "columns": [
             {"name": tables.time_column(clock), "unit": "s"},
+            {"name": tables.SECONDS, "unit": "s"},
             *(
                 {"name": name, "label": label, "unit": unit}
                 for name, label, unit in zip(
-                    tables.columns(stream), header.labels, stream.meaning.units, strict=True
+                    tables.own_columns(stream), header.labels, stream.meaning.units, strict=True
                 )
             ),
         ],

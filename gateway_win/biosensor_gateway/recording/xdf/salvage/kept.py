@@ -10,8 +10,12 @@ from typing import NamedTuple
 from biosensor_gateway.recording.xdf.container import Chunk
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import longest_step_s
-from biosensor_gateway.recording.xdf.pace import MOST_LOST
+from biosensor_gateway.recording.xdf.pace import MOST_LOST, NO_PAUSE_S
 from biosensor_gateway.recording.xdf.samples import Block, decode
+from biosensor_gateway.recording.xdf.writing import samples
+
+_FEWEST = 8
+"""Of fewer samples nobody can say which is garbage."""
 
 
 class Break(NamedTuple):
@@ -52,6 +56,14 @@ class _Resumption(NamedTuple):
     unstamped: int
 
 
+class Cut(NamedTuple):
+    """A samples chunk whose last sample is left out, and what stands in its place."""
+
+    start: int
+    end: int
+    content: bytes
+
+
 @dataclass(slots=True)
 class KeptStream:
     """One stream of a damaged recording.
@@ -66,6 +78,8 @@ class KeptStream:
         What the recorder said, and where in the file.
     untimed
         Samples behind a damage whose stamps cannot be told, because none follows.
+    cut
+        Where the last sample is garbage, as an outlet leaves it that goes while it is recorded.
     """
 
     header: RecordedHeader
@@ -78,6 +92,8 @@ class KeptStream:
     footer_at: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
     breaks: list[Break] = field(default_factory=list[Break])
     restamps: list[Restamp] = field(default_factory=list[Restamp])
+    cut: Cut | None = None
+    _newest: tuple[Chunk, float] | None = None
     _offsets: array[float] = field(default_factory=lambda: array("d"))
     _damages: int = 0
     _resumed: _Resumption | None = None
@@ -111,6 +127,7 @@ class KeptStream:
         block = decode(chunk.body, self.header, self.last)
         if not len(block.stamps):
             return
+        self._newest = chunk, self.last
         if chunk.damages > self._damages:
             before = self.last if self.sample_count else math.nan
             self._forget_resumption()
@@ -135,6 +152,23 @@ class KeptStream:
     def end(self) -> None:
         """Note that nothing follows."""
         self._forget_resumption()
+        self._cut_garbage()
+
+    def _cut_garbage(self) -> None:
+        if self._newest is None or not self.header.is_regular or self.sample_count < _FEWEST:
+            return
+        chunk, before = self._newest
+        block = decode(chunk.body, self.header, before)
+        stamps = [before, *block.stamps[-2:-1].tolist()]
+        if abs(self.last - stamps[-1]) <= NO_PAUSE_S:
+            return
+        content = b""
+        if len(block.stamps) > 1:
+            form = self.header.format
+            content = samples(chunk.stream_id, form, block.stamps[:-1], block.values[:-1])
+        self.cut = Cut(chunk.start, chunk.end, content)
+        self.sample_count -= 1
+        self.last = stamps[-1]
 
     def _forget_resumption(self) -> None:
         if self._resumed is not None:

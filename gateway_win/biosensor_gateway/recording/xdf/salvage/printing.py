@@ -36,6 +36,7 @@ def as_json(outcome: Outcome) -> str:
                 "kept": stream.sample_count,
                 "lost": _lost(stream),
                 "lost_is_exact": _counted_before(stream) is not None,
+                "cut": stream.cut is not None,
                 "restamped": len(stream.restamps),
                 "untimed": stream.untimed,
                 "new_footer": number in outcome.closed,
@@ -69,6 +70,8 @@ def before_table(outcome: Outcome) -> Iterator[str]:
         what = "was not closed" if known.unclosed else "lacks headers of streams"
         if known.new_headers and not known.unclosed and not known.orphans:
             what = "has headers that others cannot read, or lacks some"
+        if any(each.cut for each in known.streams.values()) and not known.unclosed:
+            what = "holds a last sample of another time"
         yield f"{outcome.path} can be read to its end, but {what}"
         return
     unreadable = sum(each.damage.end - each.damage.start for each in places)
@@ -140,6 +143,11 @@ def _time_text(place: Place) -> str:
 
 def _stamps_text(stream: KeptStream) -> Iterator[str]:
     name = printable(stream.header.name)
+    if stream.cut is not None:
+        yield (
+            f"{name}: its last sample was cut off, whose stamp is of another time: its outlet went "
+            "while it was recorded"
+        )
     if stream.restamps:
         yield (
             f"{name}: the stamps behind {len(stream.restamps)} of the damages are reckoned from "

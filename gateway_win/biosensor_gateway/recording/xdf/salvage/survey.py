@@ -69,6 +69,7 @@ class Survey:
     def is_whole(self) -> bool:
         """Whether it holds streams, and nothing is to be mended."""
         broken = self.damages or self.orphans or self.unclosed or self.new_headers
+        broken = broken or any(each.cut for each in self.streams.values())
         return bool(self.streams) and not broken
 
     @property
@@ -97,7 +98,12 @@ class Survey:
             drops += self.streams[number].footer_at
         changes += [(start, end, None) for start, end in drops if end > start]
         for stream in self.streams.values():
-            changes += [(each.start, each.end, each) for each in stream.restamps]
+            if stream.cut is not None:
+                changes.append((stream.cut.start, stream.cut.end, stream.cut.content or None))
+            cut_at = stream.cut and stream.cut.start
+            changes += [
+                (each.start, each.end, each) for each in stream.restamps if each.start != cut_at
+            ]
         # A header stands before what it is put in front of.
         yield from sorted(changes, key=lambda change: change[:2])
 
