@@ -1,13 +1,13 @@
-"""Reads what an LSL stream announces of itself, and judges what can be used."""
+"""Reads what an LSL stream announces and describes of itself, and judges what can be used."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.lsl_header import MAX_CHANNELS
+from biosensor_common.lsl_header import MAX_CHANNELS, read_header
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.stream_header import CoreFields
+from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 
 if TYPE_CHECKING:
     import pylsl
@@ -52,6 +52,18 @@ def read_core(info: pylsl.StreamInfo) -> CoreFields:
         rate=info.nominal_srate(),
         format=_FORMATS[info.channel_format()],
     )
+
+
+def header_or_foreign(xml: str, core: CoreFields) -> tuple[StreamHeader, str]:
+    """Return the header of a full description, and why it cannot be read.
+
+    What cannot be read does not say whose it is: the header is then that of another program's
+    stream, with what LSL itself says.
+    """
+    try:
+        return read_header(xml), ""
+    except SpecError as error:
+        return foreign_header(core), str(error).removeprefix(f"{core}: ")
 
 
 def decoded(text: bytes) -> str:

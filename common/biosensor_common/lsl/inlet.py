@@ -148,6 +148,17 @@ def read_description(inlet: pylsl.StreamInlet, uid: str, limit_s: float) -> pyls
     return info
 
 
+def fetch_description(info: pylsl.StreamInfo, limit_s: float) -> str:
+    """Return the full description of a stream, by a connection for a moment and without data.
+
+    Raises
+    ------
+    RuntimeError
+        As `read_description`.
+    """
+    return read_description(unopened_inlet(info), info.uid(), limit_s).as_xml()
+
+
 def undelivered(inlet: pylsl.StreamInlet) -> int:
     """Return how many samples liblsl drops of a lost stream, `LAST_ENTRY_S` after it was lost.
 

@@ -13,7 +13,7 @@ import numpy as np
 import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
-from biosensor_common.lsl.inlet import Connection, read_description, unopened_inlet
+from biosensor_common.lsl.inlet import Connection, fetch_description
 from biosensor_common.lsl.network import Network
 from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl.predicates import any_of, equals
@@ -340,4 +340,4 @@ def _key(info: pylsl.StreamInfo) -> str:
 
 def _description(info: pylsl.StreamInfo) -> str:
     """Return what the sender of a stream says of it; raises what liblsl does."""
-    return read_description(unopened_inlet(info), info.uid(), _DESCRIPTION_S).as_xml()
+    return fetch_description(info, _DESCRIPTION_S)

@@ -14,14 +14,13 @@ import pylsl
 import structlog
 from pylsl import local_clock
 
-from biosensor_common.errors import SpecError
-from biosensor_common.lsl.inlet import Connection, read_description, unopened_inlet
+from biosensor_common.lsl.header import header_or_foreign
+from biosensor_common.lsl.inlet import Connection, fetch_description
 from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.network import Network, configure_lsl
 from biosensor_common.lsl.predicates import EVERYTHING, Predicate
 from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT
-from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.downsampling import chosen, key_of, measured_rate, window
@@ -289,9 +288,6 @@ def _read(info: pylsl.StreamInfo, core: CoreFields) -> tuple[StreamHeader, str]:
     RuntimeError
         It does not come in time, or the stream is lost.
     """
-    xml = read_description(unopened_inlet(info), info.uid(), TIMEOUT_S).as_xml()
-    try:
-        return read_header(xml), ""
-    except SpecError as error:
-        # nothing is dropped: it is shown as a stream of another program, with this note
-        return foreign_header(core), f"its description is not usable: {error}"
+    header, why = header_or_foreign(fetch_description(info, TIMEOUT_S), core)
+    # nothing is dropped: it is shown as a stream of another program, with this note
+    return header, f"its description is not usable: {why}" if why else ""

@@ -7,14 +7,14 @@ from collections import deque
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
 from biosensor_common.lsl.header import decoded
-from biosensor_common.lsl.inlet import Connection, buffer_length
+from biosensor_common.lsl.inlet import Block, Connection, buffer_length
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, StreamHeader
 from biosensor_gateway.agent.rate_meter import RateMeter
@@ -25,21 +25,6 @@ _OPEN_S = 5.0
 _BUFFER_S, _BUFFER_SAMPLES = 10, 200_000
 _MOST_SAMPLES, _MOST_VALUES = 8192, 1_000_000
 _MOST_TEXTS = 16
-
-
-class Block(NamedTuple):
-    """Samples that were pulled together.
-
-    Attributes
-    ----------
-    samples : shape (n, n_channels)
-        In the stream's own format; of text, bytes.
-    stamps : shape (n,)
-        On the sender's LSL clock.
-    """
-
-    samples: NDArray[Any]
-    stamps: NDArray[np.float64]
 
 
 class Receiver:

@@ -11,8 +11,7 @@ from enum import Enum, unique
 import pylsl
 from pylsl import util
 
-from biosensor_common.errors import SpecError
-from biosensor_common.lsl.header import read_core
+from biosensor_common.lsl.header import header_or_foreign, read_core
 from biosensor_common.lsl.inlet import (
     LAST_ENTRY_S,
     buffer_length,
@@ -23,14 +22,12 @@ from biosensor_common.lsl.inlet import (
 from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.network import matches_query
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
-from biosensor_common.lsl_header import read_header
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import (
     MAX_FIELD_CHARACTERS,
     CoreFields,
     StreamHeader,
-    foreign_header,
 )
 from lsl_to_ros.lsl.delivery import Delivery, Reading, Receiver
 
@@ -42,14 +39,11 @@ def about(info: pylsl.StreamInfo) -> str:
 
 def header_of(info: pylsl.StreamInfo, core: CoreFields, refusals: Refusals) -> StreamHeader:
     """Return a stream's header; of a description that cannot be read, what LSL itself says."""
-    try:
-        header = read_header(info.as_xml())
-    except SpecError as error:
-        # What cannot be parsed does not say whose it is.
-        why = str(error).removeprefix(f"{core}: ")
+    header, why = header_or_foreign(info.as_xml(), core)
+    if why:
         refusals.refuse(Refusal.NO_DESCRIPTION, about=about(info), why=why)
-        return foreign_header(core)
-    refusals.over(Refusal.NO_DESCRIPTION, about(info))
+    else:
+        refusals.over(Refusal.NO_DESCRIPTION, about(info))
     return header
 
 
