@@ -21,6 +21,7 @@ from biosensor_gateway.page.routes.agent import add_agent, add_quit
 from biosensor_gateway.page.routes.api import new_app
 from biosensor_gateway.page.routes.devices import add_devices, worn_by
 from biosensor_gateway.page.routes.doctor import NetworkAnswer, add_doctor
+from biosensor_gateway.page.routes.files import add_files
 from biosensor_gateway.page.routes.markers import Marking, add_markers
 from biosensor_gateway.page.routes.recording import Recorder, add_recording
 from biosensor_gateway.page.routes.replay import Replaying, add_replay
@@ -57,6 +58,7 @@ class Interface:
         add_secrets(router, Access(session.configured))
         add_doctor(router, session, self._answer)
         add_replay(router, recorder, self._replaying)
+        add_files(router, session)
         self.app = new_app()
         self.app.include_router(router)
 

@@ -390,6 +390,26 @@ class DeviceView(DeviceFacts):
     features: list[SeenStreamView] = Field(default_factory=list[SeenStreamView])
 
 
+class ExplainedFinding(BaseModel):
+    """One thing that was found in a recording.
+
+    Attributes
+    ----------
+    level
+        ``error``, ``warning`` or ``note``.
+    about
+        ``persons``, ``others`` (streams of other programs) or ``ourselves``.
+    means, to_do
+        What it means for a study, and what to do; empty where nothing more is known.
+    """
+
+    level: str
+    about: str
+    text: str
+    means: str
+    to_do: str
+
+
 class VerdictView(BaseModel):
     """How good a recording is that was ended.
 

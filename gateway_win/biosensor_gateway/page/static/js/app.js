@@ -6,6 +6,7 @@ import { Bar, useScrolledPast } from "./bar.js";
 import { Cards } from "./cards.js";
 import { Detail } from "./detail.js";
 import { Doctor } from "./doctor.js";
+import { Files } from "./files.js";
 import { Live } from "./live.js";
 import { Markers, useMarkerKeys } from "./markers.js";
 import { useOpen } from "./open.js";
@@ -22,7 +23,7 @@ import { Toast } from "./toast.js";
 const TOLD_MS = 8000;
 const LATE_MS = 400;
 
-function Head({ status, act, onSetup, onReplay, onDoctor }) {
+function Head({ status, act, onSetup, onReplay, onFiles, onDoctor }) {
   const isHere = status?.agent === "running";
   const isAway = status?.agent === "absent";
   const end = () => {
@@ -37,6 +38,7 @@ function Head({ status, act, onSetup, onReplay, onDoctor }) {
         ${isHere && html`<button onClick=${end}>End the agent</button>`}
         ${!status?.virtual && html`<button onClick=${onSetup}>Find sensors</button>`}
         ${status && html`<button onClick=${onReplay}>Play a recording</button>`}
+        ${status && html`<button onClick=${onFiles}>Recordings</button>`}
         ${status && html`<button onClick=${onDoctor}>Check this computer</button>`}
         ${status && html`<${Quit} status=${status} act=${act} />`}
       </div>
@@ -66,6 +68,7 @@ function App() {
   const [open, setOpen] = useOpen();
   const [isSetup, setSetup] = useState(false);
   const [isReplay, setReplay] = useState(false);
+  const [isFiles, setFiles] = useState(false);
   const [isExamined, setExamined] = useState(false);
   const [told, setTold] = useState(null);
   const [question, setQuestion] = useState(null);
@@ -109,14 +112,14 @@ function App() {
   useMarkerKeys(status?.agent === "running" ? status.markers.buttons : [], act);
   const session = useRef(null);
   // Then the recording has no panel on the screen, or one that is somewhere below.
-  const isElsewhere = Boolean(device) || isSetup || isReplay || isExamined;
+  const isElsewhere = Boolean(device) || isSetup || isReplay || isFiles || isExamined;
   const isPast = useScrolledPast(session, Boolean(status) && !isElsewhere);
 
   if (status?.ended) return html`<${Ended} told=${told} />`;
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting" && !status.experiments && !status.replay.is_running;
   return html`
-    <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} onDoctor=${() => setExamined(true)} />
+    <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} onFiles=${() => setFiles(true)} onDoctor=${() => setExamined(true)} />
     <main>
       ${isKept(status) && (isElsewhere || isPast) && html`<${Bar} status=${status} act=${act} isOver=${!isElsewhere} />`}
       ${status && html`<${Notices} status=${status} />`}
@@ -125,8 +128,9 @@ function App() {
       ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page.</p>`}
       ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onClose=${() => setSetup(false)} />`}
       ${isReplay && status && html`<${Replay} act=${act} isRunning=${status.replay.is_running} onClose=${() => setReplay(false)} />`}
+      ${isFiles && html`<${Files} act=${act} onClose=${() => setFiles(false)} />`}
       ${isExamined && html`<${Doctor} onClose=${() => setExamined(false)} />`}
-      ${isEmpty && !isSetup && !isReplay && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} />`}
+      ${isEmpty && !isSetup && !isReplay && !isFiles && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} />`}
       ${status && !isEmpty && !device && html`
         <div class="pair">
           <div><span ref=${session}></span><${Session} status=${status} act=${act} /></div>

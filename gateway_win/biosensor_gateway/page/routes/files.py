@@ -1,0 +1,310 @@
+"""Recordings on the disk: judges, salvages and exports them, and opens the folder they are in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Generator
+from itertools import islice
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText
+from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
+from biosensor_gateway.page.session import Session
+from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.export import printing
+from biosensor_gateway.recording.export.exporter import Progress
+from biosensor_gateway.recording.export.exporting import Task, Watch
+from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.export.markers import markers
+from biosensor_gateway.recording.export.several import Exported, export_several, recordings_in
+from biosensor_gateway.recording.xdf import verdict as judging
+from biosensor_gateway.recording.xdf.event_rules import tells_devices
+from biosensor_gateway.recording.xdf.expectation import by_devices
+from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
+from biosensor_gateway.recording.xdf.findings import Finding
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
+from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+
+MOST_MARKERS = 1000
+
+
+class RecordedMarker(BaseModel):
+    """A marker of a recording, with its seconds since the recording began."""
+
+    time_s: float
+    text: str
+
+
+class Judged(BaseModel):
+    """Whether a recording can be trusted.
+
+    Attributes
+    ----------
+    markers
+        The first `MOST_MARKERS`.
+    marker_count
+        Of all of them.
+    unread
+        Why the markers cannot be told; empty if they are.
+    """
+
+    colour: str
+    sentence: str
+    findings: list[ExplainedFinding]
+    can_be_salvaged: bool
+    markers: list[RecordedMarker] = Field(default_factory=list[RecordedMarker])
+    marker_count: int = 0
+    unread: str = ""
+
+
+class Salvaged(BaseModel):
+    """What became of a damaged recording, in sentences; `written` is empty if it was whole."""
+
+    written: str
+    said: list[str]
+
+
+class NewExport(RecordingPath):
+    """What to export: a recording, or all in a folder; to which formats; empty: beside them."""
+
+    formats: Annotated[list[str], Field(min_length=1, max_length=len(FORMATS))]
+    output: PathText = ""
+
+
+class ExportedView(BaseModel):
+    """What became of one recording; `is_certain`: all of it is written."""
+
+    recording: str
+    is_certain: bool
+    said: list[str]
+
+
+class ExportView(BaseModel):
+    """How an export goes on.
+
+    Attributes
+    ----------
+    recording, format
+        What is being written.
+    part
+        Of that, how much is done, from 0 to 1.
+    count, done
+        Recordings in all, and those that are finished.
+    said
+        What is to be said of all of them.
+    problem
+        Why it has ended before its time; empty if it has not.
+    """
+
+    is_running: bool = False
+    recording: str = ""
+    format: str = ""
+    part: float = 0.0
+    count: int = 0
+    done: list[ExportedView] = Field(default_factory=list[ExportedView])
+    said: list[str] = Field(default_factory=list[str])
+    problem: str = ""
+
+
+class Exports:
+    """One export at a time, in a thread; it can be ended between two recordings."""
+
+    def __init__(self) -> None:
+        self.view = ExportView()
+        self._task: asyncio.Task[None] | None = None
+        self._is_unwanted = False
+
+    def start(self, wanted: NewExport) -> None:
+        """Begin to export.
+
+        Raises
+        ------
+        ConfigError
+            ``IN_USE`` while one goes on; ``WRONG_VALUE`` for a format or path that is none;
+            ``NOT_FOUND`` if there is no recording.
+        """
+        if self.view.is_running:
+            raise ConfigError(ConfigReason.IN_USE, "an export goes on; wait for its end")
+        for each in wanted.formats:
+            if each not in FORMATS:
+                message = f"there is no format {each!r}; there is {', '.join(FORMATS)}"
+                raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        output = whole_path(wanted.output) if wanted.output else None
+        recordings, left_out = recordings_in([whole_path(wanted.path)])
+        if output is not None and "bids" not in wanted.formats and not output.is_dir():
+            message = f"there is no folder {output}; make it first"
+            raise ConfigError(ConfigReason.NOT_FOUND, message)
+        said = [f"{each} is left out, for it was salvaged beside it" for each in left_out]
+        self._is_unwanted = False
+        self.view = ExportView(is_running=True, count=len(recordings), said=said)
+        task = Task(wanted.formats, Wish(), output=output)
+        self._task = asyncio.create_task(self._run(recordings, task))
+
+    def end(self) -> None:
+        """Write no further recording after the one that is being written."""
+        self._is_unwanted = True
+
+    async def _run(self, recordings: list[Path], task: Task) -> None:
+        try:
+            await asyncio.to_thread(self._export, recordings, task)
+        except (GatewayError, OSError) as error:
+            self.view.problem = str(error)
+        finally:
+            self.view.is_running = False
+
+    def _export(self, recordings: list[Path], task: Task) -> None:
+        for each in export_several(recordings, task, self._watching):
+            self.view.done.append(_exported(each))
+            if self._is_unwanted and len(self.view.done) < len(recordings):
+                left = len(recordings) - len(self.view.done)
+                self.view.problem = f"ended before its time: {left} recordings are not written"
+                return
+
+    @contextlib.contextmanager
+    def _watching(self, recording: Path) -> Generator[Watch]:
+        def watch(name: str, seconds: float) -> Progress:
+            self.view.recording, self.view.format, self.view.part = recording.name, name, 0.0
+
+            def progress(done_s: float) -> None:
+                self.view.part = min(1.0, done_s / seconds) if seconds > 0 else 1.0
+
+            return progress
+
+        yield watch
+
+
+def add_files(router: APIRouter, session: Session) -> None:
+    """Add what is done with recordings that are on the disk."""
+    exports = Exports()
+
+    @router.post("/recordings/check")
+    async def check(recording: RecordingPath) -> Judged:
+        """Say whether a recording can be trusted, and which markers are in it."""
+        return await asyncio.to_thread(_judged, whole_path(recording.path), session)
+
+    @router.post("/recordings/salvage")
+    async def salvage_it(recording: RecordingPath) -> Salvaged:
+        """Write what can be read of a damaged recording to a file beside it."""
+        return await asyncio.to_thread(_salvaged, whole_path(recording.path))
+
+    @router.post("/recordings/open-folder")
+    async def show(recording: RecordingPath) -> Outcome:
+        """Open the folder of a recording in the file manager of this computer."""
+        path = whole_path(recording.path)
+        folder = path if path.is_dir() else path.parent
+        await asyncio.to_thread(open_folder, folder)
+        return Outcome(sentence=f"{folder} is open in the file manager.")
+
+    @router.get("/recordings/export")
+    async def state() -> ExportView:
+        """Say how far the export is."""
+        return exports.view
+
+    @router.post("/recordings/export")
+    async def start(wanted: NewExport) -> ExportView:
+        """Export a recording, or all of a folder; no file is overwritten."""
+        exports.start(wanted)
+        return exports.view
+
+    @router.delete("/recordings/export")
+    async def end() -> ExportView:
+        """End the export after the recording that is being written."""
+        exports.end()
+        return exports.view
+
+    @router.get("/recordings/formats")
+    async def formats() -> list[str]:
+        """List the formats of an export."""
+        return list(FORMATS)
+
+
+def open_folder(folder: Path) -> None:
+    """Open a folder in the system's file manager.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND`` if there is no such folder, or no file manager.
+    """
+    if not folder.is_dir():
+        raise ConfigError(ConfigReason.NOT_FOUND, f"there is no folder {folder}")
+    try:
+        if sys.platform == "win32":
+            os.startfile(folder)  # noqa: S606 - a folder, which was looked at
+        else:
+            program = "open" if sys.platform == "darwin" else "xdg-open"
+            subprocess.run([program, str(folder)], check=True, capture_output=True, timeout=10)
+    except (OSError, subprocess.SubprocessError) as error:
+        message = f"no file manager opens {folder}; open it by hand"
+        raise ConfigError(ConfigReason.NOT_FOUND, message) from error
+
+
+def explained(finding: Finding) -> ExplainedFinding:
+    """Return a finding with what it means for a study and what to do."""
+    known = EXPLANATIONS.get(finding.code)
+    return ExplainedFinding(
+        level=finding.level.value,
+        about=finding.about.value,
+        text=f"{finding.stream}: {finding.text}" if finding.stream else finding.text,
+        means=known.means if known else "",
+        to_do=known.to_do if known else "",
+    )
+
+
+def _judged(path: Path, session: Session) -> Judged:
+    recording = read_recording(path)
+    # Today's settings say nothing of another day, on which others wore the sensors.
+    expected = () if tells_devices(recording) else by_devices(session.configured())
+    found = judging.verdict(judge(recording, expected))
+    judged = Judged(
+        colour=found.colour.value,
+        sentence=found.sentence,
+        findings=[explained(each) for each in found.findings],
+        can_be_salvaged=found.can_be_salvaged,
+    )
+    try:
+        with open_contents(path) as contents:
+            every = markers(choose(contents, Wish()))
+            first = list(islice(every, MOST_MARKERS))
+            begin_s = contents.begin_s
+            judged.markers = [RecordedMarker(time_s=t - begin_s, text=text) for t, text in first]
+            judged.marker_count = len(first) + sum(1 for _ in every)
+    except GatewayError as error:
+        judged.unread = str(error)
+    return judged
+
+
+def _salvaged(path: Path) -> Salvaged:
+    outcome = salvage(path, salvaged_path(path))
+    said = list(salvage_printing.before_table(outcome))
+    if outcome.written is not None:
+        rows = salvage_printing.table(outcome)
+        headings = salvage_printing.HEADINGS
+        said += [
+            ", ".join(f"{name} {cell}" for name, cell in zip(headings, row, strict=True))
+            for row in rows
+        ]
+        said += salvage_printing.after_table(outcome)
+    return Salvaged(written=str(outcome.written or ""), said=said)
+
+
+def _exported(one: Exported) -> ExportedView:
+    if one.error:
+        said = [one.error]
+    elif one.outcome is None:
+        said = [f"{one.recording} was added before"]
+    else:
+        said = list(printing.sentences(one.outcome))
+    return ExportedView(recording=one.recording.name, is_certain=one.is_certain, said=said)

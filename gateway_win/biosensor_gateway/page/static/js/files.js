@@ -1,0 +1,162 @@
+// Recordings on the disk: whether they can be trusted, what is in them, and their way to other programs.
+
+import { html, useEffect, useState } from "../vendor/preact-htm.js";
+import { ask } from "./api.js";
+import { COLOURS } from "./recording.js";
+import { clock } from "./words.js";
+
+const LOOK_MS = 500;
+const OTHER = "other";
+const ABOUT = [["persons", "Data of persons"], ["others", "Streams of other programs"], ["ourselves", "What the program notes about itself"]];
+const LEVELS = { error: ["▲", "bad", "wrong or missing"], warning: ["◐", "warn", "must be known"], note: ["i", "soft", "good to know"] };
+const MEANT = {
+  bids: "BIDS: a data set of a study",
+  csv: "CSV: tables for Excel, R, SPSS",
+  "csv.gz": "CSV, packed",
+  "csv-long": "CSV with one value a line",
+  "csv-long.gz": "CSV with one value a line, packed",
+  edf: "EDF+: EEG and sleep programs",
+  kubios: "Kubios: heart rate variability",
+  ledalab: "Ledalab: skin conductance",
+  mcap: "MCAP: ROS and Foxglove",
+};
+
+function Found({ finding }) {
+  const [sign, tone, word] = LEVELS[finding.level] ?? LEVELS.error;
+  return html`
+    <li>
+      <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${finding.text}
+      ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${finding.means}</p><p>${finding.to_do}</p></details>`}
+    </li>`;
+}
+
+function Judged({ judged }) {
+  const [sign, tone] = COLOURS[judged.colour] ?? COLOURS.red;
+  return html`
+    <p class=${`state ${tone}`} role="status"><span aria-hidden="true">${sign}</span> ${judged.sentence}</p>
+    ${ABOUT.map(([about, title]) => {
+      const found = judged.findings.filter((each) => each.about === about);
+      return found.length > 0 && html`<h3>${title}</h3><ul class="found">${found.map((each) => html`<${Found} finding=${each} />`)}</ul>`;
+    })}
+    ${judged.unread && html`<p class="reason small">The markers cannot be shown: ${judged.unread}</p>`}
+    ${!judged.unread && html`
+      <details><summary>Markers: ${judged.marker_count || "none"}</summary>
+        <ul class="small found-in-it" tabindex="0">${judged.markers.map((each) => html`<li><span class="clock">${clock(each.time_s)}</span> ${each.text}</li>`)}</ul>
+        ${judged.marker_count > judged.markers.length && html`<p class="small reason">Only the first ${judged.markers.length} are shown.</p>`}
+      </details>`}`;
+}
+
+function Exported({ view, onEnd }) {
+  const place = view.done.length + view.part;
+  const isWhole = !view.problem && view.done.every((each) => each.is_certain);
+  return html`
+    ${view.is_running && html`
+      <p role="status">Writing ${view.format} of ${view.recording || "the first recording"} …</p>
+      <progress max=${view.count || 1} value=${place} aria-label="How much is exported"></progress>
+      ${view.count > 1 && html`<button onClick=${onEnd}>End after this recording</button>`}`}
+    ${!view.is_running && view.count > 0 && html`
+      <p class=${`state ${isWhole ? "good" : "warn"}`} role="status"><span aria-hidden="true">${isWhole ? "●" : "◐"}</span> ${isWhole ? "All is exported" : "Exported, but not all, or not for certain: read below"}</p>`}
+    ${view.problem && html`<p class="reason" role="alert">${view.problem}</p>`}
+    ${view.said.map((each) => html`<p class="reason small">${each}</p>`)}
+    ${view.done.map((each) => html`
+      <details key=${each.recording} open=${!each.is_certain || view.count === 1}><summary><span class=${`state ${each.is_certain ? "good" : "warn"}`}>${each.is_certain ? "●" : "◐"}</span> ${each.recording}</summary>
+        <ul class="small">${each.said.map((said) => html`<li class="file">${said}</li>`)}</ul></details>`)}`;
+}
+
+function Export({ path, isFile }) {
+  const [formats, setFormats] = useState([]);
+  const [chosen, setChosen] = useState(new Set(["csv"]));
+  const [isFolder, setFolder] = useState(false);
+  const [output, setOutput] = useState("");
+  const [view, setView] = useState(null);
+  const [problem, setProblem] = useState("");
+  const tell = async (method, content) => {
+    try {
+      setView(await ask(method, "/recordings/export", content));
+      setProblem("");
+    } catch (error) {
+      setProblem(error.message);
+    }
+  };
+  useEffect(() => {
+    ask("GET", "/recordings/formats").then(setFormats, (error) => setProblem(error.message));
+    tell("GET");
+  }, []);
+  useEffect(() => {
+    if (!view?.is_running) return undefined;
+    const timer = setInterval(() => tell("GET"), LOOK_MS);
+    return () => clearInterval(timer);
+  }, [view?.is_running]);
+  const toggle = (name) => (event) => {
+    const next = new Set(chosen);
+    if (event.target.checked) next.add(name);
+    else next.delete(name);
+    setChosen(next);
+  };
+  const start = (event) => {
+    event.preventDefault();
+    const place = isFile && isFolder ? path.replace(/[\\/][^\\/]*$/, "") : path;
+    tell("POST", { path: place, formats: [...chosen], output });
+  };
+  return html`
+    <h3 id="export">Export</h3>
+    <form onSubmit=${start} aria-labelledby="export">
+      ${formats.map((each) => html`<label class="check"><input type="checkbox" checked=${chosen.has(each)} onChange=${toggle(each)} /> ${MEANT[each] ?? each}</label>`)}
+      ${isFile && html`<label class="check"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings of its folder</label>`}
+      <label class="wide">Into this folder<input type="text" size="40" placeholder="beside the recording" value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
+      <button class="main" disabled=${!path || !chosen.size || view?.is_running}>${view?.is_running ? "Exporting …" : "Export"}</button>
+    </form>
+    ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
+    ${view && html`<${Exported} view=${view} onEnd=${() => tell("DELETE")} />`}`;
+}
+
+export function Files({ act, onClose }) {
+  const [files, setFiles] = useState(null);
+  const [choice, setChoice] = useState("");
+  const [typed, setTyped] = useState("");
+  const [judged, setJudged] = useState(null);
+  const [salvaged, setSalvaged] = useState(null);
+  const [doing, setDoing] = useState("");
+  const [problem, setProblem] = useState("");
+  const path = choice === OTHER ? typed.trim() : choice;
+  useEffect(() => {
+    ask("GET", "/recordings").then((found) => {
+      setFiles(found);
+      setChoice(found[0]?.path ?? OTHER);
+    }, (error) => setProblem(error.message));
+  }, []);
+  useEffect(() => { setJudged(null); setSalvaged(null); setProblem(""); }, [path]);
+  const look = async (what, take) => {
+    setDoing(what);
+    setProblem("");
+    try {
+      take(await ask("POST", `/recordings/${what}`, { path }));
+    } catch (error) {
+      setProblem(error.message);
+    }
+    setDoing("");
+  };
+  return html`
+    <section class="panel" aria-labelledby="files">
+      <div class="card-head"><h2 id="files">Recordings</h2><div class="buttons"><button onClick=${onClose}>Close<span class="hidden"> the recordings</span></button></div></div>
+      ${files && html`
+        <form onSubmit=${(event) => event.preventDefault()}>
+          <label class="wide">Recording
+            <select value=${choice} disabled=${doing !== ""} onChange=${(event) => setChoice(event.target.value)}>
+              ${files.map((each) => html`<option key=${each.path} value=${each.path}>${each.name}</option>`)}
+              <option value=${OTHER}>another file or folder …</option>
+            </select>
+          </label>
+          ${choice === OTHER && html`<label class="wide">Its whole path<input type="text" size="48" disabled=${doing !== ""} value=${typed} onInput=${(event) => setTyped(event.target.value)} /></label>`}
+        </form>
+        <div class="buttons">
+          <button disabled=${!path || doing !== ""} onClick=${() => look("check", setJudged)}>${doing === "check" ? "Reading …" : "Check it"}</button>
+          <button disabled=${!path} onClick=${() => act("POST", "/recordings/open-folder", { path })}>Open folder</button>
+          ${judged?.can_be_salvaged && !salvaged && html`<button disabled=${doing !== ""} onClick=${() => look("salvage", setSalvaged)}>${doing === "salvage" ? "Salvaging …" : "Salvage it"}</button>`}
+        </div>`}
+      ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
+      ${judged && html`<${Judged} judged=${judged} />`}
+      ${salvaged && html`<ul class="small" role="status">${salvaged.said.map((each) => html`<li class="file">${each}</li>`)}</ul>`}
+      <${Export} path=${path} isFile=${/\.xdf(z|\.gz)?$/i.test(path)} />
+    </section>`;
+}

@@ -1,0 +1,130 @@
+"""Recordings on the disk, from the page: judged, salvaged, exported, with every reason."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.page.test_whose import Page
+from tests.replay import files
+from tests.xdf import xdf_file as made
+
+TEXTS = ["begin", "end"]
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Page:
+    (tmp_path / "state").mkdir()
+    return Page(tmp_path / "state", "")
+
+
+def marked(number: int) -> bytes:
+    return made.stream_header(number, "Marks", channels=1, rate=0, fmt="string") + made.samples(
+        number, "string", [[each] for each in TEXTS], [files.BEGIN_S + 1.0, files.BEGIN_S + 2.0]
+    )
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    return files.write(folder / "one.xdf", files.regular(1, "Wave", 50.0, 5.0), marked(2))
+
+
+async def exported(page: Page, **content: Any) -> dict[str, Any]:
+    code, view = await page._ask("POST", "recordings/export", json.dumps(content).encode())
+    assert code == 200, view
+    while view["is_running"]:
+        await asyncio.sleep(0.01)
+        _, view = await page._ask("GET", "recordings/export", b"")
+    return view
+
+
+def test_a_recording_is_judged_with_words_and_its_markers_have_times(
+    page: Page, recording: Path
+) -> None:
+    code, judged = page.ask("POST", "recordings/check", {"path": str(recording)})
+    assert code == 200
+    # It was not closed, which whoever analyses it must know.
+    assert judged["colour"] in {"amber", "red"}
+    worst = judged["findings"][0]
+    assert worst["level"] != "note"
+    assert worst["means"] and worst["to_do"]
+    assert [each["text"] for each in judged["markers"]] == TEXTS
+    first, last = (each["time_s"] for each in judged["markers"])
+    assert last - first == pytest.approx(1.0)
+    assert first == pytest.approx(1.0, abs=0.05)
+    assert judged["marker_count"] == 2
+
+
+async def test_a_folder_is_exported_and_what_was_not_is_said(page: Page, recording: Path) -> None:
+    shutil.copy(recording, recording.with_name("two.xdf"))
+    recording.with_name("broken.xdf").write_bytes(b"no recording")
+    view = await exported(page, path=str(recording.parent), formats=["csv", "kubios"])
+    done = {each["recording"]: each for each in view["done"]}
+    assert view["count"] == len(done) == 3
+    assert (recording.parent / "one.csv").exists() or list(recording.parent.glob("one*csv*"))
+    # None has a heart, and one is no recording: neither is silent, neither keeps the rest away.
+    assert not any(each["is_certain"] for each in done.values())
+    assert any("kubios" in said for said in done["one.xdf"]["said"])
+    assert any("broken.xdf" in said for said in done["broken.xdf"]["said"])
+
+
+async def test_nothing_is_overwritten(page: Page, recording: Path) -> None:
+    first = await exported(page, path=str(recording), formats=["csv"])
+    before = {path: path.read_bytes() for path in recording.parent.rglob("*") if path.is_file()}
+    again = await exported(page, path=str(recording), formats=["csv"])
+    assert not again["done"][0]["is_certain"]
+    assert first["done"][0]["said"] != again["done"][0]["said"]
+    after = {path: path.read_bytes() for path in recording.parent.rglob("*") if path.is_file()}
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"formats": []},
+        {"formats": ["word"]},
+        {"formats": ["csv"], "path": "relative.xdf"},
+        {"formats": ["csv"], "output": "/nowhere/at/all"},
+    ],
+)
+def test_what_cannot_be_exported_is_refused(
+    page: Page, recording: Path, content: dict[str, Any]
+) -> None:
+    code, answer = page.ask("POST", "recordings/export", {"path": str(recording), **content})
+    assert code in {400, 404, 422}
+    assert answer["problem"]
+
+
+def test_a_cut_recording_is_salvaged_beside_itself(page: Page, recording: Path) -> None:
+    whole = recording.read_bytes()
+    recording.write_bytes(whole[:-20])
+    code, salvaged = page.ask("POST", "recordings/salvage", {"path": str(recording)})
+    assert code == 200, salvaged
+    assert Path(salvaged["written"]).parent == recording.parent
+    assert salvaged["said"]
+    assert recording.read_bytes() == whole[:-20]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="each system has its own file manager")
+def test_the_folder_is_opened_and_nothing_else(
+    page: Page, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, opened = tmp_path / "bin" / "xdg-open", tmp_path / "opened.txt"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nprintf %s "$1" > {opened}\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:/usr/bin:/bin")
+    code, _ = page.ask("POST", "recordings/open-folder", {"path": str(recording)})
+    assert (code, opened.read_text()) == (200, str(recording.parent))
+    program.write_text("#!/bin/sh\nexit 3\n")
+    code, answer = page.ask("POST", "recordings/open-folder", {"path": str(recording)})
+    assert code == 404
+    assert str(recording.parent) in answer["problem"]
