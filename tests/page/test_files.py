@@ -113,6 +113,7 @@ def test_a_cut_recording_is_salvaged_beside_itself(page: Page, recording: Path) 
     assert recording.read_bytes() == whole[:-20]
 
 
+@pytest.mark.seam
 @pytest.mark.skipif(sys.platform != "linux", reason="each system has its own file manager")
 def test_the_folder_is_opened_and_nothing_else(
     page: Page, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

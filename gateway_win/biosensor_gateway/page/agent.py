@@ -35,7 +35,7 @@ RETRY_S = 0.25
 _READING = (
     "pylsl",
     "biosensor_gateway.agent.sample_frames",
-    "biosensor_gateway.page.bins",
+    "biosensor_gateway.page.downsampling",
 )
 SILENT_AFTER_S = 4.0
 """The agent tells its status every second; one that does not for so long is stuck."""
