@@ -65,7 +65,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.emotibit.driver.rows.Oscillator",
+    "biosensor_gateway.devices.emotibit.driver.emitter.Oscillator",
     "time_s",
     always(math.nan),
 )

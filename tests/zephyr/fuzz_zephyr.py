@@ -88,7 +88,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.zephyr.driver.frames.FrameParser",
+    "biosensor_gateway.devices.zephyr.driver.protocol.FrameParser",
     "feed",
     forgets_what_it_holds,
 )
