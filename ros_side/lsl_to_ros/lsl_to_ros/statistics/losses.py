@@ -74,6 +74,8 @@ class GapFinder:
 
     def find(self, stamps: Stamps) -> list[Gap]:
         """Take in the stamps of a block; return its gaps."""
+        if len(stamps) == 1:
+            return self._find_one(0, stamps.item())
         if len(stamps) <= FEW:
             stepwise = enumerate(stamps.tolist())
             return [gap for place, stamp in stepwise for gap in self._find_one(place, stamp)]
@@ -89,13 +91,13 @@ class GapFinder:
         places = np.flatnonzero(steps > self._longest_step)
         return [self._gap(int(finite[at]), float(steps[at])) for at in places]
 
-    def _find_one(self, place: int, stamp: float) -> Sequence[Gap]:
+    def _find_one(self, place: int, stamp: float) -> list[Gap]:
         if not math.isfinite(stamp):
-            return ()  # nothing is dropped: as above
+            return []  # nothing is dropped: as above
         previous, self._last = self._last, stamp
         if previous is None or stamp - previous <= self._longest_step:
-            return ()  # nothing is dropped: there is no gap
-        return (self._gap(place, stamp - previous),)
+            return []  # nothing is dropped: there is no gap
+        return [self._gap(place, stamp - previous)]
 
     def _gap(self, place: int, step_s: float) -> Gap:
         periods = step_s * self._rate
