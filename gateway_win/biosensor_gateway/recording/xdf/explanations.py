@@ -170,14 +170,14 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Stamped in bursts",
         "The program gives many samples the time at which they arrived. Nothing is lost, and the "
         "times of single samples are not known better than the length of a burst.",
-        "Use the rate that is said, or export with `--times even`; have the loader of your "
-        "analysis smooth stamps (pyxdf does by default).",
+        "Use the rate that is said, as the exports to EDF, Kubios and BIDS do; have the loader of "
+        "your analysis smooth stamps (pyxdf does by default).",
     ),
     "overlaps": Explanation(
         "Stamped when it came",
         "Packets came late now and then, so that stamps overlap. Nothing is lost.",
-        "Use the rate that is said, or export with `--times even`; have the loader of your "
-        "analysis smooth stamps (pyxdf does by default).",
+        "Use the rate that is said, as the exports to EDF, Kubios and BIDS do; have the loader of "
+        "your analysis smooth stamps (pyxdf does by default).",
     ),
     "gaps": Explanation(
         "Gaps",
