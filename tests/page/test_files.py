@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from biosensor_gateway.page.routes import files as page_files
+from biosensor_gateway.recording.export import exporting
 from tests.page.test_whose import Page
 from tests.replay import files
 from tests.xdf import xdf_file as made
@@ -38,11 +40,11 @@ def recording(tmp_path: Path) -> Path:
 
 
 async def exported(page: Page, **content: Any) -> dict[str, Any]:
-    code, view = await page._ask("POST", "recordings/export", json.dumps(content).encode())
+    code, view = await page.answer("POST", "recordings/export", json.dumps(content).encode())
     assert code == 200, view
     while view["is_running"]:
         await asyncio.sleep(0.01)
-        _, view = await page._ask("GET", "recordings/export", b"")
+        _, view = await page.answer("GET", "recordings/export", b"")
     return view
 
 
@@ -74,6 +76,22 @@ async def test_a_folder_is_exported_and_what_was_not_is_said(page: Page, recordi
     assert not any(each["is_certain"] for each in done.values())
     assert any("kubios" in said for said in done["one.xdf"]["said"])
     assert any("broken.xdf" in said for said in done["broken.xdf"]["said"])
+
+
+async def test_an_export_that_fails_as_nobody_foresaw_does_not_look_whole(
+    page: Page, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken() -> Any:
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr(page_files, "FORMATS", {"csv": broken})
+    monkeypatch.setattr(exporting, "FORMATS", {"csv": broken})
+    view = await exported(page, path=str(recording), formats=["csv"])
+    assert not view["done"]
+    assert "a defect" in view["problem"]
+    # Another one can be begun.
+    monkeypatch.undo()
+    assert (await exported(page, path=str(recording), formats=["csv"]))["done"]
 
 
 async def test_nothing_is_overwritten(page: Page, recording: Path) -> None:

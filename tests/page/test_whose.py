@@ -37,12 +37,12 @@ class Page:
         self.session.take_status(AgentStatus(virtual=virtual, devices=devices))
 
     def ask(self, method: str, path: str, content: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-        return asyncio.run(self._ask(method, path, json.dumps(content).encode()))
+        return asyncio.run(self.answer(method, path, json.dumps(content).encode()))
 
     def devices(self) -> list[dict[str, Any]]:
         return tomllib.loads(self.settings.read_text()).get("device", [])
 
-    async def _ask(self, method: str, path: str, body: bytes) -> tuple[int, dict[str, Any]]:
+    async def answer(self, method: str, path: str, body: bytes) -> tuple[int, dict[str, Any]]:
         scope = {
             "type": "http",
             "method": method,

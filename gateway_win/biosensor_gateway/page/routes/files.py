@@ -12,6 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
+import structlog
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
@@ -38,6 +39,7 @@ from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 
 MOST_MARKERS = 1000
+_log = structlog.get_logger("biosensor_gateway.page")
 
 
 class RecordedMarker(BaseModel):
@@ -151,6 +153,7 @@ class Exports:
         self.view = ExportView(is_running=True, count=len(recordings), said=said)
         task = Task(wanted.formats, Wish(), output=output)
         self._task = asyncio.create_task(self._run(recordings, task))
+        self._task.add_done_callback(self._note_end)
 
     def end(self) -> None:
         """Write no further recording after the one that is being written."""
@@ -161,8 +164,16 @@ class Exports:
             await asyncio.to_thread(self._export, recordings, task)
         except (GatewayError, OSError) as error:
             self.view.problem = str(error)
-        finally:
-            self.view.is_running = False
+
+    def _note_end(self, task: asyncio.Task[None]) -> None:
+        """Say so if it has ended as nobody foresaw: it must not look as if all were done."""
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("an export has failed", exc_info=error)
+            self.view.problem = (
+                f"the export of {self.view.recording or 'the recordings'} failed unexpectedly "
+                f"({error!r}); try it with biosensor-gateway xdf export"
+            )
+        self.view.is_running = False
 
     def _export(self, recordings: list[Path], task: Task) -> None:
         for each in export_several(recordings, task, self._watching):

@@ -48,7 +48,7 @@ function Judged({ judged }) {
 
 function Exported({ view, onEnd }) {
   const place = view.done.length + view.part;
-  const isWhole = !view.problem && view.done.every((each) => each.is_certain);
+  const isWhole = !view.problem && view.done.length === view.count && view.done.every((each) => each.is_certain);
   return html`
     ${view.is_running && html`
       <p role="status">Writing ${view.format} of ${view.recording || "the first recording"} …</p>
