@@ -16,11 +16,10 @@ from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.replay import Replay
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
-from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import TYPES
-from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.features.sources import Source, Taken, choose, judge
 from tests.features import signals
 
 

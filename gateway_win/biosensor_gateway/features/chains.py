@@ -11,14 +11,60 @@ import numpy as np
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.features import quality
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.activity import Activity
 from biosensor_gateway.features.breathing import BR_QUALITY, Breathing
+from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.heart import HR_QUALITY, Heart
-from biosensor_gateway.features.pulse import PulsesOfAnyRate
 from biosensor_gateway.features.r_peaks import RPeaks
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
 from biosensor_gateway.features.skin import Skin
 from biosensor_gateway.features.state import BR_STATE, HR_STATE, State
+from biosensor_gateway.pulses.finding import Beat, Pulses
+
+
+class PulsesOfAnyRate:
+    """Gives the apex of each pulse.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._decimator = Decimator(rate, at.PULSE_RATE_HZ)
+        self._pulses = Pulses(self._decimator.rate)
+
+    def take(self, stamps: Array, values: Array) -> list[Beat]:
+        """Return the pulses that are decided by now; both of shape (n,)."""
+        found: list[Beat] = []
+        for stamp, value in self._decimator.take(stamps, values):
+            found += self._pulses.take(stamp, value)
+        return found
+
+
+class Activity:
+    """Gives `activity_live`: the mean amplitude deviation of each epoch, stamped with its end.
+
+    It is the mean distance of the vector's length from its own mean, in g, and needs no
+    calibration: Vaha-Ypya 2015, see :mod:`.thresholds`.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz; values are three axes in g.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._hops = Hops(max(2, round(at.ACTIVITY_EPOCH_S * rate)))
+
+    def take(self, stamps: Array, values: Array) -> list[Event]:
+        """Take samples of one run in; shapes (n,) and (n, 3)."""
+        events: list[Event] = []
+        for times, epoch in self._hops.take(stamps, values):
+            length = np.sqrt(np.square(epoch).sum(axis=1))
+            deviation = float(np.abs(length - length.mean()).mean())
+            events.append(Event("activity_live", float(times[-1]), (deviation,)))
+        return events
 
 
 class _EachSecond:

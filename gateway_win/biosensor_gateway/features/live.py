@@ -21,13 +21,12 @@ from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.links import Link, Remark
 from biosensor_gateway.features.outputs import READ_TYPES
 from biosensor_gateway.features.runs import Event
-from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.features.sources import Source, Taken, choose, judge
 from biosensor_gateway.features.witnesses import Witnesses
 
 READ_S = 0.02
