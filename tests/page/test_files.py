@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
+import biosensor_gateway.page
 from biosensor_gateway.page.routes import files as page_files
+from biosensor_gateway.page.sharing import view_of
 from biosensor_gateway.recording.export import exporting
 from tests.page.test_whose import Page
 from tests.replay import files
@@ -147,3 +149,38 @@ def test_the_folder_is_opened_and_nothing_else(
     code, answer = page.ask("POST", "recordings/open-folder", {"path": str(recording)})
     assert code == 404
     assert str(recording.parent) in answer["problem"]
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("POST", "recordings/check"),
+        ("POST", "recordings/salvage"),
+        ("POST", "recordings/open-folder"),
+        ("POST", "recordings/export"),
+        ("DELETE", "recordings/export"),
+        ("GET", "recordings/export"),
+        ("GET", "recordings"),
+    ],
+)
+async def test_who_only_looks_on_has_none_of_it(page: Page, method: str, path: str) -> None:
+    view = view_of(page.session, Path(biosensor_gateway.page.__file__).parent / "static")
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"{}"}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    for asked, expected in ((path, 404), ("status", 200)):
+        scope = {
+            "type": "http",
+            "method": method if expected == 404 else "GET",
+            "path": f"/api/v1/{asked}",
+            "query_string": b"",
+            "headers": [(b"content-type", b"application/json")],
+        }
+        sent.clear()
+        await view(scope, receive, send)
+        assert sent[0]["status"] == expected

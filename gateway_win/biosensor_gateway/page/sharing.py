@@ -70,12 +70,12 @@ async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[Sha
             fingerprint=certificate.fingerprint,
         )
         rules = BrowserRules([f"https://{name}:{number}" for name in names], keys, _REFUSED)
-        guard = Guard(_view_of(session, pages), rules)
+        guard = Guard(view_of(session, pages), rules)
         async with served_alongside(guard, listening, PEOPLE, certificate.file):
             yield view
 
 
-def _view_of(session: Session, pages: Path) -> Front:
+def view_of(session: Session, pages: Path) -> Front:
     """Return an application that tells how all is, and takes nothing."""
 
     async def status(_request: Request) -> Response:
