@@ -56,7 +56,7 @@ def test_each_trial_has_its_markers_with_times_in_order(
                 # It may not listen yet.
                 press(environment, "PsychoPy")
             sample, time = inlet.pull_sample(timeout=1.0)
-            if sample is None:
+            if sample is None or time is None:
                 continue
             markers.append((sample[0], time))
             assert time <= pylsl.local_clock()
