@@ -9,6 +9,8 @@ import pytest
 
 from biosensor_gateway.devices.emotibit.driver.link import Link
 from biosensor_gateway.system.clock import LSL_CLOCK
+from biosensor_gateway.transports.ports import SYSTEM_PORTS
+from biosensor_gateway.transports.tap import LinkTap
 
 HERE = "127.0.0.1"
 DATAGRAMS = 5
@@ -31,7 +33,7 @@ def sent_while_nothing_else_runs(data_port: int) -> list[float]:
 
 
 async def test_what_comes_while_the_agent_is_busy_has_the_time_of_its_arrival() -> None:
-    link = Link("EmotiBit 1", HERE)
+    link = Link("EmotiBit 1", HERE, SYSTEM_PORTS, LinkTap(LSL_CLOCK))
     await link.open()
     sent_s = sent_while_nothing_else_runs(int(link.data_payload[1]))
     arrived = [await link.read() for _ in sent_s]

@@ -25,7 +25,8 @@ from biosensor_gateway.devices.emotiv_insight.driver.cortex import (
     CortexError,
 )
 from biosensor_gateway.devices.emotiv_insight.driver.messages import ErrorKind, Event, FaultCode
-from biosensor_gateway.transports.websocket import ReceivedText, WebSocketLink
+from biosensor_gateway.transports.link import ReceivedText
+from biosensor_gateway.transports.websocket import WebSocketLink
 
 SECRET = "planted-secret"
 

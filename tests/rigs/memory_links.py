@@ -20,12 +20,11 @@ from urllib.parse import urlsplit
 import pytest
 import serial
 
-from biosensor_gateway.devices.emotibit.driver import link as emotibit_link
 from biosensor_gateway.devices.line_sensor.driver import driver as line_driver
 from biosensor_gateway.simulation import async_serial
 from biosensor_gateway.simulation.async_serial import TcpSerialPort
 from biosensor_gateway.system.clock import LSL_CLOCK
-from biosensor_gateway.transports import byte_links
+from biosensor_gateway.transports import byte_links, ports
 from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink
 from biosensor_gateway.transports.socket_link import FAREWELL_S, TcpLink
 from biosensor_gateway.transports.traffic import Traffic
@@ -266,7 +265,7 @@ def links_in_memory() -> Generator[None]:
         for opened in ("Serial", "serial_for_url"):
             patch.setattr(serial, opened, MemorySerial)
         patch.setattr(byte_links, "TcpLink", MemoryTcpLink)
-        for user in (line_driver, emotibit_link):
+        for user in (line_driver, ports):
             patch.setattr(user, "UdpPort", MemoryUdpPort)
         patch.setattr(MemoryPort, "tcp_ports", {})
         patch.setattr(MemoryPort, "held", set[str]())

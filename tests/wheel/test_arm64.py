@@ -16,11 +16,13 @@ from tests.wheel.conftest import Installed, build
 MISSING = needs()
 FORMATS = ("bids", "csv", "edf", "mcap")
 UNIT = ("tests/common", "tests/xdf", "tests/recording_export", "tests/polar_h10")
+# They read the tree's source, which is the same on all processors, for minutes.
+OF_SOURCE = ("tests/common/test_predicates.py", "tests/common/test_system_programs.py")
 
 pytestmark = [
     pytest.mark.nightly,
     pytest.mark.system,
-    pytest.mark.timeout(1500),
+    pytest.mark.timeout(3900),
     pytest.mark.skipif(bool(MISSING), reason=f"NOT RUN: {MISSING}"),
 ]
 
@@ -71,6 +73,7 @@ def test_unit_tests_pass_there(arm: Arm64) -> None:
     """Those of the rooms in which a processor could matter; all of them would take an hour."""
     tests = arm.start_python(
         *("-m", "pytest", "--tier", "unit", "-q", "-n", "2", "-p", "no:cacheprovider", *UNIT),
+        *(f"--ignore={each}" for each in OF_SOURCE),
         folder="/repository",
         PYTHONPATH="/tools:/site:/repository",
         PYLSL_LIB="/site/biosensor_liblsl/liblsl.so",

@@ -9,10 +9,12 @@ what it asks besides is counted.
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any, cast
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.captures.file import Capture, Event
@@ -84,6 +86,8 @@ class Deck:
             elif event.what in (What.CAME, What.LOST):
                 self._items.append(event)
         self._open = [each for each in self._items if isinstance(each, Asked)]
+        # Requests of JSON-RPC, by their numbers then.
+        self._numbers: dict[object, object] = {}
         self._news = asyncio.Event()
         self.is_over = asyncio.Event()
         self._playing = in_background(self._play())
@@ -100,9 +104,9 @@ class Deck:
         await asyncio.sleep(asked.event.took)
         return asked.event
 
-    def tell(self, data: bytes) -> None:
+    def tell(self, data: bytes, at: str = "") -> None:
         """Take what a driver sends without waiting."""
-        self._take(What.SENT, "", data)
+        self._take(What.SENT, at, data)
 
     def stop(self) -> None:
         """Play no more."""
@@ -112,11 +116,21 @@ class Deck:
     def _take(self, what: What, at: str, data: bytes) -> Asked | None:
         fitting = [each for each in self._open if (each.event.what, each.event.at) == (what, at)]
         exact = [each for each in fitting if what is What.READ or each.event.bytes == data]
+        request = parsed(data) if what is What.SENT else {}
+        if "method" in request:
+            # By its number alone it is another one each time; none answers another's question.
+            fitting = [
+                each
+                for each in fitting
+                if parsed(each.event.bytes).get("method") == request["method"]
+            ]
         found = next(iter(exact or fitting), None)
         if found is None:
             self.unknown[what.value, at] += 1
             return None
         self._open.remove(found)
+        if "id" in request:
+            self._numbers[_number(parsed(found.event.bytes))] = request["id"]
         found.is_asked = True
         self._news.set()
         return found
@@ -129,8 +143,19 @@ class Deck:
                 await self._hold(item)
                 item.is_reached.set()
             else:
-                self._deliver(event)
+                self._deliver(self._answering(event))
         self.is_over.set()
+
+    def _answering(self, event: Event) -> Event:
+        """Give an answer the number of the request that was made now."""
+        if not self._numbers or not event.bytes.startswith(b"{"):
+            return event
+        message = parsed(event.bytes)
+        number = _number(message)
+        if self._numbers.get(number, number) == number:
+            return event
+        data = json.dumps(message | {"id": self._numbers[number]}).encode()
+        return event.model_copy(update={"data": data.hex()})
 
     async def _hold(self, asked: Asked) -> None:
         """Stop until it is asked for; not for what nothing depends on, nor if others are."""
@@ -155,6 +180,20 @@ class Deck:
         behind = self._items[self._items.index(asked) + 1 :]
         questions = [each for each in behind if isinstance(each, Asked) and self._holds(each)]
         return any(each.is_asked for each in questions)
+
+
+def parsed(data: bytes) -> dict[str, Any]:
+    """Return a message of JSON-RPC, empty if it is something else."""
+    try:
+        message: object = json.loads(data)
+    except (ValueError, RecursionError):
+        return {}
+    return cast("dict[str, Any]", message) if isinstance(message, dict) else {}
+
+
+def _number(message: dict[str, Any]) -> object:
+    number = message.get("id")
+    return number if isinstance(number, int | str) else None
 
 
 class Player:

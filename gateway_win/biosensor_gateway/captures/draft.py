@@ -39,6 +39,7 @@ HOW_TO_SEND = 'To send it, open an issue of the kind "A capture of a device" and
 MOST_NOTE = 300
 """Characters of what somebody adds."""
 _SHOWN_BYTES = 24
+_SHOWN_CHARACTERS = 40
 _UNFIT = re.compile(r"[^A-Za-z0-9.]+")
 
 
@@ -145,7 +146,16 @@ def _replaced(taken: Taken) -> Iterator[str]:
     yield "Replaced:" if taken.replaced else "There was nothing to replace."
     for each in taken.replaced:
         found = f", {each.times} times in what passed" if each.times else ""
-        yield f"    {each.kind}: {each.secret} became {each.pseudonym}{found}"
+        if each.kind == "secret":
+            yield f"    a secret of {len(each.secret)} characters{found}"
+        else:
+            yield f"    {each.kind}: {_short(each.secret)} became {_short(each.pseudonym)}{found}"
+    if taken.replaced:
+        yield "The file was searched for each of them: none is left."
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
 
 
 class Phase(StrEnum):

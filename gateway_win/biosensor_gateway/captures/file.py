@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.transports.ports import ASKING, CONTROL, DATA
 from biosensor_gateway.transports.tap import CANCELLED, What
 
 ENDING = ".capture.gz"
@@ -24,8 +25,12 @@ MAX_BYTES = 256 * 2**20
 """Unpacked: several hours of the busiest sensor."""
 
 Text = Annotated[str, StringConstraints(max_length=500)]
-Hex = Annotated[str, StringConstraints(pattern=r"^(?:[0-9a-f]{2})*$", max_length=2 * 65536)]
+Hex = Annotated[str, StringConstraints(pattern=r"^(?:[0-9a-f]{2})*$", max_length=2**23)]
 Uuid = Annotated[str, StringConstraints(pattern=r"^[0-9a-f-]{0,36}$")]
+Place = Annotated[
+    str, StringConstraints(pattern=rf"^(?:[0-9a-f-]{{0,36}}|{ASKING}|{CONTROL}|{DATA})$")
+]
+"""A characteristic, or which port of a device that is reached by several."""
 _STRICT = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -69,7 +74,7 @@ class Event(BaseModel):
     t: float
     link: int = Field(ge=0)
     what: What
-    at: Uuid = ""
+    at: Place = ""
     data: Hex = ""
     took: float = Field(default=0.0, ge=0)
     error: Text = ""

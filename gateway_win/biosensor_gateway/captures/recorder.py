@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.captures.file import Advertised, Capture, Event, Header, Row
 from biosensor_gateway.captures.redaction import Redaction, Replaced, is_address
 from biosensor_gateway.devices.registry import driver
 from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.settings.secrets import SecretName, find_secret
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import Characteristic, Passed, What, tapped
@@ -175,8 +176,9 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         (lambda seen: recognise(seen) is not None) if recognise is not None else lambda _: False,
         entry.identifiers,
     )
-    told = redaction.of(events, [info.serial_number, *_addresses(settings)])
-    kept, left_out = _own_settings(settings)
+    secrets = [*filter(None, map(_known, entry.secrets))]
+    told = redaction.of(events, [info.serial_number, *_addresses(settings)], secrets)
+    kept, left_out = _own_settings(settings, entry.forms)
     header = Header(
         sensor=settings.sensor,
         manufacturer=redaction.text(info.manufacturer),
@@ -191,16 +193,35 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         seconds=round(max(each.t + each.took for each in told), 1),
         failed=dict(recorder.failed),
     )
-    return Taken(Capture(header=header, events=tuple(told)), redaction.replaced, test)
+    capture = Capture(header=header, events=tuple(told))
+    if left := redaction.left_in(told, header.model_dump_json()):
+        # By what was replaced alone it cannot be; so nobody is shown a file with it.
+        kinds = ", ".join(sorted({each.kind for each in left}))
+        message = f"nothing could be captured: what tells whose device it is stayed in it ({kinds})"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return Taken(capture, redaction.replaced, test)
+
+
+def _known(name: SecretName) -> str:
+    """Return a secret that the driver may have used; empty if there is none."""
+    try:
+        return find_secret(name).reveal()
+    except CredentialError:
+        return ""
 
 
 def _nothing(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> str:
     if recorder.failed or test.info is None:
         why = "; ".join(test.problems) or "the device did not connect"
         return f"nothing could be captured: {why}"
+    if driver(settings.sensor).recognise is not None:
+        return (
+            f"{settings.sensor} is heard without a connection, so nothing passes that could be "
+            "captured; send a recording instead"
+        )
     return (
-        f"{settings.sensor} is not reached over Bluetooth LE, a serial port or TCP by this program "
-        "itself, and other ways cannot be captured yet"
+        f"{settings.sensor} is reached by another program's library, which gives values and not "
+        "the bytes of the device, so there is nothing to capture; send a recording instead"
     )
 
 
@@ -210,10 +231,12 @@ def _addresses(settings: DeviceSettings) -> list[str]:
     return [each for each in texts if is_address(each)]
 
 
-def _own_settings(settings: DeviceSettings) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return numbers, lists and choices, and the names of all else that was set.
+def _own_settings(
+    settings: DeviceSettings, forms: frozenset[str]
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return numbers, lists, choices and forms, and the names of all else that was set.
 
-    Free texts may say whose the device is, or where.
+    Other texts may say whose the device is, or where.
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []
@@ -222,7 +245,8 @@ def _own_settings(settings: DeviceSettings) -> tuple[dict[str, Any], tuple[str, 
         if name in _OF_THE_LAB or value == field.default:
             continue
         is_choice = get_origin(field.annotation) is Literal and value in get_args(field.annotation)
-        if is_choice or (isinstance(value, bool | int | float | tuple) and name != "port"):
+        is_plain = isinstance(value, bool | int | float | tuple) and name != "port"
+        if is_choice or is_plain or name in forms:
             kept[name] = value
         else:
             left_out.append(name)

@@ -43,7 +43,7 @@ class Replaced(NamedTuple):
     Attributes
     ----------
     kind
-        ``address``, ``serial number``, ``name``, ``identifier``.
+        ``address``, ``serial number``, ``name``, ``identifier``, ``secret``.
     secret, pseudonym
         Before and after.
     times
@@ -84,15 +84,21 @@ class Redaction:
             for secret, (kind, pseudonym) in self._pseudonyms.items()
         ]
 
-    def of(self, events: Sequence[Event], known: Iterable[str]) -> list[Event]:
+    def of(
+        self, events: Sequence[Event], known: Iterable[str], secrets: Iterable[str] = ()
+    ) -> list[Event]:
         """Return the events of a capture without what tells whose device it is.
 
         Parameters
         ----------
         known
             Serial numbers and addresses that the driver was told or has learnt.
+        secrets
+            What it was told to sign in with.
         """
-        for secret in filter(None, known):
+        for secret in secrets:
+            self._pseudonym("secret", secret)
+        for secret in filter(None, map(self._own_part, known)):
             self._pseudonym("address" if is_address(secret) else "serial number", secret)
         told = [self._told(event) for event in events]
         by_stream: dict[tuple[int, str, What], list[int]] = {}
@@ -110,6 +116,24 @@ class Redaction:
             for index, payload in zip(indices, payloads[key], strict=True):
                 told[index] = told[index].model_copy(update={"data": payload.hex()})
         return told
+
+    def left_in(self, events: Sequence[Event], text: str) -> list[Replaced]:
+        """Return what was to be replaced and is still there, in events or in a text."""
+        by_stream: dict[tuple[int, str, What], list[bytes]] = {}
+        for event in events:
+            by_stream.setdefault((event.link, event.at, event.what), []).append(event.bytes)
+            text += event.model_dump_json(exclude={"data"})
+        joined = [
+            b"".join(packet[header:] for packet in packets)
+            for packets in by_stream.values()
+            for header in range(_HEADERS)
+        ]
+        return [
+            each
+            for each in self.replaced
+            for before, after in _forms(each.secret, each.pseudonym)
+            if before != after and any(before in place for place in (*joined, text.encode()))
+        ]
 
     def text(self, text: str) -> str:
         """Return a text with the pseudonyms of all that is known by now."""
@@ -166,11 +190,19 @@ class Redaction:
                 kept.discard(word)
         return name
 
+    def _own_part(self, secret: str) -> str:
+        """Return the part of a serial number that is no model's, where a pattern knows it."""
+        for pattern in self._patterns:
+            found = pattern.fullmatch(secret.encode())
+            if found is not None and found.re.groups:
+                return found[1].decode()
+        return secret
+
     def _pseudonym(self, kind: str, secret: str) -> str:
         known = self._pseudonyms.get(secret)
         if known is None:
             # The first character of a serial number often tells the model, and drivers ask it.
-            kept = "" if kind in ("address", "name") else secret[:1]
+            kept = secret[:1] if kind in ("serial number", "identifier") else ""
             known = self._pseudonyms[secret] = kind, _like(secret, kept)
         return known[1]
 
@@ -181,10 +213,11 @@ class Redaction:
             for pattern in self._patterns:
                 for found in pattern.finditer(text):
                     secret = _spelt(found[found.re.groups and 1])
+                    kind = "secret" if "secret" in pattern.groupindex else "identifier"
                     # One that is nothing but zeros tells nothing.
                     is_told = len(set(_bare(secret))) > 1
                     if is_told and _bare(secret) not in map(_bare, self._pseudonyms):
-                        self._pseudonym("identifier", secret)
+                        self._pseudonym(kind, secret)
 
     def _replace(self, payloads: Sequence[bytearray]) -> None:
         for header in range(_HEADERS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.captures.bluetooth import backends
 from biosensor_gateway.captures.deck import Player, ReplayedLink
 from biosensor_gateway.captures.file import Capture
+from biosensor_gateway.captures.ports import ReplayedPorts
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.bleak_pickers import standing_in
@@ -31,7 +33,7 @@ from biosensor_gateway.streaming.device_outlets import DeviceOutlets
 from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock, LeapingClock
-from biosensor_gateway.transports.tap import What, replaced
+from biosensor_gateway.transports.tap import Replacement, What, replaced
 
 SETTLING_S = 0.5
 """After the last byte: what is still in work is emitted."""
@@ -40,8 +42,8 @@ BEGIN_S = 1000.0
 GIVE_UP_S = 60.0
 """A driver that does not open the next connection within this time has given up."""
 UNIT = "replayed"
-_PLACES = frozenset({"device", "port", "host"})
-"""Settings that lead to a device; here it is that of the capture."""
+_PLACES = {"device": UNIT, "port": UNIT, "host": UNIT, "url": "ws://replayed:1"}
+"""Settings that lead to a device, with what they are here, where it is that of the capture."""
 
 
 @dataclass(slots=True)
@@ -209,10 +211,12 @@ def replay_settings(capture: Capture) -> DeviceSettings:
     fields: dict[str, Any] = {"sensor": header.sensor, "unit": UNIT, **header.settings}
     for name, field_info in model.model_fields.items():
         # Where the device is; here it is nowhere.
-        is_place = field_info.is_required() or (name in header.left_out and name in _PLACES)
+        is_place = field_info.is_required() or (
+            name in header.left_out and name in _PLACES and not field_info.default
+        )
         kinds = (field_info.annotation, *get_args(field_info.annotation))
         if name not in fields and is_place and str in kinds:
-            fields[name] = UNIT
+            fields[name] = _PLACES.get(name, UNIT)
     if "device" in model.model_fields:
         fields["device"] = "" if seen is None else seen.address
     try:
@@ -249,12 +253,25 @@ async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Repo
 @contextmanager
 def _links(capture: Capture, player: Player, clock: Clock) -> Generator[None]:
     seen = capture.events[0].seen
-    with replaced(lambda: ReplayedLink(player, clock)):
+    instead = Replacement(lambda: ReplayedLink(player, clock), lambda: ReplayedPorts(player, clock))
+    with replaced(instead), _signed_in(capture.header.sensor):
         if seen is None:
             yield
         else:
             with standing_in(backends(player, seen)):
                 yield
+
+
+@contextmanager
+def _signed_in(sensor: str) -> Generator[None]:
+    """Have a driver find what it signs in with; whatever it is, a capture lets it in."""
+    missing = [each.variable for each in driver(sensor).secrets if each.variable not in os.environ]
+    os.environ.update(dict.fromkeys(missing, UNIT))
+    try:
+        yield
+    finally:
+        for each in missing:
+            del os.environ[each]
 
 
 async def _play(player: Player, clock: Clock) -> bool:
@@ -307,8 +324,8 @@ def _report(
         f"the driver did not ask {count} times what the device was asked then: {what} {at}".rstrip()
         for (what, at), count in unasked.items()
     ]
-    if set(left_out) - _PLACES:
-        names = ", ".join(sorted(set(left_out) - _PLACES))
+    if set(left_out) - _PLACES.keys():
+        names = ", ".join(sorted(set(left_out) - _PLACES.keys()))
         report.notes.append(f"it was captured with other settings, which are not in it: {names}")
     if player.unheard:
         report.notes.append(f"{player.unheard} packets came that the driver did not listen to")

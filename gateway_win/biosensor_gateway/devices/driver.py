@@ -139,7 +139,10 @@ class DriverEntry(NamedTuple):
         is the settings' `sensor_name`. None where the sensor's declaration holds for every device.
     identifiers
         Where payloads say whose device it is, besides its address, its name and the serial number
-        of `Connected`: the first group of each is replaced in what is given away.
+        of `Connected`: the first group of each is replaced in what is given away. One called
+        ``secret`` is not even shown.
+    forms
+        Settings that are texts and say nothing but what data look like: they are given away.
     """
 
     settings: type[DeviceSettings]
@@ -150,6 +153,7 @@ class DriverEntry(NamedTuple):
     unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None
     declare: Callable[[DeviceSettings], SensorSpec] | None = None
     identifiers: tuple[re.Pattern[bytes], ...] = ()
+    forms: frozenset[str] = frozenset()
 
 
 def own_settings(model: type[_Settings], settings: DeviceSettings) -> _Settings:

@@ -1,4 +1,4 @@
-"""The interface of every byte-stream transport."""
+"""The interfaces of links of bytes and of texts."""
 
 from __future__ import annotations
 
@@ -41,4 +41,48 @@ class ByteLink(Protocol):
 
     async def close(self) -> None:
         """Send what is waiting, for a moment, and close; never raises."""
+        ...
+
+
+class ReceivedText(NamedTuple):
+    """A message and the LSL time at which it arrived."""
+
+    text: str
+    arrival: float
+
+
+class TextLink(Protocol):
+    """Texts in and out, whole ones."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages that came and could not be kept."""
+        ...
+
+    async def open(self) -> None:
+        """Connect.
+
+        Raises
+        ------
+        TransportError, ConfigError
+            What listens there is absent, refuses, or is something else; the address is none.
+        """
+        ...
+
+    async def read(self) -> ReceivedText:
+        """Wait for the next message.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, once everything that had arrived was read.
+        """
+        ...
+
+    async def send(self, text: str) -> None:
+        """Send a message; raise TransportError ``LOST`` if the connection has ended."""
+        ...
+
+    async def close(self) -> None:
+        """Close; never raises."""
         ...

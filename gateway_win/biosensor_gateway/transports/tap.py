@@ -1,7 +1,8 @@
 """Tells whoever wants to know what passes over the links of a device, or gives links instead.
 
-Drivers know nothing of it. Links ask when they are made whether somebody listens; who does has
-said so, with :func:`tapped` or :func:`replaced`, in the context in which the driver runs.
+Drivers know nothing of it, but one whose device connects to ports of this computer. Links ask when
+they are made whether somebody listens; who does has said so, with :func:`tapped` or
+:func:`replaced`, in the context in which the driver runs.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
-from biosensor_gateway.transports.link import ByteLink, Received
+from biosensor_gateway.transports.link import ByteLink, Received, ReceivedText, TextLink
 from biosensor_gateway.transports.nearby import Advertisement
+from biosensor_gateway.transports.ports import SYSTEM_PORTS, Ports
 
 
 class What(StrEnum):
@@ -101,8 +103,15 @@ class Tap(Protocol):
         ...
 
 
+class Replacement(NamedTuple):
+    """Makes what takes the place of links other than those of Bluetooth LE."""
+
+    byte_link: Callable[[], ByteLink]
+    ports: Callable[[], Ports]
+
+
 _tap: ContextVar[Tap | None] = ContextVar("tap", default=None)
-_instead: ContextVar[Callable[[], ByteLink] | None] = ContextVar("instead", default=None)
+_instead: ContextVar[Replacement | None] = ContextVar("instead", default=None)
 
 
 @contextmanager
@@ -116,9 +125,9 @@ def tapped(tap: Tap) -> Generator[None]:
 
 
 @contextmanager
-def replaced(make: Callable[[], ByteLink]) -> Generator[None]:
-    """Have other links made in the place of byte links meanwhile."""
-    token = _instead.set(make)
+def replaced(replacement: Replacement) -> Generator[None]:
+    """Have other links made in the place of those to devices meanwhile."""
+    token = _instead.set(replacement)
     try:
         yield
     finally:
@@ -132,10 +141,24 @@ def is_replaced() -> bool:
 
 def byte_link_of(link: ByteLink) -> ByteLink:
     """Return the link that a driver gets: this one, the one that replaces it, or one with a tap."""
-    make, tap = _instead.get(), _tap.get()
-    if make is not None:
-        return make()
+    replacement, tap = _instead.get(), _tap.get()
+    if replacement is not None:
+        return replacement.byte_link()
     return link if tap is None else TappedLink(link, tap)
+
+
+def text_link_of(link: TextLink) -> TextLink:
+    """Return the link of texts that a driver gets; see :func:`byte_link_of`."""
+    replacement, tap = _instead.get(), _tap.get()
+    if replacement is not None:
+        return _TextsOfBytes(replacement.byte_link())
+    return link if tap is None else TappedTexts(link, tap)
+
+
+def ports_of_device() -> Ports:
+    """Return the ports by which a driver reaches a device: the system's, or what replaces them."""
+    replacement = _instead.get()
+    return SYSTEM_PORTS if replacement is None else replacement.ports()
 
 
 class LinkTap:
@@ -244,6 +267,77 @@ class TappedLink:
         """Close the link."""
         self._tap.ended(What.CLOSED)
         await self._link.close()
+
+
+class TappedTexts:
+    """A link of texts that tells what passes; see :class:`TextLink`.
+
+    Parameters
+    ----------
+    link
+        The one that carries them.
+    """
+
+    def __init__(self, link: TextLink, tap: Tap) -> None:
+        self._link = link
+        with tapped(tap):
+            self._tap = LinkTap(LSL_CLOCK)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that came and could not be kept."""
+        return self._link.dropped
+
+    async def open(self) -> None:
+        """Open the link."""
+        try:
+            await self._link.open()
+        except GatewayError as error:
+            self._tap.failed(error)
+            raise
+        self._tap.opened(None, [])
+
+    async def read(self) -> ReceivedText:
+        """Wait for the next message."""
+        try:
+            received = await self._link.read()
+        except GatewayError:
+            self._tap.ended(What.LOST)
+            raise
+        self._tap.came(What.CAME, "", _encoded(received.text), received.arrival)
+        return received
+
+    async def send(self, text: str) -> None:
+        """Send a message."""
+        self._tap.came(What.SENT, "", _encoded(text), LSL_CLOCK())
+        await self._link.send(text)
+
+    async def close(self) -> None:
+        """Close the link."""
+        self._tap.ended(What.CLOSED)
+        await self._link.close()
+
+
+class _TextsOfBytes:
+    """A link of texts, on one of bytes of which each read is a whole message."""
+
+    dropped = 0
+
+    def __init__(self, link: ByteLink) -> None:
+        self._link = link
+        self.open = link.open
+        self.close = link.close
+
+    async def read(self) -> ReceivedText:
+        data, arrival_s = await self._link.read()
+        return ReceivedText(data.decode("utf-8", "surrogatepass"), arrival_s)
+
+    async def send(self, text: str) -> None:
+        self._link.write(_encoded(text))
+
+
+def _encoded(text: str) -> bytes:
+    return text.encode("utf-8", "surrogatepass")
 
 
 def reason_of(error: GatewayError) -> str:

@@ -7,7 +7,6 @@ import contextlib
 import logging
 import ssl
 from collections import deque
-from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -15,6 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMes
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.system.clock import LSL_CLOCK
+from biosensor_gateway.transports.link import ReceivedText
 
 OPEN_TIMEOUT_S = 5.0
 PING_INTERVAL_S = 10.0
@@ -31,13 +31,6 @@ _OVERHEAD_BYTES = 256
 # The library logs whole messages at `debug`: samples, and secrets.
 _wire_log = logging.getLogger("websockets.client.biosensor_gateway")
 _wire_log.setLevel(logging.INFO)
-
-
-class ReceivedText(NamedTuple):
-    """A message and the LSL time at which it arrived."""
-
-    text: str
-    arrival: float
 
 
 class WebSocketLink:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -153,7 +154,8 @@ class EmotiBitDriver:
         nearby = await self._find()
         self._device = nearby.address
         name = f"EmotiBit {nearby.device}" if nearby.device else f"EmotiBit {nearby.address[0]}"
-        self._link = Link(name, nearby.address[0])
+        ports, tap = self._advertising.ports, self._advertising.tap
+        self._link = Link(name, nearby.address[0], ports, tap)
         await self._link.open()
         await connect(self._advertising, self._link, nearby)
         # It may have been left in a mode in which it sends nothing.
@@ -319,4 +321,5 @@ def _found(nearby: Nearby, host: str, port: int) -> Found:
     return Found("emotibit", f"EmotiBit {unit}", settings)
 
 
-DRIVER = DriverEntry(EmotiBitSettings, _make, find=find)
+IDENTIFIERS = (re.compile(rb",DI,([^,\r\n]+)"),)
+DRIVER = DriverEntry(EmotiBitSettings, _make, find=find, identifiers=IDENTIFIERS)

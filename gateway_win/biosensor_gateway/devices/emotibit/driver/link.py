@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import socket
-from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -21,8 +19,18 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.devices.emotibit.driver.protocol import Packet, Read, Tag, read, write
+from biosensor_gateway.system.clock import LSL_CLOCK
+from biosensor_gateway.transports.ports import (
+    ASKING,
+    CONTROL,
+    DATA,
+    Accepting,
+    Asking,
+    DataPort,
+    Ports,
+)
 from biosensor_gateway.transports.receiving import Address
-from biosensor_gateway.transports.udp_port import UdpPort
+from biosensor_gateway.transports.tap import LinkTap, What, ports_of_device
 
 ADVERTISING_PORT = 3131
 BROADCAST_VARIABLE = "BIOSENSOR_GATEWAY_BROADCAST"
@@ -58,25 +66,16 @@ class Nearby(NamedTuple):
         return self.device.casefold() == device.casefold()
 
 
-class _Answers(asyncio.DatagramProtocol):
-    """Hands each datagram on."""
-
-    def __init__(self, take: Callable[[bytes, Address], None]) -> None:
-        self._take = take
-
-    def datagram_received(self, data: bytes, addr: Address) -> None:
-        self._take(data, (addr[0], addr[1]))
-
-    def error_received(self, exc: Exception) -> None:
-        """Pass over it: where nobody listens (yet), some systems say so at the next call."""
-
-
 class Advertising:
     """The channel on which EmotiBits are found; open it, and close it."""
 
     def __init__(self, host: str, port: int) -> None:
         self._target = (host or os.environ.get(BROADCAST_VARIABLE) or BROADCAST, port)
-        self._transport: asyncio.DatagramTransport | None = None
+        self.ports = ports_of_device()
+        """Also those of the other channels of an EmotiBit that is found."""
+        self.tap = LinkTap(LSL_CLOCK)
+        """Is told what passes, as are those."""
+        self._transport: Asking | None = None
         self._number = 0
         self._heard: asyncio.Queue[tuple[Packet, Address]] = asyncio.Queue()
 
@@ -88,27 +87,26 @@ class Advertising:
         TransportError
             ``UNAVAILABLE`` if there is no network, or no such host.
         """
-        loop = asyncio.get_running_loop()
         try:
-            self._transport, _ = await loop.create_datagram_endpoint(
-                lambda: _Answers(self._take),
-                ("0.0.0.0", 0),  # noqa: S104 - answers come by whatever network there is
-                allow_broadcast=True,
-            )
+            self._transport = await self.ports.asking(self._take)
         except OSError as error:
             message = f"EmotiBit: no UDP on this computer ({error}); is there a network?"
             raise TransportError(TransportReason.UNAVAILABLE, message) from error
+        self.tap.opened(None, [])
 
     def close(self) -> None:
         """Close the socket; may be called twice."""
         if self._transport is not None:
             self._transport.close()
             self._transport = None
+            self.tap.ended(What.CLOSED)
 
     def tell(self, tag: Tag, *payload: str, to: Address | None = None) -> None:
         """Send a packet, to all unless it is for one."""
         if self._transport is not None:
-            self._transport.sendto(write(tag, self._number, payload), to or self._target)
+            data = write(tag, self._number, payload)
+            self._transport.sendto(data, to or self._target)
+            self.tap.came(What.SENT, ASKING, data, LSL_CLOCK())
             self._number += 1
 
     async def hear(self) -> tuple[Packet, Address]:
@@ -149,6 +147,7 @@ class Advertising:
             await asyncio.sleep(ASK_EVERY_S)
 
     def _take(self, data: bytes, address: Address) -> None:
+        self.tap.came(What.CAME, ASKING, data, LSL_CLOCK())
         for packet in read(data).packets:
             self._heard.put_nowait((packet, address))
 
@@ -204,15 +203,20 @@ class Link:
         What errors call the device.
     host
         Its address: nobody else is listened to.
+    ports
+        Those by which it was found.
+    tap
+        Is told what passes.
     """
 
-    def __init__(self, name: str, host: str) -> None:
+    def __init__(self, name: str, host: str, ports: Ports, tap: LinkTap) -> None:
         self.name = name
         self._host = host
-        self._server: asyncio.Server | None = None
+        self._ports, self._tap = ports, tap
+        self._server: Accepting | None = None
         self._control: asyncio.Transport | None = None
         self._is_controlled = asyncio.Event()
-        self._data: UdpPort | None = None
+        self._data: DataPort | None = None
         self._arrived: asyncio.Queue[Arrived | TransportError] = asyncio.Queue()
         self._number = 0
         self._datagrams = 0
@@ -225,11 +229,10 @@ class Link:
         TransportError
             ``UNAVAILABLE``.
         """
-        loop = asyncio.get_running_loop()
         try:
-            here = _address_towards(self._host)
-            self._server = await loop.create_server(lambda: _Control(self), here, 0)
-            self._data = UdpPort(here)
+            here = self._ports.towards(self._host)
+            self._server = await self._ports.accepting(lambda: _Control(self), here)
+            self._data = self._ports.data(here)
         except OSError as error:
             message = f"{self.name}: no port for its data on this computer ({error})"
             raise TransportError(TransportReason.UNAVAILABLE, message) from error
@@ -240,8 +243,7 @@ class Link:
     def payload(self) -> tuple[str, ...]:
         """What tells the device where to connect."""
         assert self._server is not None
-        control = self._server.sockets[0].getsockname()[1]
-        return (_CONTROL_PORT, str(control), *self.data_payload)
+        return (_CONTROL_PORT, str(self._server.number), *self.data_payload)
 
     @property
     def data_payload(self) -> tuple[str, ...]:
@@ -258,13 +260,17 @@ class Link:
     def control(self, tag: Tag) -> None:
         """Send a command."""
         if self._control is not None and not self._control.is_closing():
-            self._control.write(write(tag, self._number))
+            data = write(tag, self._number)
+            self._control.write(data)
+            self._tap.came(What.SENT, CONTROL, data, LSL_CLOCK())
             self._number += 1
 
     def answer(self, tag: Tag, payload: tuple[str, ...], to: Address) -> None:
         """Send a packet to where data came from."""
         if self._data is not None:
-            self._data.send(write(tag, self._number, payload), to)
+            data = write(tag, self._number, payload)
+            self._data.send(data, to)
+            self._tap.came(What.SENT, DATA, data, LSL_CLOCK())
             self._number += 1
 
     async def read(self) -> Arrived:
@@ -297,6 +303,7 @@ class Link:
         if self._control is not None or host != self._host:
             return False
         self._control = control
+        self._tap.came(What.CAME, CONTROL, b"", LSL_CLOCK())
         self._is_controlled.set()
         return True
 
@@ -312,21 +319,16 @@ class Link:
             loop = asyncio.get_running_loop()
             loop.call_later(_QUIET_S, self._end_when_quiet, self._datagrams)
             return
+        self._tap.ended(What.LOST)
         message = f"{self.name}: the link was cut; is it on, charged and in the Wi-Fi?"
         self._arrived.put_nowait(TransportError(TransportReason.LOST, message))
 
     def _take(self, data: bytes, arrival_s: float, address: Address) -> None:
         if address[0] == self._host:
             self._datagrams += 1
+            if self._tap.is_heard:
+                self._tap.came(What.CAME, DATA, data, arrival_s)
             self._arrived.put_nowait(Arrived(read(data), arrival_s, address))
-
-
-def _address_towards(host: str) -> str:
-    """Return this computer's address in the network of a host; nothing is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect((host, ADVERTISING_PORT))
-        address: str = probe.getsockname()[0]
-        return address
 
 
 async def connect(advertising: Advertising, link: Link, nearby: Nearby) -> None:

@@ -30,7 +30,7 @@ from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     parse,
 )
 from biosensor_gateway.settings.secrets import Secret
-from biosensor_gateway.transports.websocket import ReceivedText, WebSocketLink
+from biosensor_gateway.transports.link import ReceivedText, TextLink
 
 _T = TypeVar("_T")
 
@@ -202,7 +202,7 @@ class CortexClient:
         Length of those messages [characters].
     """
 
-    def __init__(self, link: WebSocketLink) -> None:
+    def __init__(self, link: TextLink) -> None:
         self._link = link
         self.warnings = Warnings()
         self._ids = itertools.count(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable, Sequence
 from ipaddress import ip_address
 from urllib.parse import urlsplit
@@ -49,6 +50,7 @@ from biosensor_gateway.devices.emotiv_insight.driver.session import (
 )
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.tap import text_link_of
 from biosensor_gateway.transports.websocket import WebSocketLink
 
 DEFAULT_URL = "wss://localhost:6868"
@@ -137,7 +139,8 @@ class EmotivInsightDriver:
         self._sink = sink
         self._emitter = emitter
         self._account = account
-        self._client = CortexClient(WebSocketLink(settings.url, settings.ca_file))
+        link = text_link_of(WebSocketLink(settings.url, settings.ca_file))
+        self._client = CortexClient(link)
         self._endings = self._client.warnings.watch(*ENDINGS)
         self._decoder = Decoder()
         self._headset = Headset("")
@@ -376,6 +379,25 @@ def _found(url: str, ca_file: str, headset: Headset) -> Found:
     return Found("emotiv_insight", headset.name or headset.headset_id, settings)
 
 
+_TELLS_NOTHING = (
+    "jsonrpc|method|streamName|status|command|connectedBy|firmware|firmwareDisplay|version|mode|"
+    "buildDate|buildNumber|behavior|apiName|displayedName|shortDisplayedName|name"
+)
+_KEY = rf'"(?!(?:{_TELLS_NOTHING})")\w+"\s*:\s*'
+_MODEL = "(?![A-Z][A-Z0-9]*-[0-9A-F]{8})"
+IDENTIFIERS = (
+    re.compile(rb'"(?:cortexToken|clientId|clientSecret)"\s*:\s*"(?P<secret>[^"]+)"'),
+    # Of a headset's id the model stays, by which it is known.
+    re.compile(rb"[A-Z][A-Z0-9]*-([0-9A-F]{8})"),
+    re.compile(rf'{_KEY}"{_MODEL}([^"\\]{{8,}})"'.encode()),
+    re.compile(rf'{_KEY}("[^"\\]{{1,7}}")'.encode()),
+)
+"""All texts but some; short ones with their quotation marks, for numbers could hold them."""
 DRIVER = DriverEntry(
-    EmotivInsightSettings, _make, find=find, secrets=SECRETS, unlicensed=unlicensed
+    EmotivInsightSettings,
+    _make,
+    find=find,
+    secrets=SECRETS,
+    unlicensed=unlicensed,
+    identifiers=IDENTIFIERS,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -40,6 +41,7 @@ from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.early import Early
 from biosensor_gateway.transports.link import ByteLink, Received
 from biosensor_gateway.transports.receiving import Address
+from biosensor_gateway.transports.tap import byte_link_of, text_link_of
 from biosensor_gateway.transports.udp_port import UdpPort
 from biosensor_gateway.transports.websocket import WebSocketLink
 
@@ -202,13 +204,15 @@ def _declare(settings: DeviceSettings) -> SensorSpec:
     return own_settings(LineSettings, settings).spec
 
 
-DRIVER = DriverEntry(LineSettings, _make, declare=_declare)
+IDENTIFIERS = (re.compile(rb'"(?:device_id|serial_number|mac)"\s*:\s*"([^"]{4,64})"'),)
+FORMS = frozenset(
+    {"sequence_column", "time_column", "struct_format", "frame_start", "openearable_sensor"}
+)
+DRIVER = DriverEntry(LineSettings, _make, declare=_declare, identifiers=IDENTIFIERS, forms=FORMS)
 
 
 class _UdpLink:
-    """Datagrams that come to a port of this computer, each of them whole."""
-
-    in_messages = True
+    """Datagrams that come to a port of this computer; each read is a whole one."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -237,7 +241,7 @@ class _UdpLink:
             raise item
         return item
 
-    async def send(self, text: str) -> None:
+    def write(self, data: bytes) -> None:
         """Do nothing: whom to send to is not known."""
 
     async def close(self) -> None:
@@ -298,7 +302,7 @@ class LineLink(Protocol):
 def line_link(settings: LineSettings) -> LineLink:
     """Return the closed link that the settings ask for."""
     if settings.udp_port is not None:
-        return _UdpLink(settings.udp_port)
+        return _Bytes(byte_link_of(_UdpLink(settings.udp_port)), in_messages=True)
     if settings.url is not None and settings.openearable_sensor:
         time_unit = settings.parsed_columns[0].unit
         asked = Asked(settings.openearable_sensor, settings.openearable_wearable, time_unit)
@@ -306,16 +310,14 @@ def line_link(settings: LineSettings) -> LineLink:
     if settings.url is not None:
         return _WebSocket(settings.url)
     assert settings.port is not None
-    return _ByteStream(byte_link(settings.port, settings.baud_rate))
+    return _Bytes(byte_link(settings.port, settings.baud_rate), in_messages=False)
 
 
-class _ByteStream:
-    """A serial port or a TCP connection."""
+class _Bytes:
+    """A serial port, a TCP connection or datagrams."""
 
-    in_messages = False
-
-    def __init__(self, link: ByteLink) -> None:
-        self._link = link
+    def __init__(self, link: ByteLink, *, in_messages: bool) -> None:
+        self._link, self.in_messages = link, in_messages
         self.open = link.open
         self.read = link.read
         self.close = link.close
@@ -330,7 +332,7 @@ class _WebSocket:
     in_messages = True
 
     def __init__(self, url: str) -> None:
-        self._link = WebSocketLink(url)
+        self._link = text_link_of(WebSocketLink(url))
         self.open = self._link.open
         self.send = self._link.send
         self.close = self._link.close

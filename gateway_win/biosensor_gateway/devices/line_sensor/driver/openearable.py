@@ -22,6 +22,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.transports.link import Received
+from biosensor_gateway.transports.tap import text_link_of
 from biosensor_gateway.transports.websocket import WebSocketLink
 
 ANSWER_LIMIT_S = 5.0
@@ -53,7 +54,7 @@ class OpenEarableLink:
     in_messages = True
 
     def __init__(self, url: str, asked: Asked) -> None:
-        self._link = WebSocketLink(url)
+        self._link = text_link_of(WebSocketLink(url))
         self._where, self._asked = f"the OpenEarable app at {url}", asked
         self._numbers = count(1)
         self._subscription: object = None
