@@ -11,6 +11,7 @@ import gzip
 import json
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from biosensor_gateway.captures.recorder import take
 from biosensor_gateway.captures.replaying import replay
 from biosensor_gateway.devices.emotibit.simulator import SimulatedEmotiBit
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex
-from biosensor_gateway.devices.emotiv_insight.simulator.account import LICENCE_ID, USER
+from biosensor_gateway.devices.emotiv_insight.simulator.methods import LICENCE_ID, USER
 from biosensor_gateway.devices.line_sensor.simulator import (
     OpenEarableLineSensor,
     SimulatedLineSensor,
@@ -66,12 +67,12 @@ KINDS = {
     "websocket": Kind(WebSocketLineSensor, "acc"),
     "openearable": Kind(OpenEarableLineSensor, "acc"),
     "emotibit": Kind(
-        lambda world: SimulatedEmotiBit(world, device="MD-V5-0004711"),
+        partial(SimulatedEmotiBit, device="MD-V5-0004711"),
         "eda",
         ["MD-V5-0004711", "0004711"],
     ),
     "cortex": Kind(
-        lambda world: SimulatedCortex(world, headset="INSIGHT-5AF4C39E"),
+        partial(SimulatedCortex, headset="INSIGHT-5AF4C39E"),
         "eeg",
         [
             "5AF4C39E",

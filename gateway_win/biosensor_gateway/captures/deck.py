@@ -126,7 +126,8 @@ class Deck:
             ]
         found = next(iter(exact or fitting), None)
         if found is None:
-            self.unknown[what.value, at] += 1
+            # What is asked behind the end, nobody can have asked then.
+            self.unknown[what.value, at] += not self.is_over.is_set()
             return None
         self._open.remove(found)
         if "id" in request:

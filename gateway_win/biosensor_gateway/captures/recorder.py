@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 import sys
 import time
@@ -194,12 +195,18 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         failed=dict(recorder.failed),
     )
     capture = Capture(header=header, events=tuple(told))
-    if left := redaction.left_in(told, header.model_dump_json()):
+    if left := redaction.left_in(told, _texts(header)):
         # By what was replaced alone it cannot be; so nobody is shown a file with it.
         kinds = ", ".join(sorted({each.kind for each in left}))
         message = f"nothing could be captured: what tells whose device it is stayed in it ({kinds})"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return Taken(capture, redaction.replaced, test)
+
+
+def _texts(header: Header) -> str:
+    """Return what in a header comes from device or settings."""
+    own = (header.manufacturer, header.model, header.firmware, json.dumps(header.settings))
+    return "\n".join(own)
 
 
 def _known(name: SecretName) -> str:

@@ -122,7 +122,8 @@ class Redaction:
         by_stream: dict[tuple[int, str, What], list[bytes]] = {}
         for event in events:
             by_stream.setdefault((event.link, event.at, event.what), []).append(event.bytes)
-            text += event.model_dump_json(exclude={"data"})
+            if event.seen is not None:
+                text += event.seen.model_dump_json(exclude={"services"})
         joined = [
             b"".join(packet[header:] for packet in packets)
             for packets in by_stream.values()

@@ -42,8 +42,11 @@ BEGIN_S = 1000.0
 GIVE_UP_S = 60.0
 """A driver that does not open the next connection within this time has given up."""
 UNIT = "replayed"
-_PLACES = {"device": UNIT, "port": UNIT, "host": UNIT, "url": "ws://replayed:1"}
-"""Settings that lead to a device, with what they are here, where it is that of the capture."""
+URL = "ws://replayed:1"
+_PLACES = frozenset({"device", "headset", "port", "host", "url", "ca_file"})
+"""Settings that lead to a device; here it is that of the capture."""
+_FILLED = {"port": UNIT, "host": UNIT, "url": URL}
+"""What those are here without which no link would be made, or everybody asked."""
 
 
 @dataclass(slots=True)
@@ -212,11 +215,11 @@ def replay_settings(capture: Capture) -> DeviceSettings:
     for name, field_info in model.model_fields.items():
         # Where the device is; here it is nowhere.
         is_place = field_info.is_required() or (
-            name in header.left_out and name in _PLACES and not field_info.default
+            name in header.left_out and name in _FILLED and not field_info.default
         )
         kinds = (field_info.annotation, *get_args(field_info.annotation))
         if name not in fields and is_place and str in kinds:
-            fields[name] = _PLACES.get(name, UNIT)
+            fields[name] = _FILLED.get(name, UNIT)
     if "device" in model.model_fields:
         fields["device"] = "" if seen is None else seen.address
     try:
@@ -324,8 +327,8 @@ def _report(
         f"the driver did not ask {count} times what the device was asked then: {what} {at}".rstrip()
         for (what, at), count in unasked.items()
     ]
-    if set(left_out) - _PLACES.keys():
-        names = ", ".join(sorted(set(left_out) - _PLACES.keys()))
+    if set(left_out) - _PLACES:
+        names = ", ".join(sorted(set(left_out) - _PLACES))
         report.notes.append(f"it was captured with other settings, which are not in it: {names}")
     if player.unheard:
         report.notes.append(f"{player.unheard} packets came that the driver did not listen to")
