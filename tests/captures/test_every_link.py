@@ -26,7 +26,6 @@ from biosensor_gateway.captures.recorder import take
 from biosensor_gateway.captures.replaying import replay
 from biosensor_gateway.devices.emotibit.simulator import SimulatedEmotiBit
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex
-from biosensor_gateway.devices.emotiv_insight.simulator.methods import LICENCE_ID, USER
 from biosensor_gateway.devices.line_sensor.simulator import (
     OpenEarableLineSensor,
     SimulatedLineSensor,
@@ -76,8 +75,8 @@ KINDS = {
         "eeg",
         [
             "5AF4C39E",
-            USER,
-            LICENCE_ID,
+            "virtual_user",
+            "0b5a2f7e-virtual-licence",
             SimulatedCortex.client_id,
             SimulatedCortex.client_secret,
             '"participant"',
