@@ -108,4 +108,9 @@ def _environment(root: Path) -> dict[str, str]:
     # As the Makefile has it: tests start thousands of programs, which would all be compiled again.
     environment = {"PYTHONPYCACHEPREFIX": str(root / "build" / "bytecode"), **os.environ}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    return environment
+    # Wheels of ROS set these as Python starts. A part with an environment of its own would load
+    # the libraries of this one, or none.
+    environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
+    paths = environment.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
+    others = [each for each in paths if each and not Path(each).is_relative_to(sys.prefix)]
+    return environment | ({"LD_LIBRARY_PATH": os.pathsep.join(others)} if others else {})

@@ -12,6 +12,7 @@ import pytest
 
 from tests.nightly.__main__ import INTERRUPTED, main
 from tests.nightly.parts import ROOT
+from tests.nightly.runner import run_command
 
 pytestmark = [
     pytest.mark.nightly,
@@ -132,3 +133,16 @@ def test_tests_are_run_and_a_part_without_any_fails(project: Path) -> None:
     (project / "tests" / "test_it.py").write_text("def test_it():\n    pass\n")
     assert main([], project) == 1
     assert "    No test belongs to this part.\n" in page(project)
+
+
+def test_a_part_of_another_environment_gets_no_libraries_of_this_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, other = str(Path(sys.prefix) / "lib"), str(tmp_path)
+    monkeypatch.setenv("LD_LIBRARY_PATH", os.pathsep.join([own, other]))
+    monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
+    code, said = run_command(["env"], tmp_path / "log", tmp_path)
+    variables = dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
+    assert code == 0
+    assert variables["LD_LIBRARY_PATH"] == other
+    assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in variables
