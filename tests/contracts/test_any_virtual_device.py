@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from biosensor_gateway.devices.registry import declaration, driver
-from biosensor_gateway.simulation.faults import OF_A_KIND, Fault, FaultKind
+from biosensor_gateway.simulation.faults import Fault, FaultKind, Kind, Untidiness
+from biosensor_gateway.simulation.link import IMPOSSIBLE, Link
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from tests.contracts.conftest import class_of, every, is_recording
 from tests.rigs.driver_run import streaming
@@ -18,19 +19,35 @@ if TYPE_CHECKING:
     from tests.contracts.conftest import Make
 
 LONG_S = 3600.0
-VALUES = {FaultKind.LOW_BATTERY: 4.0, FaultKind.GARBAGE: 20.0, FaultKind.DRIFT: 150.0}
+VALUES = {
+    FaultKind.LOW_BATTERY: 4.0,
+    FaultKind.GARBAGE: 20.0,
+    FaultKind.DRIFT: 150.0,
+    Untidiness.STRAY: 3.0,
+    Untidiness.RATE: 100.0,
+    Untidiness.BUNDLED: 3.0,
+}
 KEPT = 3
 
 
-def fault(kind: FaultKind) -> Fault:
+def fault(kind: Kind) -> Fault:
     return Fault(kind, VALUES.get(kind, LONG_S))
 
 
 def test_every_fault_is_possible_or_there_is_a_reason(name: str) -> None:
     found = class_of(name)
-    told = found.faults | found.expected.impossible.keys()
-    assert told >= set(FaultKind) - OF_A_KIND or is_recording(name)
-    assert not found.faults & found.expected.impossible.keys()
+    impossible = found.impossible()
+    missing = {*FaultKind, *Untidiness} - found.effects.keys() - impossible.keys()
+    assert not missing
+    assert not found.effects.keys() & impossible.keys()
+    assert all(why and why[0].islower() and why[-1] != "." for why in impossible.values())
+
+
+def test_what_its_link_cannot_do_is_no_fault_of_its_own(name: str) -> None:
+    found = class_of(name)
+    assert found.on_air == (found.link is Link.BLUETOOTH_LE)
+    said_twice = IMPOSSIBLE[found.link].keys() & found.expected.impossible.keys()
+    assert not said_twice
 
 
 def test_what_it_says_of_its_streams_is_about_declared_ones(name: str) -> None:
@@ -42,7 +59,7 @@ def test_what_it_says_of_its_streams_is_about_declared_ones(name: str) -> None:
 
 
 async def test_a_fault_that_it_cannot_have_is_refused(device: VirtualDevice) -> None:
-    for kind in set(FaultKind) - device.faults:
+    for kind in {*FaultKind, *Untidiness} - device.effects.keys():
         with pytest.raises(ValueError, match=f"cannot have the fault {kind.value}"):
             device.apply(fault(kind))
         with pytest.raises(ValueError, match=f"cannot have the fault {kind.value}"):
@@ -50,7 +67,7 @@ async def test_a_fault_that_it_cannot_have_is_refused(device: VirtualDevice) -> 
 
 
 async def test_what_has_not_begun_can_be_ended(device: VirtualDevice) -> None:
-    for kind in FaultKind:
+    for kind in (*FaultKind, *Untidiness):
         device.clear(kind)
 
 
@@ -61,9 +78,9 @@ async def test_its_settings_are_those_of_its_driver(device: VirtualDevice) -> No
     model.model_validate(fields)
 
 
-@every(*FaultKind)
+@every(*FaultKind, *Untidiness)
 async def test_it_can_be_switched_off_in_any_fault_and_nothing_of_it_goes_on(
-    make: Make, kind: FaultKind
+    make: Make, kind: Kind
 ) -> None:
     device = make()
 

@@ -20,6 +20,7 @@ from tests.docs import (
     findings_table,
     sender_table,
     sensor_table,
+    untidiness_table,
     worked_with,
 )
 
@@ -88,6 +89,7 @@ PARTS = (
     Part("docs/sensors/README.md", "verified", catalogue.verified),
     Part("docs/sensors/catalogue.md", "catalogue", catalogue.catalogue),
     Part("docs/sensors/worked-with.md", "worked-with", worked_with.worked_with),
+    Part("docs/measurements.md", "untidiness", untidiness_table.untidiness),
     Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
     Part("docs/pictures/faults.svg", "", fault_picture.picture),

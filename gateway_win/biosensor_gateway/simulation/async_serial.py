@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from typing import Protocol
 
+from biosensor_gateway.simulation.glue import Glue
 from biosensor_gateway.simulation.pty_port import PtyPort
 from biosensor_gateway.simulation.tcp_port import LOOPBACK, TcpPort
 
@@ -34,6 +35,10 @@ class AsyncSerialPort(Protocol):
 
     def write(self, data: bytes) -> bool:
         """Take the whole of ``data`` without blocking; False without host or room."""
+        ...
+
+    def glue(self, *, on: bool) -> None:
+        """Have what is written go together and cut anywhere, from now on, or as it is."""
         ...
 
     def drained(self) -> bool:
@@ -102,6 +107,7 @@ class TcpSerialPort:
         self._left = left
         self._buffer_bytes = buffer_bytes
         self._host: _Host | None = None
+        self._glue = Glue(self._send)
         self._port = TcpPort(self._connected, _SEND_BUFFER_BYTES)
         self._port.bind()
 
@@ -116,7 +122,11 @@ class TcpSerialPort:
 
     def write(self, data: bytes) -> bool:
         """Take all of ``data`` or nothing."""
-        return self._host is not None and self._host.write(data)
+        return self._glue.write(data)
+
+    def glue(self, *, on: bool) -> None:
+        """Have what is written go together and cut anywhere, or as it is."""
+        self._glue.switch(on=on)
 
     def drained(self) -> bool:
         """Tell whether everything was handed to the system."""
@@ -124,11 +134,13 @@ class TcpSerialPort:
 
     def hang_up(self) -> None:
         """Close the connection and refuse others; the port's number stays taken."""
+        self._glue.flush()
         self._port.shut()
         self._abort_host()
 
     def dispose(self) -> None:
         """Hang up and give the port's number back."""
+        self._glue.forget()
         self._port.close()
         self._abort_host()
 
@@ -141,7 +153,11 @@ class TcpSerialPort:
         """Note that a host went away by itself."""
         if host is self._host:
             self._host = None
+            self._glue.forget()
             self._left()
+
+    def _send(self, data: bytes) -> bool:
+        return self._host is not None and self._host.write(data)
 
     def _connected(self, connection: socket.socket) -> None:
         if self._host is None:

@@ -5,9 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from types import MappingProxyType
 from typing import NamedTuple
 
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import FaultKind, Kind, Untidiness
+
+USUALLY_IMPOSSIBLE: Mapping[Kind, str] = MappingProxyType(
+    {
+        Untidiness.APART: "all channels of a signal come in one message",
+        FaultKind.STEP_BACK: "no value of it is made of counts",
+    }
+)
+"""What devices of most kinds cannot have, and why."""
+NO_INTERVALS = "it tells no intervals between beats"
+NO_RATE = "none of its signals has a rate"
+ONE_RATE = "each of its signals has one rate, which no setting changes"
+TELLS_ITS_RATE = "its rate is asked for or told at each connection"
+SAYS_WHAT_IT_IS = "each message comes by a characteristic of its own, which says what it is"
 
 
 class Contact(NamedTuple):
@@ -89,7 +103,7 @@ class Expected:
     loss_tolerance
         How well losses can be counted.
     impossible
-        By fault, why the real device cannot have it.
+        By fault, why the real device cannot have it; what its link makes impossible, the link says.
     is_linked
         Whether a host connects to it; else it is heard, or it is not.
     """
@@ -100,5 +114,5 @@ class Expected:
     unstamped_s: Mapping[str, float] = field(default_factory=dict[str, float])
     gaps: Mapping[FaultKind, Gap] = field(default_factory=dict[FaultKind, Gap])
     loss_tolerance: LossTolerance = LossTolerance()
-    impossible: Mapping[FaultKind, str] = field(default_factory=dict[FaultKind, str])
+    impossible: Mapping[Kind, str] = field(default_factory=dict[Kind, str])
     is_linked: bool = True

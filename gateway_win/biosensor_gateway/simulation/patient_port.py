@@ -60,6 +60,10 @@ class PatientPort:
             self._written_s = self._loop.time()
         return taken
 
+    def glue(self, *, on: bool) -> None:
+        """Have what is written go together and cut anywhere, or as it is."""
+        self._port.glue(on=on)
+
     def drained(self) -> bool:
         """Tell whether nothing is left that a host could still read, as far as is known."""
         return self._port.drained()

@@ -143,6 +143,8 @@ class Peripheral:
         self._scan_response = pack_name(name)
         self.bundles = Bundles(lambda: self._connection)
         self._indications = Indications(self._can_indicate)
+        self._services: Sequence[Service] = ()
+        self._denied: frozenset[UUID] = frozenset()
         self._advertisement = pack_advertisement(self._uuids, manufacturer_data or {})
 
     @property
@@ -204,8 +206,10 @@ class Peripheral:
         )
         self._device = device
         device.gatt_server.max_mtu = self._max_mtu
+        self._services = services
         device.add_services(services)
         protect_subscriptions(device.gatt_server, protected)
+        self.deny(self._denied)
         device.on(Device.EVENT_CONNECTION, self._on_connection)
         await device.start_advertising(
             auto_restart=True,
@@ -267,6 +271,12 @@ class Peripheral:
             self.bundles.send(connection, bytes(notification))
             return True
         return await self._indications.send(connection, characteristic, value)
+
+    def deny(self, uuids: Iterable[UUID]) -> None:
+        """Let nobody read these characteristics or subscribe to them, and again all others."""
+        self._denied = frozenset(uuids)
+        if self._device:
+            deny_characteristics(self._device.gatt_server, self._services, self._denied)
 
     def set_nameless(self, nameless: bool) -> None:
         """Advertise no name from now on, or the name again."""
@@ -456,3 +466,32 @@ def protect_subscriptions(server: Server, protected: Iterable[Protected]) -> Non
         )
         if subscription:
             subscription.permissions |= characteristic.permissions & _AUTHENTICATED
+
+
+_DENIED = att.Attribute.Permissions.READ_REQUIRES_AUTHORIZATION
+_UNWRITEABLE = att.Attribute.Permissions.WRITE_REQUIRES_AUTHORIZATION
+
+
+def deny_characteristics(
+    server: Server, services: Iterable[Service], denied: frozenset[UUID]
+) -> None:
+    """Answer who reads these characteristics or subscribes to them with an ATT error, 0x08."""
+    for service in services:
+        for characteristic in cast("_Table", service).characteristics:
+            subscription = server.get_descriptor_attribute(
+                service.uuid, characteristic.uuid, _SUBSCRIPTION
+            )
+            is_denied = characteristic.uuid in denied
+            set_permission(characteristic, _DENIED, on=is_denied)
+            if subscription:
+                set_permission(subscription, _UNWRITEABLE, on=is_denied)
+
+
+def set_permission(
+    attribute: att.Attribute[bytes], permission: att.Attribute.Permissions, *, on: bool
+) -> None:
+    """Set or clear one permission of an attribute."""
+    if on:
+        attribute.permissions |= permission
+    else:
+        attribute.permissions &= ~permission

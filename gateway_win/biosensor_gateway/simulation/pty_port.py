@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.simulation.glue import Glue
 
 if sys.platform != "win32":  # termios exists only there
     import fcntl
@@ -47,6 +48,7 @@ class PtyPort:
         self._left = left
         self._buffer_bytes = buffer_bytes
         self._unsent = bytearray()
+        self._glue = Glue(self._send)
         self._loop = asyncio.get_running_loop()
         self._folder = Path(tempfile.mkdtemp(prefix="virtual-serial-"))
         self._handle: int | None = None
@@ -82,6 +84,13 @@ class PtyPort:
 
     def write(self, data: bytes) -> bool:
         """Take all of ``data`` or nothing."""
+        return self._glue.write(data)
+
+    def glue(self, *, on: bool) -> None:
+        """Have what is written go together and cut anywhere, or as it is."""
+        self._glue.switch(on=on)
+
+    def _send(self, data: bytes) -> bool:
         if self._handle is None or not self._hosted:
             return False
         self._flush(self._handle)
@@ -105,6 +114,7 @@ class PtyPort:
 
     def hang_up(self) -> None:
         """Close the terminal and remove its path; what the host has not read is lost."""
+        self._glue.flush()
         self._stop_watching()
         self._path.unlink(missing_ok=True)
         if self._handle is not None:
@@ -145,6 +155,7 @@ class PtyPort:
 
     def _forget(self, handle: int) -> None:
         """Throw away what is buffered and what no host has read."""
+        self._glue.forget()
         self._unsent.clear()
         if sys.platform != "win32":
             # All that the host has written was heard; what there is now is another one's.

@@ -10,8 +10,9 @@ from types import MappingProxyType, TracebackType
 from typing import Any, ClassVar, NamedTuple, Self, Unpack
 
 from biosensor_gateway.simulation.effects import Effects
-from biosensor_gateway.simulation.expected import Expected
+from biosensor_gateway.simulation.expected import USUALLY_IMPOSSIBLE, Expected
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Kind, Untidiness
+from biosensor_gateway.simulation.link import IMPOSSIBLE, Link
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
@@ -75,6 +76,8 @@ class VirtualDevice(ABC):
     """What each fault does that it can have; those that last have an end."""
     faults: ClassVar[frozenset[FaultKind]] = frozenset()
     """Which faults it can have: those of `effects`, besides its untidiness."""
+    link: ClassVar[Link]
+    """By what it is reached."""
     on_air: ClassVar[bool] = False
     """Whether it is made with a :class:`~biosensor_gateway.simulation.radio.Radio`, too."""
     only_advertises: ClassVar[bool] = False
@@ -88,6 +91,8 @@ class VirtualDevice(ABC):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        if cls.on_air:
+            cls.link = Link.BLUETOOTH_LE
         endless = [
             kind.value
             for kind, effect in cls.effects.items()
@@ -115,6 +120,13 @@ class VirtualDevice(ABC):
             How many of its kind there are already, from which it can be told.
         """
         return {"wearer": wearer, "seed": number}
+
+    @classmethod
+    def impossible(cls) -> Mapping[Kind, str]:
+        """Return by fault why the real device cannot have it."""
+        usual = {**USUALLY_IMPOSSIBLE, **IMPOSSIBLE[cls.link]}
+        others = {kind: why for kind, why in usual.items() if kind not in cls.effects}
+        return {**others, **cls.expected.impossible}
 
     @property
     @abstractmethod

@@ -14,8 +14,10 @@ import numpy as np
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
-from biosensor_gateway.simulation.expected import Expected
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import NO_INTERVALS, ONE_RATE, Expected
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.glue import glued
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -28,12 +30,20 @@ class SimulatedAcmeBand(VirtualDevice):
     """It measures all the time, and sends while a host wants it."""
 
     sensor = "acme_band"
+    link = Link.SERIAL
     expected = Expected(
         without_contact=("force",),
         by_agent=frozenset({"bat", "quality"}),
-        impossible=dict.fromkeys(
-            (FaultKind.REFUSE, FaultKind.LATE, FaultKind.FORGET, FaultKind.RESTART), _ON_A_CABLE
-        ),
+        impossible={
+            FaultKind.REFUSE: _ON_A_CABLE,
+            FaultKind.DENY: _ON_A_CABLE,
+            FaultKind.LATE: _ON_A_CABLE,
+            FaultKind.FORGET: _ON_A_CABLE,
+            FaultKind.RESTART: _ON_A_CABLE,
+            FaultKind.REPEAT: NO_INTERVALS,
+            Untidiness.RATE: ONE_RATE,
+            Untidiness.STRAY: "it knows one message",
+        },
     )
 
     def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
@@ -135,5 +145,6 @@ class SimulatedAcmeBand(VirtualDevice):
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.DRIFT: Effect(_drift),
+            Untidiness.GLUED: glued("_port"),
         }
     )

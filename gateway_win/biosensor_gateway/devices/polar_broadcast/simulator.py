@@ -17,8 +17,8 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     StrapDevice,
 )
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, on_part
-from biosensor_gateway.simulation.expected import LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import NO_INTERVALS, NO_RATE, LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
@@ -41,7 +41,12 @@ EXPECTED = replace(
     unstamped_s={"hr": 0.1, "hr_fast": 0.1},
     loss_tolerance=LossTolerance(over_break=1, over_restart={"hr": 9, "hr_fast": 9}),
     impossible={
-        **dict.fromkeys((FaultKind.REFUSE, FaultKind.LATE, FaultKind.FORGET), _NO_LINK),
+        **dict.fromkeys(
+            (FaultKind.REFUSE, FaultKind.LATE, FaultKind.FORGET, FaultKind.DENY), _NO_LINK
+        ),
+        FaultKind.REPEAT: NO_INTERVALS,
+        Untidiness.RATE: NO_RATE,
+        Untidiness.STRAY: "what others advertise has their address",
         FaultKind.LOW_BATTERY: "it tells no charge, only whether the battery will do",
     },
     is_linked=False,

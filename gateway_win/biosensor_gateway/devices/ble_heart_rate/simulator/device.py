@@ -13,7 +13,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     Strap,
     StrapDevice,
 )
-from biosensor_gateway.simulation.effects import flag, on_part
+from biosensor_gateway.simulation.effects import flag, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
@@ -46,7 +46,11 @@ class SimulatedHeartRateStrap(StrapDevice):
     effects = MappingProxyType(
         on_part(
             "_strap",
-            {**STRAP_EFFECTS, FaultKind.REPEAT: flag("pulse.repeats")},
+            {
+                **STRAP_EFFECTS,
+                FaultKind.REPEAT: flag("pulse.repeats"),
+                FaultKind.DENY: lasting(Strap.deny, Strap.allow),
+            },
         )
     )
     expected = EXPECTED

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Sequence
-from itertools import count
+from itertools import count, cycle
 from math import inf, isfinite
 from types import MappingProxyType
 
@@ -172,6 +172,7 @@ class Strap:
         self.on_second: list[Callable[[], None]] = []
         self.heart_rate = HeartRateService(location)
         self._battery = BatteryService(self._read_battery)
+        self._to_deny = cycle((self._battery.level.uuid, self.heart_rate.measurement.uuid))
         services = (self.heart_rate.service, self._battery.service, identity.service())
         self.services: list[Service] = list(services)
         self._drift_ppm = specimen.drift_ppm
@@ -210,6 +211,19 @@ class Strap:
     def forget(self, _: float = 0.0) -> None:
         """Take it that nobody has subscribed to the heart rate."""
         self.peripheral.forget_subscription(self.heart_rate.measurement)
+
+    def deny_by_turns(self, characteristics: Sequence[Characteristic[bytes]]) -> None:
+        """Have each `deny` deny the battery or one of these, instead of the heart rate."""
+        self._to_deny = cycle((self._battery.level.uuid, *(each.uuid for each in characteristics)))
+
+    def deny(self) -> None:
+        """Break the link, and refuse one signal from now on, another each time."""
+        self.peripheral.deny((next(self._to_deny),))
+        self.break_link()
+
+    def allow(self) -> None:
+        """Refuse no signal any more."""
+        self.peripheral.deny(())
 
     def discharge(self, percent: float) -> None:
         """Have so much charge left, and say so."""

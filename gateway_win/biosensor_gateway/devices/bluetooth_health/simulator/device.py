@@ -21,7 +21,8 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     Strap,
     StrapDevice,
 )
-from biosensor_gateway.simulation.effects import Effect, on_part
+from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.expected import NO_INTERVALS
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
@@ -91,6 +92,7 @@ EXPECTED = replace(
     without_contact=("spo2",),
     # Speed and cadence are reckoned from counted turns.
     by_agent=frozenset({"quality", "cycling"}),
+    impossible={**ANY_STRAP.impossible, FaultKind.REPEAT: NO_INTERVALS},
     unstamped_s={"spo2": 0.0, "temp": 0.0, "running": 0.0, "power": 0.0},
 )
 
@@ -144,6 +146,7 @@ class SimulatedHealthDevice(StrapDevice):
         # It is no strap.
         self._strap.services.remove(self._strap.heart_rate.service)
         self._characteristics = {name: self._add(*each) for name, each in _SERVICES.items()}
+        self._strap.deny_by_turns(list(self._characteristics.values()))
         self._strap.on_power_on.append(self._begin)
 
     @classmethod
@@ -228,5 +231,6 @@ class SimulatedHealthDevice(StrapDevice):
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.FORGET: Effect(_forget),
             FaultKind.STEP_BACK: Effect(_step_back),
+            **on_part("_strap", {FaultKind.DENY: lasting(Strap.deny, Strap.allow)}),
         }
     )

@@ -23,6 +23,7 @@ from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
@@ -43,7 +44,12 @@ EXPECTED = Expected(
     },
     # Across a gap, samples are told by times at which they were read, up to a period late.
     loss_tolerance=LossTolerance(over_break=2),
-    impossible={FaultKind.OFF_BODY: _UNAWARE},
+    impossible={
+        FaultKind.OFF_BODY: _UNAWARE,
+        FaultKind.DENY: "it sends what it measures without being asked for signals",
+        Untidiness.STRAY: "a packet with a number of its own is a loss to who does not know it",
+        FaultKind.REPEAT: "an interval that it finds it sends once, with its own number",
+    },
 )
 
 Address = tuple[str, int]
@@ -230,6 +236,7 @@ class SimulatedEmotiBit(VirtualDevice):
     """
 
     sensor = "emotibit"
+    link = Link.UDP
     expected = EXPECTED
     rates_hz = MappingProxyType({"ppg": 25.0})
     filled = MappingProxyType(

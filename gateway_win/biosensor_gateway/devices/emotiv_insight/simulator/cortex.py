@@ -10,11 +10,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import shutil
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Unpack
@@ -58,8 +60,15 @@ from biosensor_gateway.devices.emotiv_insight.simulator.streams import (
 )
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import Contact, Expected, Gap
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import (
+    NO_INTERVALS,
+    TELLS_ITS_RATE,
+    Contact,
+    Expected,
+    Gap,
+)
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -131,6 +140,8 @@ class Circumstances:
 
 _CORTEX_READY = 23
 _GOING_AWAY = 1001
+_DENIABLE = ("eeg", "mot", "met", "dev", "pow")
+"""Streams of which one is denied at each time."""
 
 EXPECTED = Expected(
     # The contact of all electrodes together, in percent.
@@ -139,6 +150,7 @@ EXPECTED = Expected(
     # Cortex lets go of the headset, which then measures nothing. Its numbers and times tell
     # exactly what is lost.
     gaps={FaultKind.RESTART: Gap.STOPPED},
+    impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
 )
 
 
@@ -162,6 +174,7 @@ class SimulatedCortex(VirtualDevice):
     """
 
     sensor = "emotiv_insight"
+    link = Link.WEB_SOCKET
     expected = EXPECTED
     filled = MappingProxyType({"gyro": Filled(None, "only headsets with older firmware have it")})
     client_id = APP.client_id
@@ -207,7 +220,7 @@ class SimulatedCortex(VirtualDevice):
         self._manners = Manners(
             delays_s=around.delays_s, lacks_bluetooth=not around.bluetooth_permitted
         )
-        methods = Methods(
+        self._methods = methods = Methods(
             self._account,
             self._headset,
             self._sessions,
@@ -215,6 +228,7 @@ class SimulatedCortex(VirtualDevice):
             around.neighbours,
             lambda stream: self._streams[stream].wake(),
         )
+        self._to_deny = cycle(_DENIABLE)
         self._replies = Replies(methods, self._manners, self._loop)
 
     @property
@@ -313,6 +327,18 @@ class SimulatedCortex(VirtualDevice):
     def _comply(self) -> None:
         self._manners.refusal = None
 
+    def _deny(self) -> None:
+        self._methods.denied = frozenset({next(self._to_deny)})
+        self._break_links()
+
+    def _give(self) -> None:
+        self._methods.denied = frozenset()
+
+    def _send_unknown(self, messages: float) -> None:
+        """Send every client messages of a stream that it does not know."""
+        for _ in range(round(messages)):
+            self._send_raw(json.dumps({"new": [1, 2], "sid": "", "time": 1700000000.5}))
+
     def _drop(self) -> None:
         self._obstruct(FaultKind.DROP)
         self._break_links()
@@ -368,6 +394,8 @@ class SimulatedCortex(VirtualDevice):
             FaultKind.DROP: lasting(_drop, _restore),
             FaultKind.GARBAGE: Effect(_send_garbage),
             FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.DENY: lasting(_deny, _give),
+            Untidiness.STRAY: Effect(_send_unknown),
             FaultKind.LATE: level("_manners.late_s", 0.0, then=_break_links),
             FaultKind.UNREADABLE: flag("_mishaps.unannounced"),
             FaultKind.RESTART: lasting(_go_down, _come_up),

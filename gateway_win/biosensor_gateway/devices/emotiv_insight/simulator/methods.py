@@ -51,6 +51,7 @@ class Methods:
         neighbours: tuple[str, ...],
         subscribed: Callable[[str], None],
     ) -> None:
+        self.denied: frozenset[str] = frozenset()
         self._account = account
         self._headset = headset
         self._sessions = sessions
@@ -189,6 +190,8 @@ class Methods:
         }
 
     def _can_have(self, session: Session, stream: str) -> bool:
+        if stream in self.denied:
+            return False
         if stream == "eeg":
             return session.is_active and Licence.EEG in self._account.licence
         if stream == "mot" and not self._headset.model.motion_rate:

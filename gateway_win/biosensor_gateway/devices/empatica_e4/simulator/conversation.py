@@ -11,6 +11,7 @@ from math import inf
 
 from biosensor_gateway.devices.empatica_e4.simulator.wire import SUBSCRIPTIONS
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+from biosensor_gateway.simulation.glue import Glue
 from biosensor_gateway.simulation.tcp_port import TcpPort, break_off
 
 _ROOM_BYTES = 1 << 20
@@ -36,6 +37,8 @@ class Client(asyncio.Protocol):
         Id of a wristband, or empty.
     subscriptions
         Words of streams.
+    glue
+        Through which all goes that it gets.
     """
 
     def __init__(self, listener: Listener, hear: Hear) -> None:
@@ -48,6 +51,7 @@ class Client(asyncio.Protocol):
         self._unfinished = b""
         self._is_stalled = False
         self._held: bytearray | None = None
+        self.glue = Glue(self._send)
         self._ended = asyncio.Event()
 
     @property
@@ -93,6 +97,7 @@ class Client(asyncio.Protocol):
         """Be no client any more."""
         del exc
         self._transport = None
+        self.glue.forget()
         self._ended.set()
         self._listener.let_go(self)
 
@@ -100,8 +105,8 @@ class Client(asyncio.Protocol):
         """Send, if anything can be sent."""
         if self._held is not None:
             self._held += data
-        elif self.has_room and self._transport is not None:
-            self._transport.write(data)
+        else:
+            self.glue.write(data)
 
     def write_torn(self, data: bytes, at: int, pause_s: float) -> None:
         """Send the first ``at`` bytes, and the rest and all that follows after a pause."""
@@ -137,6 +142,12 @@ class Client(asyncio.Protocol):
         if self._transport is not None:
             break_off(self._transport)
 
+    def _send(self, data: bytes) -> bool:
+        if not self.has_room or self._transport is None:
+            return False
+        self._transport.write(data)
+        return True
+
     def _send_held(self) -> None:
         held, self._held = self._held, None
         if held is not None:
@@ -168,7 +179,7 @@ class Listener:
         self._hear = hear
         self._port = TcpPort(self._connected)
         self._connecting: set[asyncio.Task[object]] = set()
-        self._is_stalled = False
+        self._is_stalled = self._glues = False
 
     @property
     def port(self) -> int:
@@ -184,6 +195,12 @@ class Listener:
             BUSY if the port cannot be had.
         """
         self._port.open()
+
+    def glue(self, *, on: bool) -> None:
+        """Have what every client gets go together and cut anywhere, or as it is."""
+        self._glues = on
+        for client in self.clients:
+            client.glue.switch(on=on)
 
     def shut(self) -> None:
         """Refuse clients from now on, break off those that are connected, keep the port."""
@@ -218,6 +235,7 @@ class Listener:
         if not self._port.is_open:
             return False
         self.clients.add(client)
+        client.glue.switch(on=self._glues)
         # In Python 3.11.2, which Debian 12 has, asyncio reads from a new connection although that
         # was paused as it was made, so it is paused right after.
         asyncio.get_running_loop().call_soon(self._stall_new, client)

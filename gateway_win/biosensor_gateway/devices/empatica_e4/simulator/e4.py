@@ -22,8 +22,10 @@ from biosensor_gateway.devices.empatica_e4.simulator.delivery import Delivery, d
 from biosensor_gateway.devices.empatica_e4.simulator.wire import NumberFormat, WallClock
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Timing, Wristband
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import Expected, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import ONE_RATE, Expected, LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.glue import glued
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.truth import Truth
@@ -33,6 +35,10 @@ from biosensor_gateway.simulation.world import World
 EXPECTED = Expected(
     without_contact=("gsr",),
     by_agent=frozenset({"quality"}),
+    impossible={
+        FaultKind.REPEAT: "each interval comes with the time of its beat",
+        Untidiness.RATE: ONE_RATE,
+    },
     # A loss is a time, told to 0.05 s, and some samples come six at a time.
     loss_tolerance=LossTolerance(always={"bvp": 4, "acc": 2, "gsr": 6, "st": 6}),
 )
@@ -65,6 +71,7 @@ class SimulatedE4(VirtualDevice):
     """
 
     sensor = "empatica_e4"
+    link = Link.TCP
     expected = EXPECTED
     filled = MappingProxyType(
         {
@@ -197,6 +204,10 @@ class SimulatedE4(VirtualDevice):
         for _ in range(round(lines)):
             self._send_raw(damaged_line(self._rng))
 
+    def _send_unknown(self, lines: float) -> None:
+        for _ in range(round(lines)):
+            self._send_raw(b"E4_Unknown 1700000000.5 1.0\r\n")
+
     def _deny(self) -> None:
         """Send one of the signals to nobody, another one each time."""
         self._manners.refused_streams.add(next(self._to_deny))
@@ -222,6 +233,8 @@ class SimulatedE4(VirtualDevice):
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.REFUSE: flag("_manners.refuses_binding", then=_break_links),
             FaultKind.DENY: lasting(_deny, _give),
+            Untidiness.GLUED: glued("_listener"),
+            Untidiness.STRAY: Effect(_send_unknown),
             FaultKind.LATE: level("_manners.late_s", 0.0, then=_break_links),
             FaultKind.FORGET: Effect(_forget),
             FaultKind.UNREADABLE: flag("_delivery.mishaps.foreign"),

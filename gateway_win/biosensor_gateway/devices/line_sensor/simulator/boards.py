@@ -26,9 +26,10 @@ from biosensor_gateway.devices.line_sensor.simulator.ways import (
     WebSocket,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, flag, lasting
-from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
+from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting
+from biosensor_gateway.simulation.expected import NO_INTERVALS, Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -109,6 +110,7 @@ class SimulatedLineSensor(VirtualDevice):
     """
 
     sensor = NAME
+    link = Link.SERIAL
     expected = Expected(
         gaps={FaultKind.RESTART: Gap.STOPPED},
         # A board that was restarted counts anew, so what was on its way is not counted.
@@ -119,6 +121,9 @@ class SimulatedLineSensor(VirtualDevice):
             FaultKind.FORGET: _NO_COMMANDS,
             FaultKind.LOW_BATTERY: _NO_STATE,
             FaultKind.OFF_BODY: _NO_STATE,
+            FaultKind.DENY: _NO_COMMANDS,
+            FaultKind.REPEAT: NO_INTERVALS,
+            FaultKind.STEP_BACK: "one whose count steps back was restarted",
         },
     )
     format_settings: ClassVar[Mapping[str, Any]] = MappingProxyType({"format": "csv"})
@@ -131,6 +136,7 @@ class SimulatedLineSensor(VirtualDevice):
         self._measuring: asyncio.Task[None] | None = None
         self._opening: asyncio.Task[None] | None = None
         self._is_stalled, self._is_otherwise = False, False
+        self._rate_hz = EXAMPLE_RATE_HZ
 
     def _make_way(self) -> Way:
         return Serial()
@@ -176,7 +182,7 @@ class SimulatedLineSensor(VirtualDevice):
         """Look at the sensors at each tick of the crystal; what is delayed delays what follows."""
         count, due_s = 0, 0.0
         while True:
-            device_s = count / EXAMPLE_RATE_HZ
+            device_s = count / self._rate_hz
             time_s = await self._crystal.reach(device_s)
             due_s = max(due_s, time_s + self.specimen.jitter_s * self._rng.random())
             left_s = due_s - self.world.clock()
@@ -230,6 +236,25 @@ class SimulatedLineSensor(VirtualDevice):
     def _drift(self, ppm: float) -> None:
         self._crystal.set_drift(ppm)
 
+    def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
+        """Begin or end what its way can do to its lines."""
+        if self._way is not None:
+            self._way.make_untidy(kind, on=on)
+
+    def _glue(self) -> None:
+        self.make_untidy(Untidiness.GLUED, on=True)
+
+    def _unglue(self) -> None:
+        self.make_untidy(Untidiness.GLUED, on=False)
+
+    def _change_rate(self, hz: float) -> None:
+        self._rate_hz = hz
+        self._go_down()
+        self._come_up()
+
+    def _usual_rate(self) -> None:
+        self._change_rate(EXAMPLE_RATE_HZ)
+
     def _greet(self, count: float) -> None:
         """Say what another part of the sketch prints, with as many numbers as a line has."""
         for _ in range(int(count)):
@@ -245,12 +270,31 @@ class SimulatedLineSensor(VirtualDevice):
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.DRIFT: Effect(_drift),
             Untidiness.STRAY: Effect(_greet),
+            Untidiness.GLUED: lasting(_glue, _unglue),
+            Untidiness.RATE: Effect(_change_rate, _usual_rate),
         }
     )
 
 
+def _overtake(board: UdpLineSensor) -> None:
+    board.make_untidy(Untidiness.OVERTAKEN, on=True)
+
+
+def _keep_order(board: UdpLineSensor) -> None:
+    board.make_untidy(Untidiness.OVERTAKEN, on=False)
+
+
+def _without_glue(more: Effects[Any]) -> Effects[Any]:
+    kept = {**SimulatedLineSensor.effects, **more}
+    del kept[Untidiness.GLUED]
+    return MappingProxyType(kept)
+
+
 class UdpLineSensor(SimulatedLineSensor):
     """JSON in datagrams."""
+
+    link = Link.UDP
+    effects = _without_glue({Untidiness.OVERTAKEN: lasting(_overtake, _keep_order)})
 
     format_settings = MappingProxyType({"format": "json"})
 
@@ -265,6 +309,9 @@ class UdpLineSensor(SimulatedLineSensor):
 class WebSocketLineSensor(SimulatedLineSensor):
     """JSON in messages of a WebSocket."""
 
+    link = Link.WEB_SOCKET
+    effects = _without_glue({})
+
     format_settings = MappingProxyType({"format": "json"})
 
     def _make_way(self) -> Way:
@@ -277,6 +324,8 @@ class WebSocketLineSensor(SimulatedLineSensor):
 
 class StructLineSensor(SimulatedLineSensor):
     """Records of bytes over TCP."""
+
+    link = Link.TCP
 
     format_settings = MappingProxyType(
         {
@@ -310,6 +359,9 @@ class OpenEarableLineSensor(SimulatedLineSensor):
     app
         What speaks for it.
     """
+
+    link = Link.WEB_SOCKET
+    effects = _without_glue({})
 
     def __init__(
         self,

@@ -14,6 +14,7 @@ from websockets.asyncio.connection import broadcast
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.protocol import State
 
+from biosensor_gateway.simulation.faults import Untidiness
 from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.tcp_port import LOOPBACK, KeptPort, break_off
 
@@ -35,6 +36,10 @@ class Way(Protocol):
 
     def write(self, data: bytes) -> bool:
         """Take all of it, or nothing; False where nobody listens."""
+        ...
+
+    def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
+        """Begin or end what this way can do to what goes along it."""
         ...
 
     def hang_up(self) -> None:
@@ -73,6 +78,11 @@ class Serial:
         """Be reachable."""
         self._port.open()
 
+    def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
+        """Join lines, and cut them anywhere."""
+        assert kind is Untidiness.GLUED
+        self._port.glue(on=on)
+
 
 class Udp:
     """Datagrams to a port of this computer, which nobody has yet."""
@@ -82,6 +92,9 @@ class Udp:
             free.bind((LOOPBACK, 0))
             self._number = int(free.getsockname()[1])
         self._socket: socket.socket | None = None
+        self._overtakes = False
+        self._sent = 0
+        self._overtaken = b""
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -98,11 +111,22 @@ class Udp:
         """Send a datagram; the system tells of the one before whether somebody listened."""
         if self._socket is None:
             return False
+        self._sent += 1
+        late, self._overtaken = self._overtaken, b""
+        if self._overtakes and not late and self._sent % 3 == 0:
+            self._overtaken = data
+            return True
         try:
-            self._socket.send(data)
+            for each in (data, late) if late else (data,):
+                self._socket.send(each)
         except OSError:
             return False
         return True
+
+    def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
+        """Have datagrams overtake each other."""
+        assert kind is Untidiness.OVERTAKEN
+        self._overtakes = on
 
     def hang_up(self) -> None:
         """Be off."""
@@ -155,6 +179,9 @@ class WebSocket:
         reading = self._reading
         broadcast(reading, data.decode("latin-1"))
         return bool(reading)
+
+    def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
+        """Do nothing: messages come whole and in order."""
 
     @property
     def _reading(self) -> list[ServerConnection]:

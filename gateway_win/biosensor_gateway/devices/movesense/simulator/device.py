@@ -26,7 +26,7 @@ from biosensor_gateway.devices.movesense.simulator.streams import MeasurementStr
 from biosensor_gateway.devices.movesense.simulator.wire import FULL_MTU
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
@@ -41,7 +41,11 @@ _DENIABLE = ("hr", "temp", "ecg", "movement")
 
 EXPECTED = replace(
     ANY_STRAP,
-    impossible={},
+    impossible={
+        FaultKind.REPEAT: "it tells each interval in a message of its own",
+        Untidiness.RATE: "who subscribes says the rate, in the path",
+        Untidiness.STRAY: "a message of another subscription is one of garbage",
+    },
     # It is switched off.
     gaps={FaultKind.RESTART: Gap.STOPPED},
     # Each connection begins a new series, which is placed by time.

@@ -13,6 +13,8 @@ import numpy as np
 from biosensor_gateway.devices.muse.simulator.expected import CLASSIC
 from biosensor_gateway.devices.muse.simulator.headband import Headband
 from biosensor_gateway.devices.muse.simulator.wire import uuid
+from biosensor_gateway.simulation.effects import lasting
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled
@@ -103,6 +105,10 @@ class SimulatedMuse(Headband):
     """
 
     expected = CLASSIC
+    effects = MappingProxyType(
+        {**Headband.effects, FaultKind.DENY: lasting(Headband.deny, Headband.give)}
+    )
+    deniable = (TELEMETRY_UUID, EEG_UUIDS["AF8"], ACC_UUID, GYRO_UUID, LIGHT_UUIDS["red"])
     filled = MappingProxyType(
         {
             "aux": Filled(None, _SILENT),

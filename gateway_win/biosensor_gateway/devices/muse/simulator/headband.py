@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from abc import abstractmethod
-from collections.abc import Coroutine, Iterable, Mapping
+from collections.abc import Coroutine, Iterable, Mapping, Sequence
+from itertools import cycle
 from types import MappingProxyType
 from typing import Any, ClassVar, Unpack
 
@@ -99,6 +100,8 @@ class Headband(VirtualDevice):
     start: ClassVar[str]
     """The command that begins the stream."""
     presets: ClassVar[frozenset[str]]
+    deniable: ClassVar[Sequence[str]] = ()
+    """Characteristics of which one is refused at each time."""
 
     def __init__(
         self,
@@ -120,6 +123,7 @@ class Headband(VirtualDevice):
         self._patience_s = patience_s
         self._percent, self._preset = 87.0, "p21"
         self._answer_delay_s = 0.0
+        self._to_deny = cycle(self.deniable)
         self._refuses = self._is_unreadable = self._glues = False
         self._crystal = Crystal(world.clock, self._drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
@@ -322,6 +326,23 @@ class Headband(VirtualDevice):
     def _unglue(self) -> None:
         self._glues = False
 
+    async def _send_answers(self, count: int) -> None:
+        for _ in range(count):
+            for piece in wire.pieces([{"rc": 0}], None):
+                await self._peripheral.notify(self._control, piece)
+
+    def deny(self) -> None:
+        """Break the link and let nobody subscribe to a characteristic, another each time."""
+        self._peripheral.deny((UUID(next(self._to_deny)),))
+        self._break_link()
+
+    def give(self) -> None:
+        """Let everybody subscribe to all again."""
+        self._peripheral.deny(())
+
+    def _answer_unasked(self, count: float) -> None:
+        self._run(self._send_answers(round(count)), self._tasks)
+
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_drop, _restore),
@@ -335,6 +356,7 @@ class Headband(VirtualDevice):
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.DRIFT: Effect(_drift),
             Untidiness.GLUED: lasting(_glue, _unglue),
+            Untidiness.STRAY: Effect(_answer_unasked),
             **on_part("_peripheral", RADIO_EFFECTS),
         }
     )

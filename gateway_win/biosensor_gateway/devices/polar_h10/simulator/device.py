@@ -27,8 +27,8 @@ from biosensor_gateway.devices.polar_h10.simulator.products import (
     Quirks,
 )
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import TELLS_ITS_RATE, Gap, LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
@@ -37,7 +37,11 @@ from biosensor_gateway.simulation.world import World
 
 EXPECTED = replace(
     ANY_STRAP,
-    impossible={},
+    impossible={
+        FaultKind.REPEAT: "its intervals add up to the time that passed",
+        Untidiness.RATE: TELLS_ITS_RATE,
+        Untidiness.STRAY: "a frame of another measurement is one of garbage",
+    },
     # It is switched off.
     gaps={FaultKind.RESTART: Gap.STOPPED},
     # Each connection begins a new series, which is placed by time.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import sys
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from types import MappingProxyType
 from typing import Any, ClassVar, Unpack
 
@@ -34,7 +35,9 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
 )
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.glue import glued
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
@@ -84,6 +87,8 @@ class Conversation:
     ----------
     refusing
         Carry out no command.
+    denied
+        Refuse this one.
     answer_delay_s
         Carry out each command so much later.
     """
@@ -100,6 +105,7 @@ class Conversation:
         self._write = write
         self._obeyed = obeyed
         self.refusing = False
+        self.denied: Opcode | None = None
         self.answer_delay_s = 0.0
         self._reader = CommandReader(firmware)
         self._spoken_to = False
@@ -140,7 +146,7 @@ class Conversation:
         self._interpreter.link_lost()
 
     def _carry_out(self, command: Command) -> None:
-        if not self.refusing:
+        if not self.refusing and command.opcode is not self.denied:
             taken = self.say(self._interpreter.execute(command))
             self._obeyed(command.opcode, taken)
         elif self._firmware.has_nack:  # older firmware knows no refusal but silence
@@ -171,8 +177,11 @@ class SimulatedShimmer(VirtualDevice):
         As for every virtual device: see `Specimen`.
     """
 
+    link = Link.SERIAL
     memory: ClassVar[Memory]
     """From the factory."""
+    deniable: ClassVar[Sequence[Opcode]] = (Opcode.GET_BATTERY,)
+    """Commands of which one is refused at each time."""
     usual_name: ClassVar[str] = "Shimmer3-4E5F"
 
     def __init__(
@@ -205,6 +214,7 @@ class SimulatedShimmer(VirtualDevice):
         self._notes = _Notes(self.truth)
         self._streams = Streams(world.clock, self._send, self._notes.kept_back)
         self._worn = True
+        self._to_deny = cycle(self.deniable)
         self._stalled = self._is_unreadable = False
 
     @property
@@ -345,6 +355,17 @@ class SimulatedShimmer(VirtualDevice):
     def _answer_in_time(self) -> None:
         self._conversation.answer_delay_s = 0.0
 
+    def _deny(self) -> None:
+        self._conversation.denied = next(self._to_deny)
+        self._break_link()
+
+    def _give(self) -> None:
+        self._conversation.denied = None
+
+    def _be_docked(self, count: float) -> None:
+        for number in range(int(count)):
+            self._conversation.dock(docked=number % 2 == 0)
+
     def _forget(self, _: float) -> None:
         self._interpreter.sensing = False
         self._follow_sensing()
@@ -375,13 +396,16 @@ class SimulatedShimmer(VirtualDevice):
 
     effects = MappingProxyType(
         {
+            Untidiness.GLUED: glued("_port"),
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.RESTART: lasting(_hang_up, _power_cycle),
             FaultKind.STALL: lasting(_stall, _resume),
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.REFUSE: lasting(_refuse, _comply),
             FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.DENY: lasting(_deny, _give),
             FaultKind.FORGET: Effect(_forget),
+            Untidiness.STRAY: Effect(_be_docked),
             FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),

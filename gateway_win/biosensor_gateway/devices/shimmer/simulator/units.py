@@ -47,8 +47,14 @@ from biosensor_gateway.devices.shimmer.simulator.sensors import (
 )
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block
 from biosensor_gateway.simulation.effects import Effects
-from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import (
+    NO_INTERVALS,
+    TELLS_ITS_RATE,
+    Expected,
+    Gap,
+    LossTolerance,
+)
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
@@ -102,6 +108,7 @@ _OLDER_WR = MotionSensor(
 EXPECTED = Expected(
     # It is told again every ten seconds.
     by_agent=frozenset({"quality"}),
+    impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
     gaps={
         # Firmware stops streaming with the end of the link.
         FaultKind.DROP: Gap.STOPPED,
@@ -120,7 +127,11 @@ EXPECTED = Expected(
     loss_tolerance=LossTolerance(over_break=32),
 )
 WITHOUT_ELECTRODES = replace(
-    EXPECTED, impossible={FaultKind.OFF_BODY: "it has no electrodes that tell whether they are on"}
+    EXPECTED,
+    impossible={
+        **EXPECTED.impossible,
+        FaultKind.OFF_BODY: "it has no electrodes that tell whether they are on",
+    },
 )
 
 _Values = dict[str, Sequence[tuple[float, ...]]]

@@ -18,8 +18,14 @@ import numpy as np
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
 from biosensor_gateway.devices.shimmer.simulator.memory import Memory
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block, Meter
-from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import (
+    NO_INTERVALS,
+    TELLS_ITS_RATE,
+    Expected,
+    Gap,
+    LossTolerance,
+)
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
@@ -27,6 +33,7 @@ EXPECTED = Expected(
     without_contact=("gsr",),
     # The heart rate is computed from the pulse wave.
     by_agent=frozenset({"hr", "quality"}),
+    impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
     gaps={
         # Firmware stops streaming with the end of the link.
         FaultKind.DROP: Gap.STOPPED,

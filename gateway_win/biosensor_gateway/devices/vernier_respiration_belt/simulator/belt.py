@@ -17,8 +17,14 @@ from numpy.typing import NDArray
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part, restart
-from biosensor_gateway.simulation.expected import Contact, Expected, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import (
+    NO_INTERVALS,
+    TELLS_ITS_RATE,
+    Contact,
+    Expected,
+    LossTolerance,
+)
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
@@ -48,6 +54,12 @@ EXPECTED = Expected(
     by_agent=frozenset({"quality"}),
     # Each connection begins a new series, which is placed by its arrival.
     loss_tolerance=LossTolerance(over_break=2, by_arrival=True),
+    impossible={
+        FaultKind.DENY: "one command starts all of its channels",
+        FaultKind.REPEAT: NO_INTERVALS,
+        Untidiness.RATE: TELLS_ITS_RATE,
+        Untidiness.STRAY: "an answer to nobody is one of garbage",
+    },
 )
 
 RATE_WARM_UP_S = 25.0

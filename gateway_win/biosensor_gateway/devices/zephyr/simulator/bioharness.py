@@ -31,7 +31,9 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
 )
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.effects import Effect, flag, lasting
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.glue import glued
+from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -245,6 +247,7 @@ class BioHarness(VirtualDevice):
     """
 
     sensor = "zephyr"
+    link = Link.SERIAL
 
     def __init__(
         self,
@@ -374,6 +377,7 @@ class BioHarness(VirtualDevice):
 
     effects = MappingProxyType(
         {
+            Untidiness.GLUED: glued("_port"),
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.STALL: lasting(_stall, _resume),
             FaultKind.GARBAGE: Effect(_babble),

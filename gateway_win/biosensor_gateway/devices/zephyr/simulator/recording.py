@@ -26,6 +26,9 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     crc8,
     duration_ms,
 )
+from biosensor_gateway.simulation.expected import USUALLY_IMPOSSIBLE, Expected
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.link import IMPOSSIBLE
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -282,6 +285,15 @@ class RecordedZephyr(BioHarness):
         Without effect.
     """
 
+    expected = Expected(
+        impossible=dict.fromkeys(
+            {*FaultKind, *Untidiness}
+            - BioHarness.effects.keys()
+            - USUALLY_IMPOSSIBLE.keys()
+            - IMPOSSIBLE[BioHarness.link].keys(),
+            "it plays what a real device sent, of which nothing can be changed",
+        )
+    )
     filled = MappingProxyType(
         {
             "hrv": Filled(76, "the recording's first valid value comes at 76 s"),

@@ -23,13 +23,14 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     Packet,
     Values,
     duration_ms,
+    frame,
     general,
     summary_v2,
 )
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting, level
-from biosensor_gateway.simulation.expected import Expected, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.expected import ONE_RATE, Expected, LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
@@ -337,6 +338,10 @@ EXPECTED = Expected(
     without_contact=("hr", "br"),
     by_agent=frozenset({"quality"}),
     # Packets are numbered and stamped; after a restart it measures between two of them.
+    impossible={
+        FaultKind.REPEAT: "the sign of an interval tells whether it is a new one",
+        Untidiness.RATE: ONE_RATE,
+    },
     loss_tolerance=LossTolerance(over_restart={"ecg": 63, "breathing": 18, "acc": 20}),
 )
 
@@ -459,6 +464,8 @@ def _number(value: float | None) -> float:
     return nan if value is None else float(value)
 
 
+_UNKNOWN_PACKET = 0x26
+"""Of a Zephyr HxM, which speaks likewise."""
 _DENIABLE = (0x16, 0x1E, 0x19, 0x15)
 """Requests for ECG, acceleration, intervals and breathing; one is denied at each time."""
 
@@ -506,6 +513,10 @@ class SimulatedZephyr(BioHarness):
         self.session.refused.add(self._denied)
         self._break_link()
 
+    def _send_unknown(self, count: float) -> None:
+        for _ in range(int(count)):
+            self._write(frame(_UNKNOWN_PACKET, bytes(55)))
+
     def _give(self) -> None:
         self.session.refused.discard(self._denied)
 
@@ -525,6 +536,7 @@ class SimulatedZephyr(BioHarness):
             FaultKind.FORGET: Effect(_forget),
             FaultKind.REFUSE: lasting(_refuse, _allow),
             FaultKind.DENY: lasting(_deny, _give),
+            Untidiness.STRAY: Effect(_send_unknown),
             FaultKind.LATE: level("session.answer_delay_s", 0.0, then=_break_link),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.LOW_BATTERY: level("_body.battery_percent", read=round),
