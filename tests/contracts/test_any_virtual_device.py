@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tests.contracts.conftest import Make
 
 LONG_S = 3600.0
-VALUES = {
+VALUES: dict[Kind, float] = {
     FaultKind.LOW_BATTERY: 4.0,
     FaultKind.GARBAGE: 20.0,
     FaultKind.DRIFT: 150.0,
