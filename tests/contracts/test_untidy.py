@@ -22,9 +22,11 @@ SETTLED_S, LATER_S = 8.0, 14.0
 """Until the clocks of all devices are known; then for so long."""
 STAMP_LIMIT_S = 0.06
 LONG_BUNDLES_S = (5.5, 8.0)
+BUNDLES_LONG = [each for each in NAMES if class_of(each).expected.bundles_s >= max(LONG_BUNDLES_S)]
 LONG_LIMIT_S = 0.2
 """Data are missed meanwhile, and asked for again; from 10 s on the connection is made anew."""
-ANOTHER_RATE_HZ = {"emotibit": 100.0, "line_sensor": 50.0}
+RATES_HZ = (100.0, 50.0)
+"""One of them is another than in the settings."""
 HARMLESS = (Untidiness.APART, Untidiness.OVERTAKEN, Untidiness.GLUED, Untidiness.BUNDLED)
 
 
@@ -93,7 +95,7 @@ async def test_what_is_untidy_is_whole_and_has_its_time(
 
 
 @pytest.mark.parametrize("bundle_s", LONG_BUNDLES_S)
-@pytest.mark.parametrize("name", ["polar_h10", "polar_verity_sense"], indirect=True)
+@pytest.mark.parametrize("name", BUNDLES_LONG, indirect=True)
 async def test_what_waits_together_for_long_is_no_clock_that_was_set(
     device: VirtualDevice, bundle_s: float
 ) -> None:
@@ -197,7 +199,7 @@ async def test_a_rate_that_is_not_declared_is_said_with_both_rates(
 ) -> None:
     async with streaming(device) as run:
         await until(run.sink.has(COUNT, *measured(device)[:1]))
-        hz = ANOTHER_RATE_HZ[device.sensor]
+        hz = next(each for each in RATES_HZ if each != device.settings.get("rate_hz"))
         device.apply(Fault(kind, hz))
         await until(lambda: f"{hz:g} times a second" in run.error)
         assert "set `" in run.error

@@ -104,6 +104,10 @@ class Expected:
         How well losses can be counted.
     impossible
         By fault, why the real device cannot have it; what its link makes impossible, the link says.
+    deniable
+        So many of its signals at least can be refused one by one, if any can.
+    bundles_s
+        So long may what it sends wait and come together, and its clock is not taken for set.
     is_linked
         Whether a host connects to it; else it is heard, or it is not.
     """
@@ -115,4 +119,6 @@ class Expected:
     gaps: Mapping[FaultKind, Gap] = field(default_factory=dict[FaultKind, Gap])
     loss_tolerance: LossTolerance = LossTolerance()
     impossible: Mapping[Kind, str] = field(default_factory=dict[Kind, str])
+    deniable: int = 2
+    bundles_s: float = 3.0
     is_linked: bool = True

@@ -42,6 +42,7 @@ EXPECTED = replace(
         Untidiness.RATE: TELLS_ITS_RATE,
         Untidiness.STRAY: "a frame of another measurement is one of garbage",
     },
+    bundles_s=8.0,
     # It is switched off.
     gaps={FaultKind.RESTART: Gap.STOPPED},
     # Each connection begins a new series, which is placed by time.

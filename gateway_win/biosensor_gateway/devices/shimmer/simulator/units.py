@@ -109,6 +109,8 @@ EXPECTED = Expected(
     # It is told again every ten seconds.
     by_agent=frozenset({"quality"}),
     impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
+    # The battery: what it measures is set before it is asked for.
+    deniable=1,
     gaps={
         # Firmware stops streaming with the end of the link.
         FaultKind.DROP: Gap.STOPPED,

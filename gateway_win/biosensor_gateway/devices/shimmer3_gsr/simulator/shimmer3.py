@@ -34,6 +34,8 @@ EXPECTED = Expected(
     # The heart rate is computed from the pulse wave.
     by_agent=frozenset({"hr", "quality"}),
     impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
+    # The battery: what it measures is set before it is asked for.
+    deniable=1,
     gaps={
         # Firmware stops streaming with the end of the link.
         FaultKind.DROP: Gap.STOPPED,
