@@ -14,7 +14,7 @@ import pytest
 from typer.core import TyperGroup
 
 from biosensor_gateway.cli.app import app
-from biosensor_gateway.cli.table import Deferred
+from biosensor_gateway.cli.lazy_group import Deferred
 from biosensor_gateway.devices.registry import declaration, declaration_names, settings_models
 from biosensor_gateway.settings import file as settings_file
 

@@ -69,7 +69,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "counters": ("biosensor_common.topic_text", "_finite", instead(float)),
     "features": ("biosensor_gateway.features.quality", "_scaled", instead(any_share)),
-    "lsl_config": ("biosensor_gateway.recording.lsl_api_cfg.LslFile", "adapt", always(None)),
+    "lsl_config": ("biosensor_gateway.cli.lsl_file.LslFile", "adapt", always(None)),
     "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
     "ros_to_lsl": ("biosensor_common.ros.layout", "_names_in", instead(any_names)),

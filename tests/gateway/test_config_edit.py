@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.cli import settings as settings_command
+from biosensor_gateway.cli import config as settings_command
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.cli.app import app
-from biosensor_gateway.cli.table import COMMANDS, Deferred
+from biosensor_gateway.cli.app import COMMANDS, app
+from biosensor_gateway.cli.lazy_group import Deferred
 from biosensor_gateway.settings.places import STATE_VARIABLE
 
 # What takes a tenth of a second and more, each or with what it brings.
@@ -32,7 +32,7 @@ OURS = {
     "biosensor_gateway.cli",
     "biosensor_gateway.cli.app",
     "biosensor_gateway.cli.table",
-    "biosensor_gateway.cli.quick_help",
+    "biosensor_gateway.cli.lazy_group",
     "biosensor_gateway.system",
     "biosensor_gateway.system.own_window",
 }

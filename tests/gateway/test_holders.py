@@ -8,8 +8,8 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from biosensor_gateway.cli import holders, installation
-from biosensor_gateway.cli.holders import Closing, Program, sentence
+from biosensor_gateway.cli import installation
+from biosensor_gateway.cli.installation import Closing, Program, sentence
 
 EXE = r"C:\Program Files\Biosensor Gateway\bin\biosensor-gateway.exe"
 OWN = Closing("PC\\ann", agent=10, page=True, recording=True)
@@ -104,7 +104,7 @@ def test_the_command_names_them_and_its_code_says_so(
     assert outcome.output.startswith("biosensor-gateway features (process 2 of ")
     assert len(outcome.output.splitlines()) == 1
     running.pop()
-    assert holders.what_cannot_be_closed(tmp_path) == []
+    assert installation.what_cannot_be_closed(tmp_path) == []
     assert CliRunner().invoke(installation.app, ["holders"]).exit_code == 0
 
 
@@ -120,6 +120,6 @@ def test_what_waits_to_take_over_for_an_agent_is_closed_with_it(
     def number_of_agent(_state: Path) -> int:
         return agent.pid
 
-    monkeypatch.setattr(holders, "_agent", number_of_agent)
-    (held,) = holders.what_cannot_be_closed(tmp_path)
+    monkeypatch.setattr(installation, "_agent", number_of_agent)
+    (held,) = installation.what_cannot_be_closed(tmp_path)
     assert "process 13 of" in held

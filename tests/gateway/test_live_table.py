@@ -8,12 +8,7 @@ import pytest
 
 from biosensor_common.outflow import Outflow
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.cli.live_table import (
-    LiveTable,
-    Row,
-    picture,
-    running_foot,
-)
+from biosensor_gateway.cli.live_table import LiveTable, Row, picture, running_foot
 from biosensor_gateway.devices.registry import sensor_names, sensor_title
 from biosensor_gateway.system.panel import Panel, Size
 

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from biosensor_gateway.cli.status_watch import _Lines  # pyright: ignore[reportPrivateUsage]
+from biosensor_gateway.cli.live_table import _Lines  # pyright: ignore[reportPrivateUsage]
 from tests.gateway.test_live_table import device, refused, status, stream
 
 

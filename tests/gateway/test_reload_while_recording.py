@@ -14,8 +14,9 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.fleet import Fleet, FleetChanges
-from biosensor_gateway.cli import reloading, settings
-from biosensor_gateway.cli.settings import edit
+from biosensor_gateway.cli import agent as commands
+from biosensor_gateway.cli import config
+from biosensor_gateway.cli.config import edit
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.settings.models import DeviceSettings
@@ -66,14 +67,14 @@ def answer(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
         def typed(_question: str) -> str:
             return text
 
-        monkeypatch.setattr(reloading, "can_ask", lambda: True)
+        monkeypatch.setattr(commands, "can_ask", lambda: True)
         monkeypatch.setattr(builtins, "input", typed)
 
     return answers
 
 
 def test_without_a_recording_nobody_is_asked(agent: Agent) -> None:
-    reloading.reload()
+    commands.reload()
     assert agent.asked == ["reload"]
 
 
@@ -81,7 +82,7 @@ def test_without_a_terminal_it_is_refused_and_the_option_named(
     agent: Agent, recording: Path
 ) -> None:
     with pytest.raises(ConfigError, match="--while-recording") as caught:
-        reloading.reload()
+        commands.reload()
     assert caught.value.reason is ConfigReason.IN_USE
     assert str(recording) in str(caught.value)
     assert "zephyr/A" in str(caught.value)
@@ -90,14 +91,14 @@ def test_without_a_terminal_it_is_refused_and_the_option_named(
 
 @pytest.mark.usefixtures("recording")
 def test_what_is_confirmed_is_done(agent: Agent) -> None:
-    reloading.reload(while_recording=True)
+    commands.reload(while_recording=True)
     assert agent.asked == ["reload"]
 
 
 @pytest.mark.usefixtures("recording")
 def test_what_costs_no_device_is_done(agent: Agent) -> None:
     agent.changes = {**NOTHING, "now": ["markers"]}
-    reloading.reload()
+    commands.reload()
     assert agent.asked == ["reload-preview", "reload"]
 
 
@@ -108,7 +109,7 @@ def test_enter_alone_leaves_the_recording_as_it_is(
 ) -> None:
     answer(typed)
     with pytest.raises(typer.Exit) as caught:
-        reloading.reload()
+        commands.reload()
     assert caught.value.exit_code == 2
     assert agent.asked == ["reload-preview"]
 
@@ -116,7 +117,7 @@ def test_enter_alone_leaves_the_recording_as_it_is(
 @pytest.mark.usefixtures("recording")
 def test_whoever_wants_it_says_so(agent: Agent, answer: Callable[[str], None]) -> None:
     answer("2")
-    reloading.reload()
+    commands.reload()
     assert agent.asked == ["reload-preview", "reload"]
 
 
@@ -127,7 +128,7 @@ def test_an_editor_is_opened_with_a_warning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     opened: list[Path] = []
-    monkeypatch.setattr(settings, "open_in_editor", opened.append)
+    monkeypatch.setattr(config, "open_in_editor", opened.append)
     edit(recording.with_name("settings.toml"))
     assert f"a recording goes on, to {recording}" in capsys.readouterr().err
     assert len(opened) == 1

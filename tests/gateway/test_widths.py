@@ -12,7 +12,7 @@ from rich.console import Console
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.terminal import wrapped
-from biosensor_gateway.cli import clocks, device_test, scan, status
+from biosensor_gateway.cli import devices, status
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.doctor.device_test import DeviceTest, StreamTest
@@ -63,7 +63,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     monkeypatch.setattr(shown, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     monkeypatch.setenv("TERM", "dumb")
-    for module in (status, device_test):
+    for module in (status, devices):
         monkeypatch.setattr(module, "console", lambda: Console(width=WIDTH, file=shown))
     return shown
 
@@ -90,7 +90,7 @@ def test_status(terminal: io.StringIO) -> None:
 
 
 def test_clocks(terminal: io.StringIO) -> None:
-    table = clocks._table(STATUS, WIDTH)  # pyright: ignore[reportPrivateUsage]
+    table = status._table(STATUS, WIDTH)  # pyright: ignore[reportPrivateUsage]
     Console(width=WIDTH, file=terminal).print(table)
     words = fits(terminal.getvalue()).split()
     assert {name for name in declaration_names() if len(name) < 20} <= set(words)
@@ -114,7 +114,7 @@ def test_device_test(terminal: io.StringIO, name: str) -> None:
     info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
     outcome = DeviceTest(info, streams, [REASON])
     with redirect_stdout(terminal):
-        device_test.print_outcome(outcome)
+        devices.print_outcome(outcome)
     words = fits(terminal.getvalue()).split()
     assert set(streams) <= set(words)
     assert UNIT in words
@@ -137,7 +137,7 @@ def test_scan(terminal: io.StringIO) -> None:
         Section("a vendor's service", problem=REASON),
     ]
     with redirect_stdout(terminal):
-        scan._print_sections(sections)  # pyright: ignore[reportPrivateUsage]
+        devices._print_sections(sections)  # pyright: ignore[reportPrivateUsage]
     lines = terminal.getvalue().splitlines()
     # Those for the settings file are to be copied as they are.
     copied = {f"    {line}" for each in (*found, wired) for line in toml_lines(each).splitlines()}

@@ -21,7 +21,7 @@ os.path.isfile = _has_no_library
 ctypes.util.find_library = lambda name: None  # pyright: ignore[reportAttributeAccessIssue]
 
 from biosensor_gateway.cli import main  # noqa: E402 - only then
-from biosensor_gateway.cli.table import COMMANDS  # noqa: E402
+from biosensor_gateway.cli.app import COMMANDS  # noqa: E402
 
 USES = (
     "run --no-ask --simulate polar_h10",

@@ -16,7 +16,7 @@ import pytest
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 
-from biosensor_gateway.cli.table import COMMANDS
+from biosensor_gateway.cli.app import COMMANDS
 from installer.bundle import known
 from installer.bundle.archive import read_archive
 from installer.bundle.forbidden import refuse_forbidden

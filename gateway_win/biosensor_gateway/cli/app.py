@@ -1,5 +1,7 @@
 """Puts the commands together and runs the one that was given.
 
+A new command is a function in a module here and a line in `COMMANDS`.
+
 Exit codes: 0 done, 1 something is missing or did not work, 2 the command or
 the settings are wrong.
 """
@@ -8,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import sys
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -15,15 +18,53 @@ from typer.core import TyperGroup
 
 from biosensor_common import liblsl, open_files
 from biosensor_common.errors import ConfigError, GatewayError, SpecError, SpecReason
-from biosensor_gateway.cli.quick_help import QuickGroup
-from biosensor_gateway.cli.table import COMMANDS
+from biosensor_gateway.cli.lazy_group import Deferred, LazyGroup
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
 _REFUSED = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC})
 
+
+def _command(name: str, place: str, *, hidden: bool = False) -> Deferred:
+    return Deferred(name, f"biosensor_gateway.cli.{place}", hidden=hidden)
+
+
+_hidden = partial(_command, hidden=True)
+# Elsewhere they can only say why they cannot be.
+_on_linux = partial(_command, hidden=sys.platform != "linux")
+
+COMMANDS = (
+    _command("run", "agent:run"),
+    _command("stop", "agent:stop"),
+    _command("pause", "agent:pause"),
+    _command("resume", "agent:resume"),
+    _command("reload", "agent:reload"),
+    _command("page", "page:page"),
+    _command("mark", "marking:mark"),
+    _command("try", "try_out:try_out"),
+    _on_linux("demo", "try_out:demo"),
+    _command("status", "status:status"),
+    _command("clocks", "status:clocks"),
+    _command("wait-ready", "status:wait_ready"),
+    _command("scan", "devices:scan"),
+    _command("test", "devices:test"),
+    _command("capture", "capture:app"),
+    _command("doctor", "doctor:doctor"),
+    _hidden("doctor-probe", "doctor:doctor_probe"),
+    _command("config", "config:app"),
+    _command("secrets", "secrets:app"),
+    _on_linux("service", "service:app"),
+    _command("record", "record:app"),
+    _command("replay", "replay:replay"),
+    _command("features", "features:features"),
+    _command("xdf", "xdf:app"),
+    _command("bag", "bag:app"),
+    _command("withdraw", "withdrawing:withdraw"),
+    _hidden("installation", "installation:app"),
+)
+
 _root = typer.Typer(
-    cls=QuickGroup,
+    cls=LazyGroup,
     help="Wearable biosensors as Lab Streaming Layer outlets.",
     no_args_is_help=True,
 )

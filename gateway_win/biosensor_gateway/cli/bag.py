@@ -8,19 +8,18 @@ from typing import Annotated
 
 import typer
 
-from biosensor_gateway.cli.options import JsonOption
-from biosensor_gateway.cli.recordings import wrong_recording
-from biosensor_gateway.cli.screen import say
+from biosensor_gateway.cli.options import JsonOption, wrong_recording
+from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.xdf.printing import printable
 
 _MOST_SENTENCES = 10
 
-app = typer.Typer(help="Bags of ROS (MCAP or SQLite); no ROS is needed.", no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    pass
+    """Bags of ROS (MCAP or SQLite); no ROS is needed."""
 
 
 @app.command("import")

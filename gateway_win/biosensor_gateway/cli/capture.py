@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli.chosen_devices import chosen_devices
+from biosensor_gateway.cli.app import QuickGroup
+from biosensor_gateway.cli.loading import chosen_devices
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.cli.questions import ask, can_ask
-from biosensor_gateway.cli.quick_help import QuickGroup
-from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.cli.output import ask, can_ask, console, say, table_of_names
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs
 
@@ -41,16 +40,12 @@ class _Captures(QuickGroup):
         return super().resolve_command(ctx, args)
 
 
-app = typer.Typer(
-    cls=_Captures,
-    help="Capture what a device sends, to help its driver: capture SENSOR. Or replay a capture.",
-    no_args_is_help=True,
-)
+app = typer.Typer(cls=_Captures, no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    pass
+    """Capture what a device sends, to help its driver: capture SENSOR. Or replay a capture."""
 
 
 @app.command(_Captures.default)

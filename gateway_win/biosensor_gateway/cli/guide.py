@@ -9,9 +9,8 @@ from pathlib import Path
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli.device_test import print_outcome
-from biosensor_gateway.cli.questions import can_ask, menu, several
-from biosensor_gateway.cli.screen import say
+from biosensor_gateway.cli.devices import print_outcome
+from biosensor_gateway.cli.output import can_ask, menu, say, several
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search

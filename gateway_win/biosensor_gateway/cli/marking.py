@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import shutil
+import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.agent import control
 from biosensor_gateway.cli import BEGUN_S
 from biosensor_gateway.settings.places import state_folder
+from biosensor_gateway.settings.web_markers import OF_NO_SITE, USUAL_PORT, WebMarkerSettings
 
 _SOURCE = "command"
 _KEYS = 9
 """As many buttons have a key: 1 to 9."""
+_EXAMPLE = 'origins = ["http://localhost:8080"]'
+_LEAD = 9
+_LISTENS_WITHIN_S = 1.0
 
 
 def mark(
@@ -53,7 +61,9 @@ def mark(
     if bool(text.strip()) == (listed or web) and not undo:
         raise typer.BadParameter("--list and --web need no TEXT" if text else "there is no TEXT")
     if web:
-        _show_web(save, renew=new_token)
+        if save is not None:
+            _save_web(save)
+        _show_web(renew=new_token)
         return
     folder = state_folder()
     if listed:
@@ -66,14 +76,6 @@ def mark(
         sent = control.ask(folder, "mark", {**said, "source": _SOURCE, "at": _when_given()})
         lost = "" if sent.get("received", True) else ", but no program receives it"
         typer.echo(f"marker {sent['id']} was sent{lost}")
-
-
-def _show_web(save: Path | None, *, renew: bool) -> None:
-    from biosensor_gateway.cli import web_marking  # a marker does without
-
-    if save is not None:
-        web_marking.save(save)
-    web_marking.show(renew=renew)
 
 
 def _when_given() -> float:
@@ -112,3 +114,77 @@ def _buttons(names: list[str]) -> Iterator[tuple[str, str]]:
     if names:
         keys = (f"{at} " if at <= _KEYS else "" for at in range(1, len(names) + 1))
         yield "buttons: ", ", ".join(f"{key}{name}" for key, name in zip(keys, names, strict=True))
+
+
+def _show_web(*, renew: bool) -> None:
+    """Print address, token and origins, and where each experiment is opened.
+
+    Parameters
+    ----------
+    renew
+        Make another token first.
+
+    Raises
+    ------
+    ConfigError
+        The settings are wrong, or the token can neither be read nor written.
+    """
+    from biosensor_gateway.cli.loading import settings_or_defaults
+    from biosensor_gateway.page.experiments.token import experiment_token, new_experiment_token
+
+    folder = state_folder()
+    token = new_experiment_token(folder) if renew else experiment_token(folder)
+    web = settings_or_defaults(None).markers.web
+    for lead, said in _web_rows(web, token):
+        # A token or an address that is cut into two is no good to copy.
+        text = f"{lead:{_LEAD}}{said}"
+        fits = " " not in said
+        typer.echo(text if fits else wrapped(text, columns(sys.stdout), hang=_LEAD))
+
+
+def _save_web(folder: Path) -> None:
+    """Write the script for web experiments and an example into a folder.
+
+    Raises
+    ------
+    ConfigError
+        ``EXISTS`` if one of them is there already, ``UNREADABLE`` if it cannot be written.
+    """
+    with as_file(files("biosensor_gateway.page.experiments") / "files") as found:
+        for source in sorted(found.iterdir()):
+            target = folder / source.name
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                if target.exists() and target.read_bytes() != source.read_bytes():
+                    message = f"{target} exists and is not overwritten; move it away first"
+                    raise ConfigError(ConfigReason.EXISTS, message)
+                shutil.copyfile(source, target)
+            except OSError as error:
+                message = f"cannot write {target}: {error.strerror or error}"
+                raise ConfigError(ConfigReason.UNREADABLE, message) from error
+            typer.echo(f"wrote {target}")
+
+
+def _web_rows(web: WebMarkerSettings, token: str) -> Iterator[tuple[str, str]]:
+    yield "address", f"ws://127.0.0.1:{web.port}"
+    yield "token", token
+    if not web.origins:
+        yield (
+            "origins",
+            f"none, so nothing listens; in the settings, write under [markers.web]: {_EXAMPLE}",
+        )
+        return
+    port = "" if web.port == USUAL_PORT else f"&port={web.port}"
+    for lead, origin in zip(["origins"] + [""] * len(web.origins), web.origins, strict=False):
+        is_site = origin != OF_NO_SITE
+        yield lead, f"{origin}/#gateway={token}{port}" if is_site else "null (a page from a file)"
+    if not _listens(web.port):
+        yield "", "nothing listens there yet; open the page: biosensor-gateway page"
+
+
+def _listens(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), _LISTENS_WITHIN_S).close()
+    except OSError:
+        return False
+    return True

@@ -1,11 +1,15 @@
-"""Options that several commands share."""
+"""Options and arguments that several commands share."""
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason
 
 SettingsOption = Annotated[
     Path | None, typer.Option("--settings", help="Settings file instead of the usual one.")
@@ -25,6 +29,8 @@ FaultOption = Annotated[
         "(repeatable).",
     ),
 ]
+
+RecordingArgument = Annotated[Path, typer.Argument(help="The recording.", show_default=False)]
 
 # What of a recording is wanted.
 StreamsOption = Annotated[
@@ -46,3 +52,33 @@ FromOption = Annotated[
     ),
 ]
 UntilOption = Annotated[str, typer.Option("--until", metavar="TIME", help="Likewise.")]
+
+
+@contextmanager
+def wrong_recording() -> Generator[None]:
+    """Say of a recording or a bag that is none that the command is wrong."""
+    from biosensor_gateway.recording.bag.errors import BagError, BagReason  # help does without
+    from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+
+    try:
+        yield
+    except RecordingError as error:
+        # The argument was wrong; exit code 1 is for what is wrong in a recording.
+        if error.reason in {
+            RecordingReason.NOT_FOUND,
+            RecordingReason.UNREADABLE,
+            RecordingReason.NOT_XDF,
+        }:
+            raise ConfigError(ConfigReason.UNREADABLE, str(error)) from error
+        raise
+    except BagError as error:
+        as_config = {
+            BagReason.NOT_FOUND: ConfigReason.NOT_FOUND,
+            BagReason.UNREADABLE: ConfigReason.UNREADABLE,
+            BagReason.NOT_A_BAG: ConfigReason.UNREADABLE,
+            BagReason.EXISTS: ConfigReason.EXISTS,
+        }
+        reason = as_config.get(error.reason) if isinstance(error.reason, BagReason) else None
+        if reason is None:
+            raise
+        raise ConfigError(reason, str(error)) from error

@@ -2,33 +2,227 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import json
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from biosensor_gateway.cli import recording_here
+from biosensor_common.errors import ConfigError
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.cli.recording_words import as_text, start_text, stop_text, warn, window_text
-from biosensor_gateway.recording.recorder.labrecorder import DEFAULT_PORT, LOCAL_HOST, LabRecorder
+from biosensor_gateway.cli.output import can_ask, menu
+from biosensor_gateway.recording.recorder.labrecorder import (
+    DEFAULT_PORT,
+    LOCAL_HOST,
+    LabRecorder,
+    RemoteControl,
+)
+from biosensor_gateway.recording.recorder.live_file import Growth, Progress, StreamProgress
 from biosensor_gateway.recording.recorder.local import LocalRecorder, not_recording
 from biosensor_gateway.recording.recorder.request import (
     GROWTH_S,
     MAX_RUN,
     BidsLabels,
+    RecorderError,
     RecordingRequest,
     SensorsAwayError,
 )
-from biosensor_gateway.recording.recorder.result import Started
-from biosensor_gateway.recording.recorder.streams import look
+from biosensor_gateway.recording.recorder.result import By, Started, Status, Stopped
+from biosensor_gateway.recording.recorder.state import WindowRecording
+from biosensor_gateway.recording.recorder.streams import Devices, look
+from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system.cloud_folders import usual_recordings_folder
 
-app = typer.Typer(help="Start, watch and stop recordings.", no_args_is_help=True)
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+def start_text(started: Started) -> str:
+    """Say that it was started."""
+    if started.by is By.GATEWAY:
+        return (
+            f"recording to {started.file}: {len(started.streams)} streams are open after "
+            f"{started.took_s:.1f} s; look at it with: record status --watch, end it with: "
+            "record stop"
+        )
+    streams = f"{len(started.streams)} streams seen from here"
+    if not started.verified:
+        return f"LabRecorder was told to record ({streams}); not verified"
+    return (
+        f"recording to {started.file}: {started.bytes} bytes and growing "
+        f"after {started.took_s:.1f} s ({streams})"
+    )
+
+
+def stop_text(stopped: Stopped) -> str:
+    """Say that it was ended, and what it is worth."""
+    if not stopped.verified:
+        return "LabRecorder was told to stop; not verified"
+    closed = (
+        f"{stopped.file} is closed: {stopped.bytes} bytes, {stopped.streams} streams, "
+        f"{stopped.with_samples} of them with samples"
+    )
+    verdict = stopped.verdict
+    if verdict is None:
+        return f"{closed}; look closer with: biosensor-gateway xdf check {stopped.file}"
+    said = [_finding(each) for each in verdict.findings if each.level is not Level.NOTE]
+    return "\n".join([closed, *said, f"{verdict.colour}: {verdict.sentence}"])
+
+
+def standing_text(standing: Status) -> str:
+    """Say how a recording of this computer itself stands."""
+    state = "recording to" if standing.recording else "not recording any more to"
+    return sight_text(f"{state} {standing.file}", standing.sight, standing.problems)
+
+
+def window_text(where: str, standing: Status) -> str:
+    """Say how a recording of LabRecorder's window stands, which listens there."""
+    said = "; ".join(each.text for each in standing.problems) or "LabRecorder answers"
+    return f"{where}: {said}\n{_window_recording(standing)}"
+
+
+def _window_recording(known: Status) -> str:
+    if known.file is None:
+        return (
+            "whether it records is not known: it cannot be asked, and no file is known here "
+            "(name it with --file)"
+        )
+    if known.is_closed:
+        return f"not recording to {known.file}: it is closed, {known.streams} streams"
+    if known.recording:
+        return f"recording to {known.file}: it grows, {known.streams} streams so far"
+    size = f"{known.bytes} bytes, not closed" if known.bytes else "empty or not there"
+    return f"{known.file} does not grow ({size}): most likely it is not being recorded"
+
+
+def sight_text(head: str, sight: Progress | None, problems: Sequence[Finding]) -> str:
+    """Say what is in a growing file, and what is wrong with it."""
+    if sight is None:
+        return "\n".join([head, *map(_finding, problems)])
+    size = f"{sight.length_s:.0f} s, {sight.bytes} bytes, {len(sight.streams)} streams"
+    return "\n".join([f"{head}: {size}", *map(_row, sight.streams), *map(_finding, problems)])
+
+
+def _row(stream: StreamProgress) -> str:
+    if stream.age_s is None:
+        return f"    {_safe(stream.name)}: nothing yet"
+    return (
+        f"    {_safe(stream.name)}: {stream.samples} samples, the newest {stream.age_s:.1f} s ago, "
+        f"{stream.clock_offsets} clock offsets"
+    )
+
+
+def _finding(finding: Finding) -> str:
+    where = f"{_safe(finding.stream)}: " if finding.stream else ""
+    return f"{finding.level}: {where}{_safe(finding.text)}"
+
+
+def _safe(text: str) -> str:
+    """Keep what a stranger wrote from steering the terminal."""
+    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
+
+
+def warn(warnings: Iterable[str], *, silent: bool) -> None:
+    """Say warnings aside of the result; JSON has them in it."""
+    for warning in () if silent else warnings:
+        typer.echo(f"! {warning}", err=True)
+
+
+def as_text(result: DataclassInstance) -> str:
+    """Return a result as JSON."""
+    return json.dumps(asdict(result), indent=2, default=str)
+
+
+def as_line(result: DataclassInstance) -> str:
+    """Return a result as JSON in one line."""
+    return json.dumps(asdict(result), default=str)
+
+
+_WATCH_S = 2.0
+
+
+def has_window(host: str, port: int) -> bool:
+    """Whether LabRecorder's window listens there."""
+    try:
+        with RemoteControl(host, port):
+            return True
+    except RecorderError:
+        return False
+
+
+def may_be_of_window(host: str, port: int) -> bool:
+    """Whether LabRecorder's window may be recording: it is open, or was told to."""
+    return WindowRecording.last(state_folder()) is not None or has_window(host, port)
+
+
+def is_of(file: Path | None) -> bool:
+    """Whether a file, or whatever is recorded, is what this computer records by itself."""
+    recorded = LocalRecorder(state_folder()).file
+    return recorded is not None and (file is None or file.absolute() == recorded)
+
+
+def without_sensors(request: RecordingRequest, error: SensorsAwayError) -> RecordingRequest:
+    """Ask whether to record without sensors that do not stream.
+
+    Raises
+    ------
+    SensorsAwayError
+        If nobody can answer.
+    typer.Exit
+        With code 2 if it is not wanted.
+    """
+    if not can_ask():
+        raise error
+    said = " ".join(f"{each.rstrip('.')}." for each in error.sentences)
+    if menu(said, ["Do not record yet", "Record without that"]) == 0:
+        raise typer.Exit(2)
+    return replace(request, without_away=True)
+
+
+def _devices() -> Devices | None:
+    try:
+        return status_file.running_status(state_folder())["devices"]
+    except ConfigError:
+        return None
+
+
+def local_status(*, watch: bool, as_json: bool) -> None:
+    """Say how the recording of this computer itself stands; exit code 1 if not well."""
+    recording = LocalRecorder(state_folder())
+    in_json = as_line if watch else as_text
+    standing = recording.status(_devices())
+    while standing is not None:
+        typer.echo(in_json(standing) if as_json else standing_text(standing))
+        if not watch or not standing.recording:
+            break
+        time.sleep(_WATCH_S)
+        # Who ends it in the meantime has seen the end of it.
+        standing = recording.status(_devices())
+    errors = () if standing is None else standing.problems
+    if any(each.level is Level.ERROR for each in errors):
+        raise typer.Exit(1)
+
+
+def watch_file(file: Path, *, as_json: bool) -> None:
+    """Say how the file of a window grows, until it is closed."""
+    growth = Growth(file)
+    while True:
+        sight = growth.look()
+        found = (*growth.problems(), *growth.gaps())
+        typer.echo(as_line(sight) if as_json else sight_text(str(file), sight, found))
+        if sight.is_closed:
+            return
+        time.sleep(_WATCH_S)
+
+
+app = typer.Typer(no_args_is_help=True)
 
 HostOption = Annotated[
     str | None,
@@ -51,7 +245,7 @@ FileOption = Annotated[
 
 @app.callback()
 def _group() -> None:
-    pass
+    """Start, watch and stop recordings."""
 
 
 @app.command("start")
@@ -146,9 +340,7 @@ def start(
         counts_up=run is None,
     )
     loaded = settings_or_defaults(settings)
-    is_here = here or not (
-        window or host or port or recording_here.has_window(LOCAL_HOST, DEFAULT_PORT)
-    )
+    is_here = here or not (window or host or port or has_window(LOCAL_HOST, DEFAULT_PORT))
 
     if is_here and file is None and folder is None:
         request = replace(request, folder=usual_recordings_folder())
@@ -162,7 +354,7 @@ def start(
     try:
         started = begin(request)
     except SensorsAwayError as error:
-        started = begin(recording_here.without_sensors(request, error))
+        started = begin(without_sensors(request, error))
     warn(started.warnings, silent=as_json)
     typer.echo(as_text(started) if as_json else start_text(started))
 
@@ -190,7 +382,7 @@ def stop(
     as_json: JsonOption = False,
 ) -> None:
     """End the recording, and see its file closed; exit code 1 if it is not."""
-    if not (host or port) and (recording_here.is_of(file) or _is_nothing(file)):
+    if not (host or port) and (is_of(file) or _is_nothing(file)):
         stopped = LocalRecorder(state_folder()).stop()
     else:
         stopped = _window(host, port).stop(file)
@@ -200,7 +392,7 @@ def stop(
 
 def _is_nothing(file: Path | None) -> bool:
     """Whether nobody here records or was told to."""
-    return file is None and not recording_here.may_be_of_window(LOCAL_HOST, DEFAULT_PORT)
+    return file is None and not may_be_of_window(LOCAL_HOST, DEFAULT_PORT)
 
 
 @app.command("status")
@@ -217,8 +409,8 @@ def status(
 
     Of LabRecorder's window, what can be known of it; exit code 1 if it does not answer.
     """
-    if not (host or port) and recording_here.is_of(file):
-        recording_here.status(watch=watch, as_json=as_json)
+    if not (host or port) and is_of(file):
+        local_status(watch=watch, as_json=as_json)
         return
     if not (host or port) and _is_nothing(file):
         raise not_recording()
@@ -226,6 +418,6 @@ def status(
     where = f"{host or LOCAL_HOST}:{port or DEFAULT_PORT}"
     typer.echo(as_text(known) if as_json else window_text(where, known))
     if watch and known.file is not None and known.recording:
-        recording_here.watch_file(known.file, as_json=as_json)
+        watch_file(known.file, as_json=as_json)
     if not known.answers:
         raise typer.Exit(1)

@@ -1,23 +1,43 @@
-"""``biosensor-gateway replay``: a recording as LSL streams again."""
+"""``biosensor-gateway replay``: a recording as LSL streams again.
+
+What plays takes a second to import, so that functions import it, and help does without.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated
+import sys
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
 
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import (
     FromOption,
     ParticipantOption,
+    RecordingArgument,
     SettingsOption,
     StreamsOption,
     UntilOption,
     WithoutOption,
+    wrong_recording,
 )
-from biosensor_gateway.cli.recordings import RecordingArgument
+from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
+from biosensor_gateway.settings.models import LslSettings
+
+if TYPE_CHECKING:
+    from biosensor_gateway.recording.replay.player import Player
+    from biosensor_gateway.recording.replay.playing import Wanted
+
+_SHOWN_PER_S = 2
+_ALLOWED_BY = "add --beside-live"
 
 
 def replay(
@@ -57,7 +77,6 @@ def replay(
     """
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
-    from biosensor_gateway.cli.playing import play  # imports take a second
     from biosensor_gateway.recording.contents.choice import Wish
     from biosensor_gateway.recording.replay.player import Order
     from biosensor_gateway.recording.replay.playing import Wanted
@@ -71,3 +90,65 @@ def replay(
     )
     lsl = settings_or_defaults(settings).lsl
     asyncio.run(until_signalled(lambda: play(wanted, lsl)))
+
+
+async def play(wanted: Wanted, lsl: LslSettings) -> None:
+    """Play to the end, or until cancelled.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or what is wanted is not in it.
+    ReplayError
+        If it is not played, see its reasons.
+    typer.Exit
+        With code 1, after all, if a stream was left out.
+    """
+    from biosensor_common.lsl.network import configure_lsl
+
+    configure_lsl(lsl.overrides)
+    stopping = threading.Event()
+    work = asyncio.get_running_loop().run_in_executor(None, _play, wanted, stopping)
+    try:
+        if not await asyncio.shield(work):
+            raise typer.Exit(1)
+    except asyncio.CancelledError:
+        stopping.set()
+        await work
+        raise
+
+
+def _play(wanted: Wanted, stopping: threading.Event) -> bool:
+    """Play; return whether all streams that were wanted were."""
+    from biosensor_gateway.recording.replay import words
+    from biosensor_gateway.recording.replay.playing import prepared
+
+    with wrong_recording(), prepared(wanted, _ALLOWED_BY) as player:
+        for sentence in (*words.damaged(player.damages), *words.left_out(player)):
+            say(sentence)
+        if not stopping.is_set():
+            say(words.begun(wanted.file.name, player, wanted.order.speed))
+            with _shown(player):
+                player.run(stopping)
+        for sentence in words.ended(player, was_stopped=stopping.is_set()):
+            say(sentence)
+        return not player.left_out
+
+
+@contextmanager
+def _shown(player: Player) -> Generator[None]:
+    """Show how it goes, in a line that goes away at the end; only on a terminal."""
+    if not sys.stdout.isatty():
+        yield
+        return
+    from biosensor_gateway.recording.replay import words
+
+    def line() -> Text:
+        text = words.line(player.progress(), len(player.streams))
+        return Text(text, no_wrap=True, overflow="ellipsis")
+
+    # Drawn by a thread of its own, so that a console that is held keeps no sample.
+    with Live(
+        console=Console(), get_renderable=line, refresh_per_second=_SHOWN_PER_S, transient=True
+    ):
+        yield

@@ -11,7 +11,13 @@ from biosensor_gateway.devices.registry import driver, sensor_names
 from biosensor_gateway.settings import secrets as secret_store
 from biosensor_gateway.settings.secrets import SecretName
 
-app = typer.Typer(help="Secrets in the keyring of the system.", no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Secrets in the keyring of the system."""
+
 
 _WHOSE = "Whose secrets: a sensor, or its vendor."
 SensorArgument = Annotated[str, typer.Argument(help=_WHOSE)]

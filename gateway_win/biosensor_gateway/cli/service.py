@@ -8,7 +8,12 @@ from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.system import systemd
 
-app = typer.Typer(help="The agent as a service of this user (Linux).", no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """The agent as a service of this user (Linux)."""  # noqa: D401 - as the list has it
 
 
 @app.command()

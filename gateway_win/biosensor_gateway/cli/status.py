@@ -1,19 +1,70 @@
-"""``biosensor-gateway status``: what the running agent does."""
+"""Commands that show how the agent does: ``status``, ``clocks``, ``wait-ready``."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
+from biosensor_common.refusal import Refusal
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.state import is_sending
+from biosensor_gateway.agent.readiness import Readiness, wait_until_ready
+from biosensor_gateway.agent.state import STATE_WORDS, is_sending
 from biosensor_gateway.cli.options import JsonOption
-from biosensor_gateway.cli.screen import console, say, table_of_names
-from biosensor_gateway.cli.status_words import device_sentence, refusal_sentences, restart_sentences
+from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.settings.places import state_folder
+
+
+def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
+    """Say that the agent had died, if it had."""
+    if status.get("restarts"):
+        times = "once" if status["restarts"] == 1 else f"{status['restarts']} times"
+        yield f"started again {times}, last after: {status['last_end']}"
+
+
+def refusal_sentences(status: Mapping[str, Any]) -> Iterator[str]:
+    """Say what was not passed on as it came, of an agent, a device or a stream."""
+    for each in status.get("refusals", ()):
+        yield each["sentence"] + ("" if each["now"] else " (not lately)")
+
+
+def refused_now(status: Mapping[str, Any]) -> dict[str, str]:
+    """Return what is not passed on as it came now: of an agent alone, or of a device and streams.
+
+    Returns
+    -------
+    dict of str
+        Sentences by what they are about, whose counts may grow; a pause is said by the state.
+    """
+    return {
+        f"{source} {told['what']} {told.get('about', '')}": (
+            f"{source}: {told['sentence']}" if source else told["sentence"]
+        )
+        for source, part in (("", status), *status.get("streams", {}).items())
+        for told in part.get("refusals", ())
+        if told["now"] and told["what"] != Refusal.PAUSED.word
+    }
+
+
+def device_sentence(device: Mapping[str, Any]) -> str:
+    """Say who wears a device, how it does, and what is wrong."""
+    name = " ".join(
+        part for part in (device["participant"], device["sensor"], device["label"]) if part
+    )
+    word = STATE_WORDS.get(device["state"], device["state"])
+    state = f"paused ({word})" if device["paused"] else word
+    line = f"{name} ({device['unit']}): {state}"
+    return line + (f" - {device['error']}" if device["error"] else "")
+
 
 COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "withheld"}
 """What became of a stream's samples, in the words of a person and in those of the status."""
@@ -34,9 +85,9 @@ def status(
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
     if watch:
-        from biosensor_gateway.cli import status_watch  # once does without
+        from biosensor_gateway.cli import live_table  # once does without
 
-        status_watch.watch(state_folder(), as_json=as_json)
+        live_table.watch(state_folder(), as_json=as_json)
     elif as_json:
         typer.echo(json.dumps(current, indent=2))
     else:
@@ -66,3 +117,143 @@ def _print_status(current: dict[str, Any]) -> None:
         for source_id, counters in device["streams"].items():
             for sentence in refusal_sentences(counters):
                 say(f"  {source_id}: {sentence}")
+
+
+_EVERY_S = 1.0
+_HEADINGS = ("device", "offset s", "drift ppm", "RMS ms", "jumps", "age s")
+
+
+def clocks(
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Print again every second, until Ctrl-C.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show how the devices' clocks are mapped to LSL's; exit code 1 if no agent runs.
+
+    Offset: LSL time minus device time. Drift: how many microseconds a device's second is
+    short of one of LSL's. RMS: how far the best packets are off the line. Jumps: how often
+    the mapping began anew. Age: since the newest sample was measured. None: the device has
+    no clock of its own, or nothing came from it yet.
+    """
+    # Ctrl-C is how watching ends; it is no failure.
+    with contextlib.suppress(KeyboardInterrupt):
+        if as_json:
+            _print_json(watch=watch)
+        elif watch:
+            _watch()
+        else:
+            terminal = console()
+            terminal.print(_table(_status(), terminal.width))
+
+
+def _status() -> dict[str, Any]:
+    try:
+        return status_file.running_status(state_folder())
+    except ConfigError as error:
+        # The command was right: there is no agent.
+        raise TransportError(TransportReason.ABSENT, str(error)) from error
+
+
+def _print_json(*, watch: bool) -> None:
+    while True:
+        # While watching, one line is one report, as a reader of lines wants it.
+        typer.echo(json.dumps(report(_status()), indent=None if watch else 2))
+        if not watch:
+            return
+        time.sleep(_EVERY_S)
+
+
+def _watch() -> None:
+    with Live(Group(), auto_refresh=False) as live:
+        while True:
+            live.update(_table(_status(), live.console.width), refresh=True)
+            time.sleep(_EVERY_S)
+
+
+def report(status: Mapping[str, Any]) -> dict[str, Any]:
+    """Take what concerns the clocks out of an agent's status.
+
+    Returns
+    -------
+    dict
+        ``written`` (unix time, s) and ``clocks``, one a device: who it is, its state,
+        and ``clock``, which is None while the device has none.
+    """
+    devices = status["devices"]
+    return {
+        "written": status["written"],
+        "process": status["process"],
+        "clocks": [_entry(device, status.get("lsl_time")) for device in devices],
+    }
+
+
+def _entry(device: Mapping[str, Any], lsl_time: float | None) -> dict[str, Any]:
+    clock: dict[str, Any] | None = device["clock"]
+    if clock is not None:
+        newest: float | None = clock.get("newest_s")
+        age = None if lsl_time is None or newest is None else lsl_time - newest
+        clock = {**clock, "age_s": age}
+    names = ("sensor", "unit", "participant", "label", "state")
+    return {**{name: device[name] for name in names}, "clock": clock}
+
+
+def _table(status: Mapping[str, Any], width: int) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for entry in report(status)["clocks"]:
+        parts = (entry["participant"], entry["sensor"], entry["label"], f"({entry['unit']})")
+        name = " ".join(part for part in parts if part)
+        state = "" if entry["state"] == "streaming" else f", {entry['state']}"
+        rows.append((f"{name}{state}", *_figures(entry["clock"])))
+    return table_of_names(_HEADINGS, rows, width)
+
+
+def _figures(clock: Mapping[str, Any] | None) -> tuple[str, ...]:
+    if clock is None:
+        return ("none", "", "", "", "")
+    age = clock["age_s"]
+    return (
+        f"{clock['offset_s']:.6f}",
+        f"{clock['drift_ppm']:+.1f}",
+        f"{clock['residual_rms_s'] * 1e3:.3f}",
+        str(clock["reanchors"]),
+        "" if age is None else f"{age:.2f}",
+    )
+
+
+TIMEOUT_S = 60.0
+
+
+def wait_ready(
+    timeout: Annotated[float, typer.Option(min=0, help="How many seconds to wait.")] = TIMEOUT_S,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="STREAM",
+            help="Do not wait for this stream: source_id or data name, as in ecg (repeatable).",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Wait until all devices of the agent deliver samples; exit code 1 if they do not in time.
+
+    Waited for are the streams that come at a rate. The agent may still be starting.
+    """
+    readiness = wait_until_ready(state_folder(), timeout, without or ())
+    if as_json:
+        typer.echo(json.dumps(asdict(readiness), indent=2))
+    elif readiness.ready:
+        typer.echo(_ready_text(readiness))
+    else:
+        typer.echo(f"not ready after {readiness.waited_s:.0f} s:", err=True)
+        for missing in readiness.missing:
+            typer.echo(f"- {missing.sentence}", err=True)
+    if not readiness.ready:
+        raise typer.Exit(1)
+
+
+def _ready_text(readiness: Readiness) -> str:
+    return (
+        f"ready: {readiness.devices} devices deliver samples on {readiness.streams} streams "
+        f"(waited {readiness.waited_s:.1f} s)"
+    )

@@ -1,4 +1,4 @@
-"""Be the agent: what ``run`` does, which takes a second to import."""
+"""Is the agent: what ``run`` does, which takes a second to import."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 from typing import IO, Any, Self
 
 import structlog
+import typer
 
 from biosensor_common.child import Backoff, close_input, ending_in_words, send, wait_or_kill
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.marking import MARKERS
@@ -25,18 +27,84 @@ from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
 from biosensor_gateway.cli.loading import settings_or_defaults
-from biosensor_gateway.cli.questions import can_ask
-from biosensor_gateway.cli.start_log import StartLog
+from biosensor_gateway.cli.output import can_ask
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import GatewaySettings, LogSettings, LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.child import start_for
 from biosensor_gateway.system.keep_alive import await_turn
-from biosensor_gateway.system.logs import console_relayed
+from biosensor_gateway.system.logs import (
+    configure_logs,
+    console_relayed,
+    end_logs,
+    log_to_file_alone,
+)
 from biosensor_gateway.system.quick_edit import quick_edit_off
 from biosensor_gateway.system.shutdown import until_signalled
 from biosensor_gateway.system.terminal import shows_colours
+
+_start_log = structlog.get_logger("biosensor_gateway.cli")
+
+
+class StartLog:
+    """Opens the log file before the settings are read; a context manager.
+
+    What leaves the context is logged to the file: an error of ours as its sentence, any other
+    with its traceback. The console is the caller's.
+
+    Parameters
+    ----------
+    folder
+        Where the file goes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._problem: ConfigError | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            log_to_file_alone(self._folder)
+        except ConfigError as error:
+            self._problem = error
+        return self
+
+    def go_on(self, settings: LogSettings, *, verbose: bool, title: Callable[[str], str]) -> None:
+        """Log as the settings want it, to the console as well; see `configure_logs`."""
+        if self._problem is None:
+            try:
+                configure_logs(settings, self._folder, verbose=verbose, title=title)
+            except ConfigError as error:
+                self._problem = error
+        if self._problem is not None:
+            # Recording goes on without a log file; it does not go on unsaid.
+            configure_logs(settings, None, verbose=verbose, title=title)
+            _start_log.warning(str(self._problem))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._problem is None and isinstance(error, Exception):
+            self._note(error)
+        end_logs()
+
+    def _note(self, error: Exception) -> None:
+        if isinstance(error, typer.Exit | typer.Abort):
+            return
+        try:
+            # The agent may have come to its end before, and its log with it.
+            log_to_file_alone(self._folder)
+        except ConfigError:
+            return
+        if isinstance(error, GatewayError):
+            _start_log.error(str(error), reason=str(error.reason.value))
+        else:
+            _start_log.error("the agent failed", exc_info=error)
+
 
 END_S = 5.0
 """How long it may take to close its streams."""

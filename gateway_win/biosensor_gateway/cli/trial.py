@@ -22,7 +22,7 @@ from biosensor_gateway.agent.status import DeclaredStream
 from biosensor_gateway.agent.status_file import running_status
 from biosensor_gateway.agent.stopping import stop_agent
 from biosensor_gateway.cli.loading import settings_or_defaults
-from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.demo.demonstration import (
     CHUNK_LENGTH,
     agent_command,

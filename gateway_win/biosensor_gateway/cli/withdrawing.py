@@ -11,7 +11,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.options import JsonOption
-from biosensor_gateway.cli.screen import say
+from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.xdf.printing import printable
 
 if TYPE_CHECKING:

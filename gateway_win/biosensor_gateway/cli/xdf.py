@@ -19,13 +19,14 @@ from biosensor_gateway.cli.options import (
     FromOption,
     JsonOption,
     ParticipantOption,
+    RecordingArgument,
     SettingsOption,
     StreamsOption,
     UntilOption,
     WithoutOption,
+    wrong_recording,
 )
-from biosensor_gateway.cli.recordings import RecordingArgument, wrong_recording
-from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import exporter, printing
@@ -44,7 +45,7 @@ from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_pa
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
 
-app = typer.Typer(help="Recordings of LabRecorder (XDF files).", no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True)
 
 
 def export_recording(
@@ -180,7 +181,7 @@ def _bars() -> Generator[Watch]:
 
 @app.callback()
 def _group() -> None:
-    pass
+    """Recordings of LabRecorder (XDF files)."""  # noqa: D401 - as the list has it
 
 
 @app.command("check")

@@ -1,4 +1,4 @@
-"""``biosensor-gateway try``, as far as its help needs it; `trial` does the rest."""
+"""Commands that show all without hardware: ``try``, as far as its help needs it, and ``demo``."""
 
 from __future__ import annotations
 
@@ -43,3 +43,18 @@ def try_out(
     from biosensor_gateway.cli.trial import Trial  # takes a second
 
     raise typer.Exit(Trial(folder.absolute(), seconds, opens=browser).run(every=every))
+
+
+def demo(
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=10, help="End after so many seconds, counted from the first sample."),
+    ] = None,
+) -> None:
+    """Show all virtual devices on their way to ROS topics.
+
+    Exit codes: 0 all of them arrived, 1 something is missing, 3 this computer is too busy.
+    """
+    from biosensor_gateway.demo import demonstration  # takes a second
+
+    raise typer.Exit(demonstration.run(seconds))

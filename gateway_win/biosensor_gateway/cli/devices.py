@@ -1,4 +1,4 @@
-"""``biosensor-gateway test``: one device connected for some seconds, and what it sends."""
+"""Commands that look at devices without an agent: ``scan`` and ``test``."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from biosensor_common.quantities import Unit
-from biosensor_gateway.cli.chosen_devices import chosen_devices
-from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.cli.screen import console, say
+from biosensor_gateway.cli.loading import chosen_devices
+from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
+from biosensor_gateway.cli.output import console, say
+from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs
 
@@ -81,3 +82,41 @@ def _short(values: tuple[float | str, ...], units: Sequence[str]) -> str:
         return f"{' '.join(shown)}{more} {units[0]}".rstrip()
     both = zip(shown, units, strict=False)
     return ", ".join(f"{value} {unit}".rstrip() for value, unit in both) + more
+
+
+def scan(
+    settings: SettingsOption = None,
+    seconds: Annotated[float, typer.Option(min=1, help="How long to listen to Bluetooth.")] = 6.0,
+    simulate: SimulateOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """List the devices in reach, each with the lines that add it to the settings."""
+    configure_logs(LogSettings(level="error"), None)
+    with chosen_devices(settings, simulate) as configured:
+        sections = asyncio.run(search.scan(seconds, configured))
+    if as_json:
+        told = [each.model_dump() for each in search.described(sections, configured)]
+        typer.echo(json.dumps(told, indent=2))
+    else:
+        _print_sections(sections)
+
+
+def _print_sections(sections: list[search.Section]) -> None:
+    for section in sections:
+        say(f"{section.title}: {section.problem or _counted(len(section.found))}")
+        for found in section.found:
+            signal = "" if found.rssi_dbm is None else f", {found.rssi_dbm} dBm"
+            typer.echo()
+            say(f"  {found.name}{signal}", hang=4)
+            typer.echo()
+            typer.echo("\n".join(f"    {line}" for line in search.toml_lines(found).splitlines()))
+        for sentence in search.advice(section):
+            typer.echo()
+            say(f"  {sentence}", hang=2)
+        if section.others:
+            say(f"  not known to any driver: {', '.join(section.others)}", hang=4)
+        typer.echo()
+
+
+def _counted(count: int) -> str:
+    return "nothing that a driver knows" if not count else f"{count} found"

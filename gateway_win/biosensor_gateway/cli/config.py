@@ -89,7 +89,14 @@ def _failed(editor: str, path: Path, why: str) -> ConfigError:
     return ConfigError(ConfigReason.UNREADABLE, message)
 
 
-app = typer.Typer(help="The settings file.", no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """The settings file."""  # noqa: D401 - as the list has it
+
+
 app.command("lsl")(lsl_file.write_lsl_file)
 
 

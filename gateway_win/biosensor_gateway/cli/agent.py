@@ -1,0 +1,230 @@
+"""Commands that steer the agent: ``run``, ``stop``, ``pause``, ``resume`` and ``reload``.
+
+Of ``run`` only what its help needs; :mod:`.streaming` does the rest.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.agent import control
+from biosensor_gateway.agent.stopping import USUAL_LIMIT_S, stop_agent
+from biosensor_gateway.cli import KEEP_ALIVE
+from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
+from biosensor_gateway.cli.output import can_ask, menu
+from biosensor_gateway.settings.places import state_folder
+from biosensor_gateway.system.child import start_beside
+from biosensor_gateway.system.keep_alive import is_standby, restart_facts
+
+_END_AFTER_MIN = "1"
+
+
+def run(
+    settings: SettingsOption = None,
+    simulate: SimulateOption = "",
+    fault: FaultOption = None,
+    ask: Annotated[
+        bool | None,
+        typer.Option(
+            "--ask/--no-ask",
+            help="Ask first: stream, look for sensors, virtual ones. By itself it asks if the "
+            "settings name no sensor.",
+        ),
+    ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Open the page, too; it needs no questions here.")
+    ] = False,
+    features: Annotated[
+        bool,
+        typer.Option(
+            "--features", help="Send live features, too: heart rate, skin responses, breaths."
+        ),
+    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
+    _keep_alive: Annotated[
+        bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
+    ] = False,
+) -> None:
+    """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
+    if is_standby():
+        from biosensor_gateway.cli.streaming import stand_by  # takes a second
+
+        stand_by(simulate)
+    if ask and restart_facts(os.environ):
+        # Whoever answered may have left. Settings that name no device still lead to questions.
+        ask = None
+    if fault and not simulate:
+        raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
+    if ask and (simulate or not can_ask()):
+        raise typer.BadParameter("--ask needs a terminal, and does without --simulate")
+    if page and ask is None:
+        ask = False
+    if page and not restart_facts(os.environ):
+        open_page_beside(settings)
+    from biosensor_gateway.cli.streaming import stream  # takes a second
+
+    stream(settings, simulate, fault or (), ask=ask, features=features, verbose=verbose)
+
+
+def open_page_beside(settings: Path | None) -> None:
+    """Open the page; it ends by itself when neither a window nor an agent is there any more.
+
+    Parameters
+    ----------
+    settings
+        The file that was named; None for the usual one.
+
+    Raises
+    ------
+    TransportError
+        ``ABSENT`` if the system cannot start it.
+    """
+    named = [] if settings is None else ["--settings", str(settings.absolute())]
+    try:
+        start_beside(["page", "--end-after", _END_AFTER_MIN, *named])
+    except OSError as error:
+        message = f"the page could not be started: {error.strerror or error}"
+        raise TransportError(TransportReason.ABSENT, message) from error
+
+
+def stop(
+    timeout: Annotated[
+        float, typer.Option(min=1, help="How many seconds to wait until the agent has ended.")
+    ] = USUAL_LIMIT_S,
+) -> None:
+    """End the running agent; exit code 1 if none runs or it does not end in time."""
+    typer.echo(stop_agent(state_folder(), timeout))
+
+
+DeviceArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="DEVICE",
+        help="Sensor, label or participant, or SENSOR/UNIT, as `status` shows them.",
+    ),
+]
+
+
+def pause(device: DeviceArgument) -> None:
+    """Send nothing of a device from now on, also after a restart, until it is resumed.
+
+    The device stays connected. Exit code 1 if no agent runs or there is no such device.
+    """
+    answer = _ask("pause", device)
+    name = answer["device"]
+    before = "is" if answer["changed"] else "was already"
+    typer.echo(
+        f"{name} {before} paused: nothing of it is sent until: "
+        f"biosensor-gateway resume {_quoted(name)}"
+    )
+    _complain(answer, "a new start of the agent would stream it again")
+
+
+def resume(device: DeviceArgument) -> None:
+    """Send again what a paused device measures from now on.
+
+    Exit code 1 if no agent runs or there is no such device.
+    """
+    answer = _ask("resume", device)
+    outcome = "is sent again" if answer["changed"] else "was not paused"
+    typer.echo(f"{answer['device']} {outcome}")
+    _complain(answer, "a new start of the agent would pause it again")
+
+
+def _ask(command: str, device: str) -> dict[str, Any]:
+    """Have it done, and wait for the disk as long as for the agent."""
+    folder, deadline = state_folder(), time.monotonic() + control.TIME_LIMIT_S
+    answer = first = control.ask(folder, command, {"device": device})
+    while answer.get("pending") and time.monotonic() < deadline:
+        answer = control.ask(folder, command, {"device": device})
+    return answer | {"changed": first["changed"]}
+
+
+def _complain(answer: dict[str, Any], consequence: str) -> None:
+    if answer["problem"]:
+        # It is done; only the next agent does not know.
+        typer.echo(f"biosensor-gateway: {answer['problem']}; {consequence}", err=True)
+        raise typer.Exit(1)
+
+
+def _quoted(name: str) -> str:
+    return f'"{name}"' if " " in name else name
+
+
+_SENTENCES = {
+    "added": "{} was added",
+    "removed": "{} was removed",
+    "restarted": "{} was started anew: its entry was changed",
+}
+
+
+def reload(
+    while_recording: Annotated[
+        bool,
+        typer.Option(
+            "--while-recording", help="Change devices although a recording loses them by it."
+        ),
+    ] = False,
+) -> None:
+    """Have the running agent read its settings again; devices that are the same stream on.
+
+    A file that is broken changes nothing. Exit code 1 if no agent runs or the file is broken.
+    While a recording goes on, a change of devices is asked about, and without a terminal
+    refused with exit code 2.
+    """
+    from biosensor_gateway.recording.recorder.state import file_going_on  # not for others
+
+    state = state_folder()
+    file = file_going_on(state)
+    if file is not None and not while_recording:
+        _ask_first(file, control.ask(state, "reload-preview"))
+    answer = control.ask(state, "reload")
+    for line in _lines(answer):
+        typer.echo(line)
+
+
+def _ask_first(file: Path, changes: dict[str, Any]) -> None:
+    """Have it confirmed that a recording loses devices.
+
+    Raises
+    ------
+    ConfigError
+        ``IN_USE`` if nobody can be asked.
+    typer.Exit
+        It is not wanted; with code 2.
+    """
+    from biosensor_gateway.recording.participants import listed  # likewise
+
+    lost = [*changes["removed"], *changes["restarted"], *changes["added"]]
+    if not lost:
+        return
+    sentence = (
+        f"a recording goes on, to {file}, and from then on it may hold nothing of {listed(lost)}"
+    )
+    if not can_ask():
+        message = f"{sentence}; end it first, or confirm that with --while-recording"
+        raise ConfigError(ConfigReason.IN_USE, message)
+    choices = ["Leave it until the recording has ended", "Read the settings now all the same"]
+    if menu(f"{sentence[0].upper()}{sentence[1:]}.", choices) == 0:
+        raise typer.Exit(2)
+
+
+def _lines(answer: dict[str, Any]) -> list[str]:
+    if answer["pending"]:
+        lines = ["the change has begun; a device takes long to end, see: biosensor-gateway status"]
+    else:
+        lines = [
+            sentence.format(name) for key, sentence in _SENTENCES.items() for name in answer[key]
+        ]
+        lines = lines or ["nothing has changed for any device"]
+    for key, from_when in (("now", "now"), ("later", "from the next start of the agent on")):
+        if answer[key]:
+            sections = ", ".join(f"[{name}]" for name in answer[key])
+            lines.append(f"what was changed in {sections} holds {from_when}")
+    return lines
