@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -15,56 +15,19 @@ from rich.live import Live
 from rich.table import Table
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
-from biosensor_common.refusal import Refusal
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.readiness import Readiness, wait_until_ready
-from biosensor_gateway.agent.state import STATE_WORDS, is_sending
+from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.cli.options import JsonOption
-from biosensor_gateway.cli.output import console, say, table_of_names
+from biosensor_gateway.cli.output import (
+    console,
+    device_sentence,
+    refusal_sentences,
+    restart_sentences,
+    say,
+    table_of_names,
+)
 from biosensor_gateway.settings.places import state_folder
-
-
-def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
-    """Say that the agent had died, if it had."""
-    if status.get("restarts"):
-        times = "once" if status["restarts"] == 1 else f"{status['restarts']} times"
-        yield f"started again {times}, last after: {status['last_end']}"
-
-
-def refusal_sentences(status: Mapping[str, Any]) -> Iterator[str]:
-    """Say what was not passed on as it came, of an agent, a device or a stream."""
-    for each in status.get("refusals", ()):
-        yield each["sentence"] + ("" if each["now"] else " (not lately)")
-
-
-def refused_now(status: Mapping[str, Any]) -> dict[str, str]:
-    """Return what is not passed on as it came now: of an agent alone, or of a device and streams.
-
-    Returns
-    -------
-    dict of str
-        Sentences by what they are about, whose counts may grow; a pause is said by the state.
-    """
-    return {
-        f"{source} {told['what']} {told.get('about', '')}": (
-            f"{source}: {told['sentence']}" if source else told["sentence"]
-        )
-        for source, part in (("", status), *status.get("streams", {}).items())
-        for told in part.get("refusals", ())
-        if told["now"] and told["what"] != Refusal.PAUSED.word
-    }
-
-
-def device_sentence(device: Mapping[str, Any]) -> str:
-    """Say who wears a device, how it does, and what is wrong."""
-    name = " ".join(
-        part for part in (device["participant"], device["sensor"], device["label"]) if part
-    )
-    word = STATE_WORDS.get(device["state"], device["state"])
-    state = f"paused ({word})" if device["paused"] else word
-    line = f"{name} ({device['unit']}): {state}"
-    return line + (f" - {device['error']}" if device["error"] else "")
-
 
 COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "withheld"}
 """What became of a stream's samples, in the words of a person and in those of the status."""
