@@ -13,7 +13,7 @@ import pytest
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_common.quantities import ChannelRole
 from biosensor_common.refusal import Refusal
-from biosensor_gateway.agent import reviving
+from biosensor_gateway.agent import supervisor
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
@@ -167,7 +167,7 @@ async def test_data_that_nobody_can_read_are_a_state_and_a_reason(
 ) -> None:
     name = measured(device)[0]
     if not is_outside_time(device):
-        monkeypatch.setattr(reviving, "PATIENCE_S", 1.0)
+        monkeypatch.setattr(supervisor, "PATIENCE_S", 1.0)
     async with told_the_truth(device) as run:
         begin_s = run.sink.clock()
         device.apply(Fault(kind, LONG_S))

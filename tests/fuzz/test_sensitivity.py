@@ -73,7 +73,7 @@ FAULTS: dict[str, Fault] = {
     "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
     "ros_to_lsl": ("biosensor_common.ros.layout", "_names_in", instead(any_names)),
-    "settings": ("biosensor_gateway.settings.toml_lines._Scanner", "_note", instead(any_path)),
+    "settings": ("biosensor_gateway.settings.problems._Scanner", "_note", instead(any_path)),
     "status": ("tests.fuzz.targets.status", "read_status", instead(any_status)),
     "xdf": ("biosensor_gateway.recording.xdf.container", "_damage", ends_too_late),
     "xdf_export": ("biosensor_gateway.recording.export.csv.wide", "batches", loses_the_last),

@@ -33,7 +33,7 @@ OURS = {
     "biosensor_gateway.cli.app",
     "biosensor_gateway.cli.lazy_group",
     "biosensor_gateway.system",
-    "biosensor_gateway.system.own_window",
+    "biosensor_gateway.system.windows_console",
 }
 LOADED_AT_THE_END = """
 import atexit, sys

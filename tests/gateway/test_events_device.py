@@ -24,8 +24,8 @@ from biosensor_gateway.streaming.events.device import (
     Gap,
     GapWatch,
 )
-from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.streaming.stages import RESUME_GUARD_S
 
 TESTS = Path(__file__).parents[1]
 DEVICE_S = 8.2e8

@@ -27,8 +27,8 @@ from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.streaming import own_outlets
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import TICK_S, Announcer
-from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.outlets import Outlet
+from biosensor_gateway.streaming.own_outlets import log_errors
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 

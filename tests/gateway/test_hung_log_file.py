@@ -19,7 +19,7 @@ import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.settings.models import LogSettings
-from biosensor_gateway.system import log_outputs
+from biosensor_gateway.system import logs
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 
 pytestmark = pytest.mark.nightly
@@ -34,7 +34,7 @@ PROGRAM = """
 import sys, time
 from pathlib import Path
 import structlog
-from biosensor_gateway.system.log_outputs import HELD_AFTER_S
+from biosensor_gateway.system.logs import HELD_AFTER_S
 from biosensor_gateway.system.logs import configure_logs
 from biosensor_gateway.settings.models import LogSettings
 
@@ -89,7 +89,7 @@ def test_what_did_not_fit_is_counted_in_its_place(
 ) -> None:
     del logging_as_before
     # On a starved machine its own line about the held file would be among those that are missing.
-    monkeypatch.setattr(log_outputs, "HELD_AFTER_S", math.inf)
+    monkeypatch.setattr(logs, "HELD_AFTER_S", math.inf)
     configure_logs(LogSettings(), fifo.parent)
     for number in range(LINES):
         LOG.info("filling", number=number, padding=PADDING)

@@ -10,7 +10,7 @@ from biosensor_common.outflow import Outflow
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.cli.live_table import LiveTable, Row, picture, running_foot
 from biosensor_gateway.devices.registry import sensor_names, sensor_title
-from biosensor_gateway.system.panel import Panel, Size
+from biosensor_gateway.system.terminal import Panel, Size
 
 WIDE = Size(80, 24)
 REASON = "COM17: the port is in use by another program; close the program that has it open"

@@ -18,8 +18,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.streaming import outlets as module
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from biosensor_gateway.streaming.device_outlets import DeviceOutlets
-from biosensor_gateway.streaming.outlets import Outlet
+from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
 
 FORMATS = {
     "float32": pylsl.cf_float32,

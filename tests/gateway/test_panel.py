@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from biosensor_common.outflow import Outflow
-from biosensor_gateway.system.panel import Line, Panel, Size
+from biosensor_gateway.system.terminal import Line, Panel, Size
 from tests.rigs.terminal import Screen
 
 DEADLINE_S = 30.0

@@ -16,7 +16,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.pauses.commands import PAUSED_FILE
+from biosensor_gateway.agent.pauses import PAUSED_FILE
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.zephyr import SteeredBioHarness
 

@@ -21,7 +21,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
+from biosensor_gateway.streaming.stages import RESUME_GUARD_S
 from tests.rigs.bluetooth import virtual_world
 from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polling import until

@@ -6,7 +6,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.pauses.selection import chosen
+from biosensor_gateway.agent.selection import chosen
 
 STRAP = DeviceIdentity("polar_h10", "A1", "p01", "left")
 BELT = DeviceIdentity("zephyr", "B2", "p02")

@@ -14,8 +14,8 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets as outlets_module
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S, PauseGate
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.streaming.stages import RESUME_GUARD_S, PauseGate
 
 OpenInlet = Callable[[str], pylsl.StreamInlet]
 Until = Callable[[Callable[[], bool]], None]

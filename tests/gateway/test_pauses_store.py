@@ -17,14 +17,14 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.pauses.commands import (
+from biosensor_gateway.agent.pauses import (
     PAUSED_FILE,
     Pause,
     PauseCommands,
     load_pauses,
     save_pauses,
 )
-from biosensor_gateway.agent.pauses.selection import chosen, device_name
+from biosensor_gateway.agent.selection import chosen, device_name
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 

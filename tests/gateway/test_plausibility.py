@@ -16,15 +16,15 @@ from biosensor_common.naming import source_id
 from biosensor_common.quantities import NOT_PHYSICAL, Unit
 from biosensor_common.refusals import LATELY_S
 from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
-from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.fleet import Device
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.driver import HealthEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.plausibility import AHEAD_LIMIT_S
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.streaming.stages import AHEAD_LIMIT_S
 from biosensor_gateway.system.clock import LslClock
 
 CHANNELS = [

@@ -12,9 +12,9 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent import reviving
+from biosensor_gateway.agent import supervisor
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.fleet import Device
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import DeviceStatus
 from biosensor_gateway.agent.supervisor import Supervisor
@@ -142,7 +142,7 @@ async def start(
     unit: str, virtual_clock: Clock, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncGenerator[Start]:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.01)
-    monkeypatch.setattr(reviving, "TICK_S", 0.01)
+    monkeypatch.setattr(supervisor, "TICK_S", 0.01)
     monkeypatch.setattr(silence_module, "RETRY_S", LONG_S)
     benches: list[SupervisedDriver] = []
 

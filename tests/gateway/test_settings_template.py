@@ -19,9 +19,9 @@ from biosensor_gateway.settings.models import (
     LslSettings,
     MarkerSettings,
     PowerSettings,
+    WebMarkerSettings,
 )
 from biosensor_gateway.settings.template import template, write_template
-from biosensor_gateway.settings.web_markers import WebMarkerSettings
 
 
 class StrapSettings(DeviceSettings):

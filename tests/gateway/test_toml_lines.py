@@ -9,7 +9,7 @@ from typing import cast
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.settings.toml_lines import KeyPath, key_lines
+from biosensor_gateway.settings.problems import KeyPath, key_lines
 
 TRICKY = '''\
 # [lsl] session_id = "no"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.system.windows_path import with_folder, without_folder
+from biosensor_gateway.system.windows_setup import with_folder, without_folder
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import pytest
 
 from biosensor_common.outflow import Outflow
-from biosensor_gateway.system import log_outputs
+from biosensor_gateway.system import logs
 
 
 @contextmanager
@@ -22,7 +22,7 @@ def patience_without_limit() -> Generator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Outflow, "flush", _flush)
         patch.setattr(Outflow, "close", _close)
-        patch.setattr(log_outputs, "OPENED_WITHIN_S", None)
+        patch.setattr(logs, "OPENED_WITHIN_S", None)
         yield
 
 

@@ -30,7 +30,7 @@ from biosensor_gateway.devices.zephyr.simulator.bioharness import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.devices.zephyr.simulator.zephyr import DEFAULT_CLOCK, SyntheticSource
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.streaming import plausibility
+from biosensor_gateway.streaming import stages
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from tests.rigs.driver_run import NotedSink, Run, supervised
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged
@@ -95,7 +95,7 @@ def in_units(data_name: str, counts: Any) -> Floats:
 @pytest.fixture(autouse=True)
 def fast_heart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Believe beats that come faster than time passes, as those of `fast` devices do."""
-    monkeypatch.setattr(plausibility, "AHEAD_LIMIT_S", inf)
+    monkeypatch.setattr(stages, "AHEAD_LIMIT_S", inf)
 
 
 @asynccontextmanager

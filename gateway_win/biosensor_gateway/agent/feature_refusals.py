@@ -17,8 +17,12 @@ from pydantic import BaseModel
 from biosensor_common import naming
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.declared_streams import declared_streams
-from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, RefusedStatus
+from biosensor_gateway.agent.status import (
+    AgentStatus,
+    DeviceStatus,
+    RefusedStatus,
+    declared_streams,
+)
 from biosensor_gateway.system import state_file
 
 STALE_AFTER_S = 5.0

@@ -19,9 +19,8 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.state import CONNECTED
-from biosensor_gateway.agent.status import DeclaredStream
+from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 
 FRESH_S = 5.0
 """Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""

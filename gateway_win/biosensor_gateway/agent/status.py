@@ -6,10 +6,13 @@ screen needs, by classes that inherit from these.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pydantic import BaseModel, Field
 
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import FromDevice, StreamSpec
+from biosensor_gateway.devices.registry import declaration
 
 
 class ClockStatus(BaseModel):
@@ -242,3 +245,23 @@ class AgentStatus(AgentFacts):
     """An agent with its devices."""
 
     devices: list[DeviceStatus] = Field(default_factory=list[DeviceStatus])
+
+
+def declared_streams(sensor: str, own: Sequence[DeclaredStream] = ()) -> tuple[DeclaredStream, ...]:
+    """Return the streams of a device.
+
+    Parameters
+    ----------
+    sensor
+        As its identity has it.
+    own
+        What the status says that its settings declare.
+
+    Raises
+    ------
+    SpecError
+        If it declares nothing itself, and its sensor's declaration cannot be loaded.
+    """
+    if own:
+        return tuple(own)
+    return tuple(DeclaredStream.of(each) for each in declaration(sensor).streams)

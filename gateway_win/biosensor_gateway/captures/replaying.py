@@ -29,8 +29,7 @@ from biosensor_gateway.captures.ports import ReplayedPorts
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.bleak_pickers import standing_in
-from biosensor_gateway.streaming.device_outlets import DeviceOutlets
-from biosensor_gateway.streaming.outlets import Outlet
+from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock, LeapingClock
 from biosensor_gateway.transports.tap import Replacement, What, replaced

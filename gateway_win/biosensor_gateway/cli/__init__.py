@@ -76,7 +76,7 @@ def _run() -> None:
 
 
 def _lead_after_a_double_click() -> None:
-    from biosensor_gateway.system.own_window import has_a_reader, is_own_window  # only now
+    from biosensor_gateway.system.windows_console import has_a_reader, is_own_window  # only now
 
     if is_own_window() and has_a_reader():
         # There is nobody who would read a list of commands.
@@ -88,7 +88,7 @@ def _hold_window_of_a_failure(
 ) -> None:
     if error is None or (isinstance(error, SystemExit) and not error.code):
         return
-    from biosensor_gateway.system.own_window import hold_open  # only now
+    from biosensor_gateway.system.windows_console import hold_open  # only now
 
     hold_open()
 

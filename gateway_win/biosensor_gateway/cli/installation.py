@@ -20,7 +20,7 @@ from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.page.instance import LOCK_FILE, page_folder
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.settings.places import state_folder
-from biosensor_gateway.system import windows_autostart, windows_path
+from biosensor_gateway.system import windows_setup
 
 _PROGRAMS = frozenset({"biosensor-gateway.exe", "biosensor gateway.exe"})
 _OF_PAGE = frozenset({"page", "play-recording"})
@@ -166,13 +166,13 @@ EXIT_HELD = 4
 @app.command("add-to-path")
 def add_to_path(folder: FolderArgument) -> None:
     """Let every terminal find the program."""
-    _changed(windows_path.add_to_path, folder)
+    _changed(windows_setup.add_to_path, folder)
 
 
 @app.command("remove-from-path")
 def remove_from_path(folder: FolderArgument) -> None:
     """Undo it."""
-    _changed(windows_path.remove_from_path, folder)
+    _changed(windows_setup.remove_from_path, folder)
 
 
 @app.command("autostart")
@@ -181,20 +181,20 @@ def autostart(
     on: Annotated[bool, typer.Option("--on/--off", help="Start it at logon, or do not.")] = True,
 ) -> None:
     """Choose whether the user of this session starts the program at logon."""
-    _entries(lambda: windows_autostart.choose(command, wanted=on))
+    _entries(lambda: windows_setup.choose(command, wanted=on))
 
 
 @app.command("autostart-state")
 def autostart_state() -> None:
     """End with 0 if the user of this session starts the program at logon, else with 3."""
-    if not windows_autostart.is_chosen():
+    if not windows_setup.is_chosen():
         raise typer.Exit(EXIT_NOT_CHOSEN)
 
 
 @app.command("remove-autostart")
 def remove_autostart() -> None:
     """Let no user start the program at logon any more."""
-    _entries(windows_autostart.remove_all)
+    _entries(windows_setup.remove_all)
 
 
 @app.command("holders")

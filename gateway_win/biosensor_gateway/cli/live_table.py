@@ -23,8 +23,14 @@ from biosensor_gateway.agent.absences import names
 from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.state import STATE_WORDS, is_sending
 from biosensor_gateway.cli.output import device_sentence, refused_now, restart_sentences
-from biosensor_gateway.system.panel import Line, Panel, Size
-from biosensor_gateway.system.terminal import cursor_moves, shows_colours, terminal_size
+from biosensor_gateway.system.terminal import (
+    Line,
+    Panel,
+    Size,
+    cursor_moves,
+    shows_colours,
+    terminal_size,
+)
 
 _WELL = frozenset({"streaming", "paused"})
 _HEADINGS = ("Device", "State", "Rate", "Lost", "Battery")

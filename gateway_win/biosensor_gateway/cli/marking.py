@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator, Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,7 +18,9 @@ from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.agent import control
 from biosensor_gateway.cli import BEGUN_S
 from biosensor_gateway.settings.places import state_folder
-from biosensor_gateway.settings.web_markers import OF_NO_SITE, USUAL_PORT, WebMarkerSettings
+
+if TYPE_CHECKING:
+    from biosensor_gateway.settings.models import WebMarkerSettings
 
 _SOURCE = "command"
 _KEYS = 9
@@ -166,6 +168,8 @@ def _save_web(folder: Path) -> None:
 
 
 def _web_rows(web: WebMarkerSettings, token: str) -> Iterator[tuple[str, str]]:
+    from biosensor_gateway.settings.models import OF_NO_SITE, USUAL_PORT
+
     yield "address", f"ws://127.0.0.1:{web.port}"
     yield "token", token
     if not web.origins:

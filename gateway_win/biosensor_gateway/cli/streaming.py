@@ -40,9 +40,9 @@ from biosensor_gateway.system.logs import (
     end_logs,
     log_to_file_alone,
 )
-from biosensor_gateway.system.quick_edit import quick_edit_off
 from biosensor_gateway.system.shutdown import until_signalled
 from biosensor_gateway.system.terminal import shows_colours
+from biosensor_gateway.system.windows_console import quick_edit_off
 
 _start_log = structlog.get_logger("biosensor_gateway.cli")
 

@@ -16,19 +16,20 @@ from biosensor_common.errors import GatewayError, TransportError, TransportReaso
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.quantities import waits_for_receivers
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.readiness import wait_until_ready
-from biosensor_gateway.agent.status import DeclaredStream
+from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.agent.status_file import running_status
 from biosensor_gateway.agent.stopping import stop_agent
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.demo.demonstration import (
     CHUNK_LENGTH,
+    Programs,
     agent_command,
     has_ros,
     node_command,
     show_topics,
+    state_of,
 )
 from biosensor_gateway.demo.expectation import (
     expected_topics,
@@ -36,7 +37,6 @@ from biosensor_gateway.demo.expectation import (
     fitting_devices,
     unfilled_streams,
 )
-from biosensor_gateway.demo.programs import Programs, state_of
 from biosensor_gateway.devices.registry import declaration, sensor_title
 from biosensor_gateway.page.instance import ADDRESS, ask_for_window, ask_to_end
 from biosensor_gateway.recording.contents.choice import Wish

@@ -21,10 +21,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecRe
 from biosensor_common.misspelt import did_you_mean
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
-from biosensor_gateway.settings.models import (
-    DeviceSettings,
-    GatewaySettings,
-)
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.simulation.faults import (
     Fault,

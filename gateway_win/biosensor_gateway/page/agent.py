@@ -14,18 +14,23 @@ from biosensor_common.errors import SpecError
 from biosensor_common.quantities import TYPES_OF_DEVICE
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control import CONTROL_FILE, HOST, json_object, line
-from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.feed_frames import (
     HEAD,
     FrameKind,
     Samples,
     read_count,
 )
-from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.rate_meter import RateMeter
+from biosensor_gateway.agent.selection import device_name
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.state import is_sending
-from biosensor_gateway.agent.status import AgentStatus, DeclaredStream, DeviceStatus, StreamStatus
+from biosensor_gateway.agent.status import (
+    AgentStatus,
+    DeclaredStream,
+    DeviceStatus,
+    StreamStatus,
+    declared_streams,
+)
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.live import History, is_of_now
 from biosensor_gateway.page.models import DeviceView, SeenStreamView, StreamView

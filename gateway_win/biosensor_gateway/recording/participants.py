@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.pauses.selection import device_name
+from biosensor_gateway.agent.selection import device_name
 from biosensor_gateway.settings.names import label
 
 GROUP = "group"

@@ -15,12 +15,12 @@ from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.settings.problems import (
     Problem,
     from_validation,
+    key_lines,
     report,
     unknown_key,
     unknown_variables,
     wrong_choice,
 )
-from biosensor_gateway.settings.toml_lines import key_lines
 
 _WHERE = re.compile(r"(?P<what>.*) \(at (?P<where>.*)\)", re.DOTALL)
 _DEVICE = "device"

@@ -46,9 +46,8 @@ from biosensor_common.errors import (
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.outlets import Outlet
-from biosensor_gateway.streaming.own_outlets import spare_outlet
+from biosensor_gateway.streaming.own_outlets import log_errors, spare_outlet
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 LINGER_S = 0.25

@@ -17,13 +17,11 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.device_outlets import DeviceOutlets, differences
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import DeviceEvents
-from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
-from biosensor_gateway.streaming.pause_gate import PauseGate
-from biosensor_gateway.streaming.plausibility import Plausibility
+from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets, differences
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
+from biosensor_gateway.streaming.stages import PauseGate, Plausibility
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.system.device_log import DeviceLog, Once
 

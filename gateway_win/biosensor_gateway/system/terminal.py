@@ -1,16 +1,261 @@
-"""Tells what a terminal can do, and has a Windows console understand cursor movements.
+"""Writes records of the log as lines for people: local time, the device, a sentence.
 
-Source: Microsoft's "Console Virtual Terminal Sequences" and ``SetConsoleMode``.
+The file has everything; here is left out what only a program can use.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import NamedTuple, cast
 
-from biosensor_gateway.system.panel import Size
+from rich.cells import cell_len, set_cell_size
+from structlog.typing import EventDict, WrappedLogger
+
+from biosensor_common.outflow import Outflow
+from biosensor_common.terminal import wrapped
+
+FOR_PEOPLE = "for_people"
+"""Key of a record for the sentence that a terminal shows in place of the event and its facts."""
+
+# Words of programs: the log file has them.
+_UNSHOWN = frozenset({"code", "event_name", "reason", "where", "way"})
+_EVERYWHERE = frozenset({"event", "level", "logger", "sensor", "text", "timestamp", "unit"})
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+_MARKS = {"warning": "!", "error": "!", "critical": "!"}
+_COLOURS = {"!": "\x1b[33m"}
+_NORMAL = "\x1b[0m"
+_HANG = len("hh:mm:ss ! ")
+
+
+def without_line_for_people(
+    _logger: WrappedLogger, _method: str, event_dict: EventDict
+) -> EventDict:
+    """Remove the sentence that only a terminal shows."""
+    event_dict.pop(FOR_PEOPLE, None)
+    return event_dict
+
+
+def on_one_line(text: str) -> str:
+    """Escape line ends and whatever would command a terminal."""
+    return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
+
+
+class LinesForPeople:
+    """The last processor of a terminal's records.
+
+    Parameters
+    ----------
+    title
+        Returns what people call a sensor.
+    columns
+        Returns how wide the terminal is; None where nothing needs to fit.
+    colours
+        Whether it shows any.
+    verbose
+        Show all facts.
+    """
+
+    def __init__(
+        self,
+        title: Callable[[str], str],
+        columns: Callable[[], int | None],
+        *,
+        colours: bool,
+        verbose: bool,
+    ) -> None:
+        self._title, self._columns = title, columns
+        self._colours, self._verbose = colours, verbose
+
+    def __call__(self, _logger: WrappedLogger, _method: str, event_dict: EventDict) -> str:
+        """Return the line, without its end; wrapped between words."""
+        mark = _MARKS.get(str(event_dict.get("level")), " ")
+        text = on_one_line(f"{_clock_time(event_dict)} {mark} {self._sentence(event_dict)}")
+        text = wrapped(text, self._columns(), _HANG)
+        colour = _COLOURS.get(mark, "") if self._colours else ""
+        return f"{colour}{text}{_NORMAL}" if colour else text
+
+    def _sentence(self, record: EventDict) -> str:
+        said = record.get(FOR_PEOPLE)
+        if self._verbose or said is None:
+            said = sentence_of(record, verbose=self._verbose)
+        said = str(said)
+        return f"{self._device(record, said)}{said}"
+
+    def _device(self, record: EventDict, said: str) -> str:
+        sensor, unit = str(record.get("sensor", "")), str(record.get("unit", ""))
+        title = self._title(sensor) if sensor else ""
+        # Many sentences begin with the device that they are about.
+        name = "" if title and said.startswith(title) else f"{title} {unit}".strip()
+        return f"{name}: " if name else ""
+
+
+def sentence_of(record: Mapping[str, object], *, verbose: bool = False) -> str:
+    """Say what happened, with its facts; the device and the time are left to others.
+
+    Parameters
+    ----------
+    record
+        Of the log, also as read from its file.
+    verbose
+        Show all facts.
+    """
+    # What a device's service says in a text of its own is the sentence.
+    event = str(record.get("text") or record.get("event", ""))
+    facts = ", ".join(_facts(record, verbose=verbose))
+    return f"{event} ({facts})" if facts else event
+
+
+def _facts(record: Mapping[str, object], *, verbose: bool) -> Iterator[str]:
+    if verbose:
+        known = _EVERYWHERE | {FOR_PEOPLE}
+        yield from (f"{key}={value!r}" for key, value in record.items() if key not in known)
+        return
+    for key, value in record.items():
+        if key in _EVERYWHERE or key in _UNSHOWN or value in (None, False, ""):
+            continue
+        words = key.replace("_", " ")
+        yield words if value is True else f"{words} {_shown(value)}"
+
+
+def _clock_time(record: Mapping[str, object]) -> str:
+    try:
+        moment = datetime.fromisoformat(str(record.get("timestamp"))).astimezone()
+    except ValueError:
+        moment = datetime.now().astimezone()
+    return moment.strftime("%H:%M:%S")
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple | set | frozenset):
+        return " ".join(str(each) for each in cast("list[object]", value))
+    return str(value)
+
+
+_TO_START, _UP = "\r", "\x1b[{}A"
+_CLEAR_LINE, _CLEAR_BELOW = "\x1b[K", "\x1b[J"
+_PLAIN = "\x1b[0m"
+
+
+class Size(NamedTuple):
+    """Of a terminal, in characters."""
+
+    columns: int
+    lines: int
+
+
+class Line(NamedTuple):
+    """A line of a panel, with the ECMA-48 sequence of its colour; empty for none."""
+
+    text: str
+    colour: str = ""
+
+
+Render = Callable[[Size], Sequence[Line]]
+"""Makes the lines for a terminal of that size."""
+
+
+class Panel:
+    """Draws in the thread of a terminal's outflow, so that nobody waits for the terminal.
+
+    While the terminal takes nothing, pictures are left out, each as a whole.
+
+    Parameters
+    ----------
+    outflow
+        The terminal's; all that is written to the terminal must come this way.
+    size
+        Tells how large the terminal is; None while it must not be drawn on, because another
+        program has it or it has gone.
+    encoding
+        Of the terminal.
+    """
+
+    def __init__(
+        self, outflow: Outflow, size: Callable[[], Size | None], encoding: str = "utf-8"
+    ) -> None:
+        self._outflow, self._size, self._encoding = outflow, size, encoding
+        self._render: Render = lambda _size: ()
+        self._is_closed = False
+        self._drawn: tuple[int, ...] = ()
+        self._unfinished = b""
+        outflow.shape = self.shape
+
+    def show(self, render: Render) -> None:
+        """Show this from now on; never waits."""
+        self._render = render
+        self._outflow.put_if_idle(b"")
+
+    def close(self, last_line: str = "") -> None:
+        """Take the panel away once all before that is written; what is shown later counts not."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._outflow.put(self._encoded(f"{last_line}\n" if last_line else ""))
+
+    def shape(self, lines: bytes) -> bytes:
+        """Return what writes lines above the panel, and the panel anew."""
+        whole = self._whole_lines(lines)
+        size = self._size()
+        if size is None:
+            # Whoever has the terminal now does not know of the panel.
+            self._drawn = ()
+            return whole
+        start = self._start(size)
+        if self._outflow.is_behind and whole:
+            # It is drawn again behind the last of many.
+            self._drawn = ()
+            return self._encoded(start + (_CLEAR_BELOW if start else "")) + whole
+        wanted = self._fitting(size)
+        picture = "".join(f"{_coloured(line)}{_CLEAR_LINE}\r\n" for line in wanted)
+        clear = _CLEAR_BELOW if start else ""
+        self._drawn = tuple(cell_len(line.text) for line in wanted)
+        if whole:
+            return self._encoded(start + clear) + whole + self._encoded(picture)
+        return self._encoded(start + picture + clear)
+
+    def _whole_lines(self, lines: bytes) -> bytes:
+        """Keep a line back until its end has come, or the next picture is due."""
+        come = self._unfinished + lines
+        if not lines and come:
+            self._unfinished = b""
+            return come + b"\n"
+        whole, _, self._unfinished = come.rpartition(b"\n")
+        return whole + b"\n" if whole or come[:1] == b"\n" else b""
+
+    def _start(self, size: Size) -> str:
+        """Go to where the panel begins."""
+        # A terminal that was made narrower has broken wider lines, or has cut them: the old
+        # panel stays, because lines of the log above it must not be taken for a part of it.
+        if not self._drawn or max(self._drawn) > size.columns:
+            return ""
+        return _TO_START + _UP.format(len(self._drawn))
+
+    def _fitting(self, size: Size) -> list[Line]:
+        # The cursor stands below the last line, and above what has gone it cannot go.
+        if self._is_closed or size.lines < 2 or size.columns < 2:
+            return []
+        lines = list(self._render(size))[: size.lines - 1]
+        # What ends in the last column is broken by some terminals.
+        return [self._cut(line, size.columns - 1) for line in lines]
+
+    def _cut(self, line: Line, room: int) -> Line:
+        # An escape for a letter that the terminal has not got is longer than the letter.
+        text = self._encoded(on_one_line(line.text)).decode(self._encoding)
+        return line._replace(text=text if cell_len(text) <= room else set_cell_size(text, room))
+
+    def _encoded(self, text: str) -> bytes:
+        return text.encode(self._encoding, "backslashreplace")
+
+
+def _coloured(line: Line) -> str:
+    return f"{line.colour}{line.text}{_NORMAL}" if line.colour else line.text
+
 
 ENABLE_VIRTUAL_TERMINAL_PROCESSING = 0x0004
 _NO_CURSOR = frozenset({"dumb", "unknown"})

@@ -14,7 +14,7 @@ from typing import cast
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.settings.toml_lines import KeyPath, key_lines
+from biosensor_gateway.settings.problems import KeyPath, key_lines
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written
 

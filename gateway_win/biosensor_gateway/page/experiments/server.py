@@ -21,7 +21,7 @@ from biosensor_gateway.page.models import ExperimentsView, ExperimentView, Probl
 from biosensor_gateway.page.routes.api import misformed
 from biosensor_gateway.page.server import EXPERIMENTS, HOST, listening_at, served_alongside
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.settings.web_markers import WebMarkerSettings
+from biosensor_gateway.settings.models import WebMarkerSettings
 from biosensor_gateway.streaming.markers import TimedBy, Timing
 
 LOOK_S = 1.0

@@ -24,7 +24,7 @@ from biosensor_gateway.recording.participants import (
     participant_of,
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.system.new_place import new_place
+from biosensor_gateway.system.new_file import new_place
 
 Watch = Callable[[str, float], Progress]
 """Takes a format and the seconds that it has before it; returns who is told how far it is."""

@@ -13,9 +13,8 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.absences import Absence, absences, names
-from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.state import is_sending
-from biosensor_gateway.agent.status import DeclaredStream
+from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn, compare
 from biosensor_gateway.recording.recorder.request import (

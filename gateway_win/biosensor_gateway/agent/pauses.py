@@ -17,7 +17,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control_server import Command
-from biosensor_gateway.agent.pauses.selection import chosen, device_name
+from biosensor_gateway.agent.selection import chosen, device_name
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 

@@ -1,1 +1,0 @@
-"""Pauses: a participant who withdraws sends nothing until the device is resumed."""
