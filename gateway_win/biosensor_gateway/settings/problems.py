@@ -201,7 +201,7 @@ def report(path: Path, lines: Mapping[KeyPath, int], problems: Sequence[Problem]
     path
         The settings file.
     lines
-        Where its keys are, from :func:`biosensor_gateway.settings.toml_lines.key_lines`.
+        Where its keys are, from `key_lines`.
     problems
         At least one.
     """
