@@ -161,11 +161,13 @@ class Immediate:
         return future
 
 
-def features(patch: pytest.MonkeyPatch, unit: str, stamps: Sequence[float], value: float) -> Shown:
-    """Have features computed of an ECG of another program; they tell the agent's log."""
-    info = pylsl.StreamInfo("strap", "ECG", 1, 130.0, "float32", "strap")
+def features(
+    patch: pytest.MonkeyPatch, kind: str, unit: str, stamps: Sequence[float], value: float
+) -> Shown:
+    """Have features computed of a signal of another program; they tell the agent's log."""
+    info = pylsl.StreamInfo("strap", kind, 1, 130.0, "float32", "strap")
     channel = info.desc().append_child("channels").append_child("channel")
-    channel.append_child_value("label", "ECG")
+    channel.append_child_value("label", kind)
     channel.append_child_value("unit", unit)
     chunks = [([[value]] * len(stamps), list(stamps))]
     inlet = fake(
@@ -188,17 +190,17 @@ def features(patch: pytest.MonkeyPatch, unit: str, stamps: Sequence[float], valu
 
 @provokes(Refusal.NO_FEATURES)
 def no_features(patch: pytest.MonkeyPatch) -> Shown:
-    return features(patch, "", [], 0.0)
+    return features(patch, "GSR", "", [], 0.0)
 
 
 @provokes(Refusal.STAMPS_LEFT_OUT)
 def stamps_left_out(patch: pytest.MonkeyPatch) -> Shown:
-    return features(patch, "microvolts", [NOW_S, NOW_S - 5.0, NOW_S + 0.1, NOW_S + 0.2], 1.0)
+    return features(patch, "ECG", "microvolts", [NOW_S, NOW_S - 5.0, NOW_S + 0.1, NOW_S + 0.2], 1.0)
 
 
 @provokes(Refusal.NO_FINITE_VALUE)
 def no_finite_value(patch: pytest.MonkeyPatch) -> Shown:
-    return features(patch, "microvolts", [NOW_S, NOW_S + 0.01, NOW_S + 0.02], math.inf)
+    return features(patch, "ECG", "microvolts", [NOW_S, NOW_S + 0.01, NOW_S + 0.02], math.inf)
 
 
 def problems(listing: Listing) -> Shown:

@@ -56,10 +56,12 @@ def log_errors(method: Callable[_Given, None]) -> Callable[_Given, None]:
         nonlocal is_told
         try:
             method(*given, **named)
+        # nothing is dropped: of sensors; what the agent wanted to tell of itself is in the log
         except Exception as error:  # noqa: BLE001 - whatever it is, samples flow on
             if not is_told:
                 is_told = True
                 name = method.__name__
+                # nothing is dropped: as above
                 _log.exception("an event is not announced", of=name, error=str(error))
 
     return guarded
