@@ -18,6 +18,7 @@ from tests.docs import (
     catalogue,
     fault_picture,
     findings_table,
+    page_requests,
     sender_table,
     sensor_table,
     untidiness_table,
@@ -92,6 +93,7 @@ PARTS = (
     Part("docs/measurements.md", "untidiness", untidiness_table.untidiness),
     Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
+    Part("docs/page-api.md", "requests", page_requests.requests),
     Part("docs/pictures/faults.svg", "", fault_picture.picture),
     *(
         Part(page, Path(path).name, functools.partial(example, path))
