@@ -82,7 +82,7 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
 ; The list of choices gets the whole width, so that no label is cut off.
 !define MUI_COMPONENTSPAGE_SMALLDESC
 !define MUI_ABORTWARNING
-!define MUI_WELCOMEPAGE_TEXT "${NAME} will be installed for all users of this PC. Nothing is started anew, and no \
+!define MUI_WELCOMEPAGE_TEXT "${NAME} will be installed for all users of this PC. Nothing is started again, and no \
   other program needs to be closed.$\r$\n$\r$\nYour settings and recordings stay as they are.$\r$\n$\r$\n$_CLICK"
 !define MUI_DIRECTORYPAGE_TEXT_TOP "Below Program Files only administrators can change it. Anywhere else others of this \
   PC may replace it, so there its command is not put into PATH.$\r$\n$\r$\n$_CLICK"

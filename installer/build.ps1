@@ -5,7 +5,7 @@ Builds the Windows installer of the capture agent, on 64-bit Windows.
 .DESCRIPTION
 The stages are those of the build under Wine (installer/wine/recipe.py), each in a folder of
 its own below build\installer-windows. The Python and the packages are kept as long as they
-still fit; everything after them is made anew. In dist there are then the installer, its
+still fit; everything after them is made again. In dist there are then the installer, its
 SHA-256 and the bill of materials.
 
 Runs in Windows PowerShell 5.1 and in PowerShell 7. Ends with exit code 1 and one sentence
@@ -141,7 +141,7 @@ function Find-MakeNsis {
 }
 
 function Invoke-Stage {
-    # Fill a folder anew, unless it holds the fingerprint of what would be put there.
+    # Fill a folder again, unless it holds the fingerprint of what would be put there.
     param([string] $Name, [scriptblock] $Make, [string] $Fingerprint = '')
     $folder = Join-Path $Work $Name
     $stamp = Join-Path $folder '.fingerprint'

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Writes all hashed locks anew; a locked version stays unless it no longer fits.
+# Writes all hashed locks again; a locked version stays unless it no longer fits.
 #   requirements/compile.sh             keep versions where possible
 #   requirements/compile.sh --upgrade   take the newest of everything
 set -eu

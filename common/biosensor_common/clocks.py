@@ -77,7 +77,7 @@ class PacketTimeline:
         return steps
 
     def forget(self) -> None:
-        """Begin anew with the next packet."""
+        """Begin again with the next packet."""
         self.newest = None
 
 
@@ -87,7 +87,7 @@ class SampleTimeline:
     Samples are chained by counting; the stamps only pull the chain slowly, so that
     a sampling clock which drifts against the stamping clock is followed. Where
     chain and stamp disagree by more than 20 ms (half a period, if that is more), a
-    loss was miscounted or the clock was set, and the chain starts anew at the stamp.
+    loss was miscounted or the clock was set, and the chain starts again at the stamp.
 
     Notes
     -----

@@ -138,7 +138,7 @@ class DeviceClock:
         self._observations = 0
 
     def restart(self) -> None:
-        """Forget the offset, as when the device is known to count anew; counted as a re-anchor.
+        """Forget the offset, as when the device is known to count again; counted as a re-anchor.
 
         The crystal is the same, so the drift stays as a first guess. Nothing can be
         mapped before the next observation.

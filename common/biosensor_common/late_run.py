@@ -53,7 +53,7 @@ class LateRun:
         """Take in a packet; one that is not late by more than the limit ends the run.
 
         One that is less late than all before it, by more than the limit, is of a backlog that
-        catches up: patience begins anew with it.
+        catches up: patience begins again with it.
         """
         if late_s <= limit_s:
             self.least = math.inf

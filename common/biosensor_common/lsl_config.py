@@ -115,11 +115,11 @@ def _read(parser: configparser.ConfigParser, path: Path) -> None:
     try:
         parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
     except (OSError, UnicodeDecodeError) as error:
-        message = f"{path}: the LSL configuration cannot be read ({error}); mend or remove it"
+        message = f"{path}: the LSL configuration cannot be read ({error}); fix or remove it"
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     except configparser.Error as error:
         first_line = str(error).splitlines()[0]
-        message = f"{path}: not an LSL configuration ({first_line}); mend or remove it"
+        message = f"{path}: not an LSL configuration ({first_line}); fix or remove it"
         raise ConfigError(ConfigReason.MALFORMED, message) from error
 
 

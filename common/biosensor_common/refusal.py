@@ -120,7 +120,7 @@ class Refusal(Enum):
         "{samples} of an unfinished chunk {are} on the raw topic only",
     )
     UNDELIVERED = _passing("undelivered", "{samples} {were} lost with the connection")
-    READ_FAILED = _passing("read_failed", "reading it failed, it is opened anew ({why})")
+    READ_FAILED = _passing("read_failed", "reading it failed, it is opened again ({why})")
     NOT_JOINED = _passing(
         "not_joined", "{samples} {were} published without {columns}: {stream} did not bring them"
     )

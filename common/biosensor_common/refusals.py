@@ -18,7 +18,7 @@ from biosensor_common.refusal import Refusal
 LATELY_S = 10.0
 """So long after the last time something is shown that does not stand."""
 AGAIN_S = 60.0
-"""After so long the log says anew what goes on."""
+"""After so long the log says again what goes on."""
 _MOST = 1000
 """More are not remembered: whatever the network has called itself."""
 
@@ -64,7 +64,7 @@ class Refusals:
     Parameters
     ----------
     say
-        Called with a sentence for the log, of each thing once, and anew when it was long away.
+        Called with a sentence for the log, of each thing once, and again when it was long away.
     about
         What the sentences for the log are about.
     clock

@@ -26,7 +26,7 @@ _ASK_AGAIN_S = 0.05
 
 
 def console(descriptor: int, name: str) -> Outflow | None:
-    """Open the output behind a descriptor anew; None if there is none, as in a windowed program."""
+    """Open the output behind a descriptor again; None if there is none, as in a window."""
     try:
         # Neither buffer nor lock; on Windows, it writes Unicode to a console.
         output = open(os.dup(descriptor), "wb", buffering=0)  # noqa: PTH123, SIM115 - no path

@@ -113,7 +113,7 @@ async def test_a_late_listener_hears_what_was_heard_just_now(radio: Radio, probe
     assert seen.address == probe.address
 
 
-async def test_a_scan_that_hears_nothing_any_more_is_started_anew(
+async def test_a_scan_that_hears_nothing_any_more_is_started_again(
     radio: Radio, probe: Probe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     starts, start = list[BleakScanner](), BleakScanner.start

@@ -126,7 +126,7 @@ async def test_a_battery_that_notifies_is_not_polled(strap: SimulatedHeartRateSt
     assert run.sink.values("bat") == [87, 4]
 
 
-async def test_a_silent_strap_is_connected_anew(
+async def test_a_silent_strap_is_connected_again(
     strap: SimulatedHeartRateStrap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert HeartRateStrapDriver.silence_limit_s == 15.0

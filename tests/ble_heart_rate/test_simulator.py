@@ -158,7 +158,7 @@ async def test_what_a_stall_swallows_is_counted(strap: SimulatedHeartRateStrap) 
     assert strap.truth.unsent_count("ibi") >= 3
 
 
-async def test_a_restart_ends_the_link_and_begins_anew(strap: SimulatedHeartRateStrap) -> None:
+async def test_a_restart_ends_the_link_and_begins_again(strap: SimulatedHeartRateStrap) -> None:
     async with connection(NAME) as host:
         await host.subscribe(MEASUREMENT)
         await until(lambda: "ibi" in strap.truth.data_names)

@@ -91,11 +91,11 @@ def test_who_asks_too_early_waits_for_the_time_of_then() -> None:
 def test_a_question_that_was_not_asked_then_is_counted() -> None:
     other = AT.replace("aaaa", "bbbb")
 
-    async def anew(deck: Deck) -> None:
+    async def restarted(deck: Deck) -> None:
         assert await deck.ask(What.READ, other) is None
         await as_then(deck)
 
-    heard, deck = played(anew)
+    heard, deck = played(restarted)
     assert deck.unknown == {("read", other): 1}
     assert len(heard) == 4
 

@@ -75,7 +75,7 @@ def test_to_look_at_a_packet_changes_nothing() -> None:
     assert timeline.newest == 200
 
 
-def test_a_timeline_that_forgets_begins_anew() -> None:
+def test_a_timeline_that_forgets_begins_again() -> None:
     timeline = timeline_at(200)
     timeline.place(10)
     timeline.forget()
@@ -113,7 +113,7 @@ def test_lost_samples_keep_their_place() -> None:
 
 
 @pytest.mark.parametrize("jump", [-5.0, -0.03, 0.03, ECG_PACKET_S, 3600.0])
-def test_a_stamp_far_from_the_chain_starts_it_anew(jump: float) -> None:
+def test_a_stamp_far_from_the_chain_starts_it_again(jump: float) -> None:
     timeline = SampleTimeline(ECG_PERIOD_S)
     timeline.place(10.0, ECG_SAMPLES)
     stamp = 10.0 + ECG_PACKET_S + jump

@@ -68,7 +68,7 @@ async def told_the_truth(device: VirtualDevice) -> AsyncGenerator[Run]:
     async with streaming(device) as run:
         await until(run.sink.has(COUNT, *measured(device)[:1]))
         yield run
-    # A recording knows no truth, and its clock begins anew with it.
+    # A recording knows no truth, and its clock begins again with it.
     for name in measured(device) if device.truth.data_names else ():
         assert np.all(np.diff(run.sink.times[name]) > 0), name
         places(device, run, name)

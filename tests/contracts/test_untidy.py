@@ -24,7 +24,7 @@ STAMP_LIMIT_S = 0.06
 LONG_BUNDLES_S = (5.5, 8.0)
 BUNDLES_LONG = [each for each in NAMES if class_of(each).expected.bundles_s >= max(LONG_BUNDLES_S)]
 LONG_LIMIT_S = 0.2
-"""Data are missed meanwhile, and asked for again; from 10 s on the connection is made anew."""
+"""Data are missed meanwhile, and asked for again; from 10 s on the connection is made again."""
 RATES_HZ = (100.0, 50.0)
 """One of them is another than in the settings."""
 HARMLESS = (Untidiness.APART, Untidiness.OVERTAKEN, Untidiness.GLUED, Untidiness.BUNDLED)

@@ -30,9 +30,9 @@ def test_fragments_have_right_names() -> None:
 
 
 def test_a_wrong_name_is_found(tmp_path: Path) -> None:
-    for name in ("README.md", "good-one.fixed.md", "good.md", "Good.fixed.md", "good.mended.md"):
+    for name in ("README.md", "good-one.fixed.md", "good.md", "Good.fixed.md", "good.repaired.md"):
         (tmp_path / name).touch()
-    assert wrongly_named(tmp_path) == ["Good.fixed.md", "good.md", "good.mended.md"]
+    assert wrongly_named(tmp_path) == ["Good.fixed.md", "good.md", "good.repaired.md"]
 
 
 def test_fragments_are_a_few_sentences_and_no_list() -> None:

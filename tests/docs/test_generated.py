@@ -23,7 +23,7 @@ def test_everything_that_is_generated_is_up_to_date() -> None:
     assert not stale, f"run: make docs ({stale})"
 
 
-def test_a_table_that_was_edited_is_found_and_mended(tmp_path: Path) -> None:
+def test_a_table_that_was_edited_is_found_and_fixed(tmp_path: Path) -> None:
     for part in PARTS:
         (tmp_path / part.document).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / part.document, tmp_path / part.document)

@@ -108,16 +108,16 @@ def test_errors_and_warnings_are_counted_and_shown_with_why_and_fix(
 def test_warnings_fail_only_where_they_are_included(
     api: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    have(monkeypatch, made("dds", giving(warning("it may break", "it matters", "mend it"))))
+    have(monkeypatch, made("dds", giving(warning("it may break", "it matters", "fix it"))))
     outcome, shown = said(api)
     assert outcome == (set(), 0, 1)
-    assert shown == ["dds: it may break\n    why: it matters\n    fix: mend it"]
+    assert shown == ["dds: it may break\n    why: it matters\n    fix: fix it"]
     assert said(api, include_warnings=True)[0] == ({"biosensors"}, 1, 1)
 
 
 @pytest.mark.nightly
 def test_a_check_that_fails_stops_no_other(api: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = error("broken", "it matters", "mend it")
+    bad = error("broken", "it matters", "fix it")
     gone = "biosensor_common.doctor.no_such_module"
     have(
         monkeypatch,

@@ -104,7 +104,7 @@ def test_a_check_that_hangs_is_a_finding_behind_what_it_found() -> None:
     release = threading.Event()
 
     def hangs(_: Context) -> Iterator[Finding]:
-        yield error("found before", "it matters", "mend it")
+        yield error("found before", "it matters", "fix it")
         release.wait()
 
     begun = time.monotonic()

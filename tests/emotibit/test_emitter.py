@@ -63,7 +63,7 @@ def test_times_and_numbers_turn_over(sender: Sender) -> None:
     np.testing.assert_allclose(np.diff(sender.sink.times["acc"]), 0.04, atol=2e-3)
 
 
-def test_a_device_that_was_restarted_counts_anew_and_nothing_is_lost_for_it(
+def test_a_device_that_was_restarted_counts_again_and_nothing_is_lost_for_it(
     sender: Sender,
 ) -> None:
     for count in range(100):

@@ -160,7 +160,7 @@ def test_the_first_temperatures_are_not_lost_while_thermometers_are_looked_for()
 
 @pytest.mark.parametrize("offset_s", [0.02, 0.045, 0.06])
 def test_behind_a_break_the_samples_are_where_they_were_read(offset_s: float) -> None:
-    """A device may measure anew behind it, between the times that it measured at before."""
+    """A device may measure again behind it, between the times that it measured at before."""
     sink = EmitterSink("emotibit")
     emitter = EmotiBitEmitter(sink, 25)
     made = list(rounds(seconds=30))

@@ -130,7 +130,7 @@ async def test_eeg_lies_on_its_offset_in_steps_of_the_converter(world: World) ->
 
 
 @pytest.mark.parametrize(("model", "rate"), [(INSIGHT_1, 64), (INSIGHT_1_GYRO, 128)])
-async def test_counters_begin_anew_each_second_and_times_are_even(
+async def test_counters_begin_again_each_second_and_times_are_even(
     world: World, model: Model, rate: int
 ) -> None:
     with SteeredCortex(world, model=model) as cortex:

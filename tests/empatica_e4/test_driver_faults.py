@@ -62,7 +62,7 @@ async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
 
 
 @pytest.mark.parametrize("automatic", [True, False])
-async def test_a_radio_link_that_stays_lost_is_connected_anew(
+async def test_a_radio_link_that_stays_lost_is_connected_again(
     world: World, running: Running, automatic: bool
 ) -> None:
     with SteeredE4(world, automatic=automatic) as server:
@@ -145,7 +145,7 @@ async def test_a_server_that_answers_without_data_is_left_too(
             await run.until_more()
             # Another program ends the radio link, of which nobody is told.
             await asyncio.to_thread(end_radio_link, line_client, server)
-            await run.until(lambda: "no data of" in run.error and "connecting anew" in run.error)
+            await run.until(lambda: "no data of" in run.error and "connecting again" in run.error)
             await run.until(run.has_reconnected)
             await run.until_more()
 
@@ -183,7 +183,7 @@ async def test_lines_that_come_twice_glued_or_in_pieces(world: World, running: R
             run.assert_all_arrived(server.truth, "bvp", "acc")
 
 
-async def test_a_connection_that_ends_within_a_line_is_begun_anew(
+async def test_a_connection_that_ends_within_a_line_is_begun_again(
     world: World, running: Running
 ) -> None:
     with SteeredE4(world) as server:
@@ -225,7 +225,7 @@ async def test_answers_that_come_too_late_answer_nothing_else(
             await run.until_more()
 
 
-async def test_an_answer_that_never_comes_begins_anew(world: World, running: Running) -> None:
+async def test_an_answer_that_never_comes_begins_again(world: World, running: Running) -> None:
     with SteeredE4(world) as server:
         server.withhold_reply("device_subscribe")
         async with running(server.settings) as run:

@@ -146,7 +146,7 @@ def test_without_loss_quality_says_so_every_window(bench: LinkedEmitter) -> None
     assert bench.sink.restarts == [0]
 
 
-def test_radio_loss_is_counted_for_every_stream_and_starts_the_clock_anew(
+def test_radio_loss_is_counted_for_every_stream_and_starts_the_clock_again(
     bench: LinkedEmitter,
 ) -> None:
     bench.stream_bvp(0, 15)

@@ -73,7 +73,7 @@ def test_a_lost_radio_link_is_told_and_comes_back_with_a_new_reference(
         assert len(server.truth.samples("bvp").times) >= len(client.data)
 
 
-def test_without_automatic_connections_a_client_connects_anew(
+def test_without_automatic_connections_a_client_connects_again(
     world: World, line_client: Any
 ) -> None:
     with (

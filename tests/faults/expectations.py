@@ -45,7 +45,7 @@ CELLS = tuple(
 BREAKS = frozenset(
     {FaultKind.DROP, FaultKind.STALL, FaultKind.REFUSE, FaultKind.LATE, FaultKind.RESTART}
 )
-"""The connection ends with these, and has to be made anew."""
+"""The connection ends with these, and has to be made again."""
 MAY_BREAK = BREAKS | {AgentFault.ASLEEP, FaultKind.UNREADABLE}
 """The connection may end with these."""
 AT_ONCE = frozenset({FaultKind.GARBAGE, FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.FORGET})
@@ -65,7 +65,7 @@ VALUES = MappingProxyType(
 
 
 STARTS_OF_UNREADABLE = 4
-"""What nobody can read is enabled again and connected anew, in turns, as long as that lasts."""
+"""What nobody can read is enabled again and connected again, in turns, as long as that lasts."""
 BATTERY_TOLERANCE = 1.0
 """Of a percentage: some compute it from a coarse voltage."""
 

@@ -75,7 +75,7 @@ def unread(places: Places) -> int:
 
 def _steps(places: Places, truth: Samples) -> NDArray[np.int64]:
     """How many periods each sample is behind the one before."""
-    # Where measuring began anew, a gap is no whole number of periods.
+    # Where measuring began again, a gap is no whole number of periods.
     return np.round(np.diff(truth.times[places]) / _period_s(truth)).astype(np.int64)
 
 

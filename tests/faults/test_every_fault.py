@@ -1,6 +1,6 @@
 """Each fault, for each sensor that it can hit: noticed, said, recovered from, counted.
 
-All devices have a fault at the same time, and the agent is never started anew. The
+All devices have a fault at the same time, and the agent is never started again. The
 report ends with a table: sensor x fault x time to recover.
 """
 
@@ -150,6 +150,6 @@ def test_stamps_follow_a_crystal_that_drifts(bench: FaultBench, name: str) -> No
         assert np.abs(errors_s).max() <= STAMP_LIMIT_S, data_name
 
 
-def test_the_agent_was_never_started_anew(bench: FaultBench) -> None:
+def test_the_agent_was_never_started_again(bench: FaultBench) -> None:
     assert bench.agent.is_running
     assert "the driver failed" not in bench.agent.console()

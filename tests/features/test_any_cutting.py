@@ -86,7 +86,7 @@ def test_a_gap_or_a_missing_value_ends_a_window_and_is_not_bridged() -> None:
     times = signals.stamps_of(events, "beats")
     intervals = signals.values_of(events, "beats")[:, 0]
     assert np.flatnonzero(np.isnan(intervals)).tolist() == [0, int(np.sum(times < 30))]
-    # The window of 30 s had begun anew, so there is none to the end.
+    # The window of 30 s had begun again, so there is none to the end.
     hrv = signals.stamps_of(events, "hrv_live")
     assert not ((hrv > 30.1) & (hrv < 60)).any()
     assert np.sum(beats < 60) - len(times) <= 4

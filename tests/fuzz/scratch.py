@@ -18,7 +18,7 @@ def folder() -> Path:
 
 
 def written(name: str, data: bytes) -> Path:
-    """Write the file anew, and return where it is."""
+    """Write the file again, and return where it is."""
     path = folder() / name
     path.write_bytes(data)
     return path

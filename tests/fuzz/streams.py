@@ -1,4 +1,4 @@
-"""How a stream of bytes is cut into pieces, and put together anew."""
+"""How a stream of bytes is cut into pieces, and put together again."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def test_the_quickest_exchange_counts() -> None:
 
 
 @pytest.mark.parametrize("by_s", [TWO_HOURS_S, -TWO_HOURS_S, 0.05, -0.05])
-def test_a_clock_that_was_set_is_noticed_and_measured_anew(by_s: float) -> None:
+def test_a_clock_that_was_set_is_noticed_and_measured_again(by_s: float) -> None:
     browser, clock = Browser(3.0, step_s=1e-4), BrowserClock(1e-4)
     for count in range(20):
         assert clock.note(browser.asked(2.0 * count, 0.001, 0.002))

@@ -23,7 +23,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="sessions and zombies
 
 
 @pytest.mark.parametrize("first_s", [0.0, 0.5])
-def test_a_delay_doubles_up_to_a_limit_and_begins_anew_after_a_long_life(first_s: float) -> None:
+def test_a_delay_doubles_up_to_a_limit_and_begins_again_after_a_long_life(first_s: float) -> None:
     backoff = Backoff(first_s)
     delays = [backoff.next_s(lived_s=0.1) for _ in range(8)]
     assert delays == [first_s, 1, 2, 4, 8, 16, LONGEST_DELAY_S, LONGEST_DELAY_S]

@@ -89,7 +89,7 @@ def test_closing_ends_it_without_a_grace_period_and_it_can_be_held_again() -> No
     assert system.calls == ["begin", "end", "begin"]
 
 
-def test_after_a_long_sleep_it_is_asked_for_anew() -> None:
+def test_after_a_long_sleep_it_is_asked_for_again() -> None:
     clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     awake.hold(True)

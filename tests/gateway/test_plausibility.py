@@ -130,7 +130,7 @@ def test_whole_numbers_that_cannot_be_are_left_out() -> None:
     sent.sink.close()
 
 
-@pytest.mark.parametrize("step", [1, 400_000], ids=["backwards", "anew"])
+@pytest.mark.parametrize("step", [1, 400_000], ids=["backwards", "again"])
 def test_a_wheel_whose_count_steps_back_has_no_speed(step: int) -> None:
     sent = _Sent("bluetooth_health")
     emitter = HealthEmitter(sent.sink, 2.105)

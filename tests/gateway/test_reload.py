@@ -139,7 +139,7 @@ def test_what_is_the_same_streams_on_without_a_gap(
         assert answer.out.splitlines() == [
             f"zephyr/{new.unit} was added",
             f"zephyr/{gone.unit} was removed",
-            f"zephyr/{renamed.unit} was started anew: its entry was changed",
+            f"zephyr/{renamed.unit} was started again: its entry was changed",
         ]
         until(lambda: are_streaming(tmp_path, [renamed.unit, new.unit]))
         assert list(devices(tmp_path)) == [each.unit for each in (renamed, *same, new)]

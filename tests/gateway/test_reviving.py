@@ -218,7 +218,7 @@ async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
     assert any(entry["event"] == reason for entry in logs)
     assert [each["remedy"] for each in announced] == [
         "enabling again",
-        "connecting anew",
+        "connecting again",
         "enabling again",
         "none",
     ]
@@ -228,7 +228,7 @@ async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
     assert announced[-1]["event"] == "streams_back"
 
 
-async def test_a_driver_without_the_hook_is_connected_anew(
+async def test_a_driver_without_the_hook_is_connected_again(
     start: Start, eventually: Eventually
 ) -> None:
     bench = await start(Sender)
@@ -250,7 +250,7 @@ async def test_the_reason_outlives_connections_that_bring_nothing(
         await asyncio.sleep(LIMIT_S / 20)
 
 
-async def test_a_device_that_refuses_to_be_enabled_is_connected_anew(
+async def test_a_device_that_refuses_to_be_enabled_is_connected_again(
     start: Start, eventually: Eventually
 ) -> None:
     bench = await start(Reviver)
@@ -310,7 +310,7 @@ async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(
     bench.sink.dropped_bytes += 812
     await eventually(lambda: "(812 bytes came that cannot be read); enabling" in bench.reason)
     bench.unreadable = 7
-    await eventually(lambda: "connecting anew; look for an update of its soft" in bench.reason)
+    await eventually(lambda: "connecting again; look for an update of its soft" in bench.reason)
     # It has been enabled with everything else, and is not streaming because of that.
     await eventually(lambda: bench.supervisor.connections > 2)
     assert bench.states.count(State.STREAMING) == 1

@@ -64,7 +64,7 @@ def test_streams_that_come_are_left_alone() -> None:
     assert not bench.watch.absent
 
 
-def test_silent_streams_are_enabled_again_then_the_connection_is_made_anew() -> None:
+def test_silent_streams_are_enabled_again_then_the_connection_is_made_again() -> None:
     bench = SteeredWatch("ecg", "acc")
     bench.run(10, "ecg", "acc")
     assert bench.run(LIMIT_S - TICK_S) == []
@@ -94,7 +94,7 @@ def test_each_stream_is_judged_by_itself() -> None:
     assert bench.watch.take_came_back() == {"ecg"}
     assert not bench.watch.absent
     assert not bench.watch.is_waiting
-    # And again: what came back counts anew.
+    # And again: what came back counts again.
     assert remedies(bench.run(LIMIT_S, "acc")) == [(Remedy.ENABLE, {"ecg"})]
 
 
@@ -189,7 +189,7 @@ def test_a_pause_gives_every_stream_its_time_again() -> None:
     bench = SteeredWatch("ecg")
     for _ in range(20):
         bench.run(LIMIT_S - TICK_S)
-        bench.watch.wait_anew()
+        bench.watch.wait_again()
     assert remedies(bench.run(LIMIT_S)) == [(Remedy.ENABLE, {"ecg"})]
 
 

@@ -201,7 +201,7 @@ async def test_what_refuses_is_left_alone_for_a_while(
     ],
     ids=lambda value: str(value) or "cancelled",
 )
-async def test_a_connection_that_ends_is_made_anew(
+async def test_a_connection_that_ends_is_made_again(
     start: Start, eventually: Eventually, error: BaseException, then: State
 ) -> None:
     rig = start(ScriptedDriver(stream=failing(error)))

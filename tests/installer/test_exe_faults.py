@@ -1,6 +1,6 @@
 """The installed program outlives restarts of a server, pulled ports and silent devices.
 
-All devices have a fault at the same time, and the program is never started anew. Limits
+All devices have a fault at the same time, and the program is never started again. Limits
 are those of the fault matrix on Linux.
 """
 

@@ -19,7 +19,7 @@ SETTINGS = b'[log]\nlevel = "info"\n'
 SESSION_MANAGER = r"hklm\system\currentcontrolset\control\session manager"
 # What Wine changes by itself, in every run.
 OF_WINE = re.compile(
-    # Its virtual graphics card and monitor are put in anew at each start, with the date.
+    # Its virtual graphics card and monitor are put in again at each start, with the date.
     r"hklm\\system\\currentcontrolset\\(control\\class|control\\deviceclasses|enum)\\"
     # As Windows does at the next start, it is to delete the uninstaller's copy of itself,
     # which NSIS puts on this list.

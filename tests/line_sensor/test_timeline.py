@@ -1,4 +1,4 @@
-"""Counts and times that turn over, begin anew, overtake each other and are lost."""
+"""Counts and times that turn over, begin again, overtake each other and are lost."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ async def test_firmware_without_the_protocol_is_said(
 
 
 @ON_BUMBLE
-async def test_a_sensor_that_was_restarted_counts_anew_and_nothing_is_lost_for_it(
+async def test_a_sensor_that_was_restarted_counts_again_and_nothing_is_lost_for_it(
     sensor: MakeSensor,
 ) -> None:
     movesense = sensor()
@@ -214,7 +214,7 @@ async def test_a_sensor_that_was_restarted_counts_anew_and_nothing_is_lost_for_i
             await until(lambda: run.supervisor.connections == 2)
             await run.goes_on(200, "ecg")
             assert run.sink.lost_count("ecg") <= 16
-    assert "the device was switched off and counts anew" in {entry["event"] for entry in logs}
+    assert "the device was switched off and counts again" in {entry["event"] for entry in logs}
     assert np.all(np.diff(run.sink.times["ecg"]) > 0)
 
 

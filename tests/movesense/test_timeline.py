@@ -67,10 +67,10 @@ def test_stamps_that_step_back_are_followed() -> None:
     assert series.place(10.08, 16).times_s[0] == pytest.approx(10.08)
 
 
-def test_a_series_that_is_made_anew_knows_nothing() -> None:
+def test_a_series_that_is_made_again_knows_nothing() -> None:
     series = PacketSeries(200)
     series.place(1000.0, 16)
-    assert series.anew().place(2000.0, 16).lost == 0
+    assert series.restarted().place(2000.0, 16).lost == 0
 
 
 def test_stamps_roll_over_after_seven_weeks() -> None:

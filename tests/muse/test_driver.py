@@ -219,7 +219,7 @@ async def test_what_a_gap_cost_is_counted_when_the_headband_stayed_on(headband: 
 
 @ATHENA
 @ON_BUMBLE
-async def test_an_athena_that_was_restarted_counts_anew_and_nothing_is_lost_for_it(
+async def test_an_athena_that_was_restarted_counts_again_and_nothing_is_lost_for_it(
     headband: Make,
 ) -> None:
     device = headband()
@@ -230,7 +230,7 @@ async def test_an_athena_that_was_restarted_counts_anew_and_nothing_is_lost_for_
             await until(lambda: run.supervisor.connections == 2)
             await run.goes_on(200, "eeg")
             assert run.sink.lost_count("eeg") == 0
-    assert "the device was switched off and counts anew" in {entry["event"] for entry in logs}
+    assert "the device was switched off and counts again" in {entry["event"] for entry in logs}
     assert np.all(np.diff(run.sink.times["eeg"]) > 0)
 
 

@@ -87,7 +87,7 @@ def test_lost_packets_are_counted_over_a_turn_of_numbers(
         series.place((first + at) % modulus, 5 + at * 4 / 256)
     at = 20 + missing
     place = series.place((first + at) % modulus, 5 + at * 4 / 256 + 0.03)
-    assert (place.lost, place.first, place.is_anew) == (4 * missing, 4 * at, False)
+    assert (place.lost, place.first, place.is_again) == (4 * missing, 4 * at, False)
 
 
 def test_what_waited_is_not_lost() -> None:
@@ -98,19 +98,19 @@ def test_what_waited_is_not_lost() -> None:
 
 
 @pytest.mark.parametrize("says_so", [True, False])
-def test_a_device_that_counts_anew_is_placed_by_time(says_so: bool) -> None:
+def test_a_device_that_counts_again_is_placed_by_time(says_so: bool) -> None:
     series = PacketSeries(1 << 16, 12, 256.0)
     for number in range(1000, 1100):
         series.place(number, 100 + number * 12 / 256)
     if says_so:
         series.restart()
     place = series.place(0, 100 + 1099 * 12 / 256 + 5.0)
-    assert place.is_anew
+    assert place.is_again
     assert place.lost == 5 * 256 - 12
     assert series.place(1, 200 + 1099 * 12 / 256).first == place.first + 12
 
 
-def test_a_clock_that_began_anew_tells_of_no_loss() -> None:
+def test_a_clock_that_began_again_tells_of_no_loss() -> None:
     series = PacketSeries(1 << 8, 4, 256.0)
     series.place(9, 1000.0)
     series.forget()

@@ -50,7 +50,7 @@ def test_this_computer_is_examined_and_the_command_finds_the_same(
         for each in panel.locator(".findings").first.locator(".state").all_inner_texts()
     ]
     assert levels == sorted(levels, key=["error", "warning", "note"].index)
-    assert "what mends each" in panel.get_by_role("status").inner_text()
+    assert "what fixes each" in panel.get_by_role("status").inner_text()
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)

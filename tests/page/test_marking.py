@@ -100,7 +100,7 @@ def test_those_of_the_participant_before_stand_apart_and_none_is_forgotten(
     mark("behind it")
     assert shown(session)[1:] == [("of P02", False, True), ("behind it", False, True)]
 
-    # Another agent counts anew, and can undo none of them.
+    # Another agent counts again, and can undo none of them.
     agent.start()
     mark("of another")
     names = ["of P01", "of P02", "behind it", "of another"]

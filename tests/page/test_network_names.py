@@ -44,7 +44,7 @@ def test_each_has_its_number_whichever_was_found_first() -> None:
     assert Page().look(SECOND) == {"2": one}
 
 
-def test_one_that_starts_anew_keeps_it() -> None:
+def test_one_that_starts_again_keeps_it() -> None:
     page = Page()
     page.look(FIRST, SECOND)
     page.look(FIRST)

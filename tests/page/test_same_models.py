@@ -14,7 +14,7 @@ from tests.page.conftest import DEADLINE_S, Server
 pytestmark = pytest.mark.nightly
 
 Entries = dict[str, Any]
-# Counted, or measured anew each second; all else stays the same while all is well.
+# Counted, or measured again each second; all else stays the same while all is well.
 CHANGING = {
     *("written", "lsl_time"),
     *("offset_s", "drift_ppm", "residual_rms_s", "observations", "newest_s"),

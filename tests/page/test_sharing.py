@@ -198,7 +198,7 @@ def test_its_certificate_is_the_one_that_is_shown_and_stays(shared: SharedServer
         context.wrap_socket(connection, server_hostname=shared.host).close()
 
 
-def test_a_certificate_is_made_anew_where_it_does_not_serve(tmp_path: Path) -> None:
+def test_a_certificate_is_made_again_where_it_does_not_serve(tmp_path: Path) -> None:
     first = own_certificate(tmp_path, ["192.0.2.7", "lab-pc"])
     assert own_certificate(tmp_path, ["192.0.2.7"]) == first
     assert own_certificate(tmp_path, ["192.0.2.8"]) != first

@@ -97,7 +97,7 @@ def test_a_marker_says_when_it_happened_though_the_page_was_busy_and_its_clock_i
         assert answer == {key: sent[key] for key in ("id", "lsl_time", "timed_by", "uncertainty_s")}
 
 
-def test_a_clock_that_is_set_meanwhile_is_measured_anew(
+def test_a_clock_that_is_set_meanwhile_is_measured_again(
     lab: WebLab, reader: MarkerReader, window: OpenWindow
 ) -> None:
     page = window()

@@ -308,7 +308,7 @@ def test_settings_hold_at_once(lab: WebLab) -> None:
     with opened(lab) as page:
         greet(lab, page)
         lab.allow(FOREIGN)
-        # Whoever was let in by the settings before is let in anew, or not.
+        # Whoever was let in by the settings before is let in again, or not.
         assert closing(page)[0] == 1012
     until(lambda: lab.listens() and lab.request("POST", {"marker": "x"}).code == 403)
     lab.allow()

@@ -174,7 +174,7 @@ def _corrupted(signal: Array, rate: float, motion_hz: float) -> dict[str, Array]
         "motion, -6 dB": signal + 2 * motion,
         # One in each window, at another place.
         "pops": signal + 10 * spread * np.exp(-(seconds % 9.5) / 0.3),
-        # In each window anew, for the pulse is not equally strong in all.
+        # In each window again, for the pulse is not equally strong in all.
         "clipped": np.clip(
             windows, *np.percentile(windows, [2, 98], axis=1, keepdims=True)
         ).ravel(),

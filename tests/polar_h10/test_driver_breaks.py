@@ -47,7 +47,7 @@ async def test_a_lost_link_is_a_gap_of_known_length(sensor: MakeSensor) -> None:
         assert lost[name] == pytest.approx((np.diff(stamps) - 1 / rate).max() * rate, abs=6)
 
 
-async def test_a_device_that_restarts_counts_anew_and_loses_nothing_meanwhile(
+async def test_a_device_that_restarts_counts_again_and_loses_nothing_meanwhile(
     sensor: MakeSensor,
 ) -> None:
     h10 = sensor()
@@ -58,7 +58,7 @@ async def test_a_device_that_restarts_counts_anew_and_loses_nothing_meanwhile(
     assert lost == 0
 
 
-async def test_measurements_that_went_on_are_started_anew(sensor: MakeSensor) -> None:
+async def test_measurements_that_went_on_are_started_again(sensor: MakeSensor) -> None:
     h10 = sensor(Quirks(keeps_streaming=True, announces_stops=True))
     async with streaming(h10) as run:
         await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
@@ -85,7 +85,7 @@ async def test_a_measurement_that_stops_is_started_again(
     assert lost > 100
 
 
-async def test_a_silent_device_is_connected_anew(
+async def test_a_silent_device_is_connected_again(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert PolarDriver.silence_limit_s == 15.0

@@ -100,7 +100,7 @@ def test_a_reconnection_is_a_gap_of_known_length(emitter: PolarEmitter, sink: Em
 
 
 @pytest.mark.parametrize("off_s", [0.5, 3.0, 3600.0])
-def test_a_device_that_was_off_counts_anew(
+def test_a_device_that_was_off_counts_again(
     emitter: PolarEmitter, sink: EmitterSink, off_s: float
 ) -> None:
     for number in range(4):

@@ -65,7 +65,7 @@ def test_two_offsets_say_nothing_of_drift() -> None:
 
 
 @pytest.mark.parametrize("before_offset", [True, False])
-def test_a_computer_that_was_started_anew_has_a_line_of_its_own(before_offset: bool) -> None:
+def test_a_computer_that_was_started_again_has_a_line_of_its_own(before_offset: bool) -> None:
     none = np.zeros(10)
     first = _offsets(5000.0, 10, 2.0, 0.0, none)
     second = _offsets(20.0, 10, 5100.0, 0.0, none)

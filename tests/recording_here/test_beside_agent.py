@@ -76,7 +76,7 @@ def test_who_streams_and_came_too_late_is_red(running: Running) -> None:
     devices = [device("one-id", paused=True), device("two-id"), device("late")]
     found = running.findings(devices)
     assert found[0][:2] == (Level.ERROR, "left-out")
-    assert "stop it and record anew" in found[0][2]
+    assert "stop it and record again" in found[0][2]
 
 
 def test_without_their_agent_nothing_is_green(running: Running, tmp_path: Path) -> None:

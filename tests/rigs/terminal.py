@@ -23,7 +23,7 @@ _POLL_S = 0.02
 
 
 class Screen:
-    """Interprets what is written to a terminal; it breaks lines, and does not mend them.
+    """Interprets what is written to a terminal; it breaks lines, and does not fix them.
 
     Attributes
     ----------

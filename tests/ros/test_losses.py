@@ -163,7 +163,7 @@ def test_a_report_is_compared_however_many_samples_come_at_once(counts: list[int
     assert link.comparison.losses == Losses(device=0, transport=len(counts))
 
 
-def anew(link: Link, undelivered: int = 0) -> Link:
+def restarted(link: Link, undelivered: int = 0) -> Link:
     """Let the stream come from an outlet that counts from zero."""
     link.comparison.restarted(undelivered)
     again = Link(0)
@@ -171,13 +171,13 @@ def anew(link: Link, undelivered: int = 0) -> Link:
     return again
 
 
-def test_what_was_lost_before_an_agent_started_anew_stays_counted() -> None:
+def test_what_was_lost_before_an_agent_started_again_stays_counted() -> None:
     link = Link(0)
     link.settle()
     link.push([False, True])
     link.report(lost=4)
     link.settle()
-    again = anew(link)
+    again = restarted(link)
     assert again.comparison.losses == Losses(device=4, transport=1)
     again.settle()
     assert again.comparison.losses == Losses(device=4, transport=1)
@@ -190,7 +190,7 @@ def test_what_was_lost_before_an_agent_started_anew_stays_counted() -> None:
 def test_what_lsl_dropped_when_an_outlet_ended_is_lost_on_the_way() -> None:
     link = Link(0)
     link.settle()
-    again = anew(link, undelivered=5)
+    again = restarted(link, undelivered=5)
     assert again.comparison.losses == Losses(device=0, transport=5)
     again.settle()
     assert again.comparison.losses == Losses(device=0, transport=5)
@@ -202,7 +202,7 @@ def test_a_report_of_the_outlet_before_is_not_compared_with_the_new_one() -> Non
     link.push([False])
     link.report()
     link.deliver_all()
-    again = anew(link)
+    again = restarted(link)
     again.settle()
     assert again.comparison.losses == Losses(device=0, transport=0)
 
@@ -219,8 +219,8 @@ def test_a_stream_that_is_attached_again_counts_what_it_missed() -> None:
 def test_what_an_outlet_sends_before_it_is_attached_again_is_lost() -> None:
     link = Link(0)
     link.settle()
-    again = anew(link)
-    # The agent has started anew, and sends before the node has seen its outlet.
+    again = restarted(link)
+    # The agent has started again, and sends before the node has seen its outlet.
     again.push([False] * 3)
     again.settle()
     assert again.comparison.losses == Losses(device=0, transport=3)
@@ -274,6 +274,6 @@ def test_what_was_sent_before_the_node_was_there_is_told_and_not_lost() -> None:
     assert link.comparison.before is None
     link.settle()
     assert (link.comparison.before, link.comparison.losses) == (7, Losses(device=0, transport=0))
-    again = anew(link)
+    again = restarted(link)
     again.settle()
     assert again.comparison.before == 7

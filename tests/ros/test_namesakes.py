@@ -76,7 +76,7 @@ class Lab:
         self.start()
 
     def start(self) -> None:
-        """Start the node, anew."""
+        """Start the node, again."""
         self.discovery = Discovery(self.said.append)
 
     def look(self, *present: Info, after_s: float = 0.0) -> dict[str, int]:
@@ -111,12 +111,12 @@ def test_each_sender_of_another_program_has_a_number_of_its_own(
     first = lab.discovery.inlets[0]
     assert lab.discovery.senders(first) == ["lab-pc", "stim-pc", "stim-pc"]
     assert lab.discovery.twins(first) == []
-    # And the same ones if the node starts anew.
+    # And the same ones if the node starts again.
     lab.start()
     assert lab.look(*senders) == {"c": 1, "b": 2, "a": 3}
 
 
-def test_a_sender_that_starts_anew_gets_its_number_back(lab: Lab) -> None:
+def test_a_sender_that_starts_again_gets_its_number_back(lab: Lab) -> None:
     first, second = Info("1", "lab-pc", 1.0), Info("2", "stim-pc", 2.0)
     assert lab.look(first) == {"1": 1}
     assert lab.look(first, second) == {"1": 1, "2": 2}

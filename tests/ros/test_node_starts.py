@@ -31,7 +31,7 @@ def opened(node: RunningNode, name: str) -> float:
 
 
 @pytest.mark.alone
-def test_a_killed_node_that_was_started_anew_has_its_topics_in_two_seconds(
+def test_a_killed_node_that_was_started_again_has_its_topics_in_two_seconds(
     ros: Ros, start_node: Callable[..., RunningNode], flow: Callable[..., Flow]
 ) -> None:
     names = ("kill_a", "kill_b", "kill_c")

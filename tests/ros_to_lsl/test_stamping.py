@@ -92,7 +92,7 @@ def test_a_computer_whose_clock_is_wrong_is_stamped_by_arrival(ros_time: RosTime
     stamp = stamping.stamp(message, told)
     assert stamp.source is StampSource.ARRIVAL
     assert stamping.doubtful_clocks.keys() == {StampSource.HEADER, StampSource.SOURCE}
-    # The own clock was set: all is judged anew.
+    # The own clock was set: all is judged again.
     stamping.restart()
     assert not stamping.doubtful_clocks
 
@@ -116,7 +116,7 @@ def test_missing_numbers_are_messages_that_were_lost() -> None:
         losses.take(number)
     assert losses.lost == 0
     assert losses.look(publishers=1) == 2
-    # A publisher that was started anew counts from the beginning.
+    # A publisher that was started again counts from the beginning.
     losses.take(1)
     losses.take(2)
     assert losses.look(publishers=1) == 0

@@ -252,7 +252,7 @@ async def test_samples_that_a_stall_costs_are_counted(streaming: Streaming) -> N
     assert run.lost == {"gsr": unsent, "ppg": unsent}
 
 
-async def test_a_device_that_falls_silent_is_asked_then_connected_anew(
+async def test_a_device_that_falls_silent_is_asked_then_connected_again(
     streaming: Streaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "PATIENCE_S", 1.0)

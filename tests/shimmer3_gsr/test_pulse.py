@@ -77,7 +77,7 @@ def test_without_a_pulse_nothing_is_told(quiet_mv: float) -> None:
     assert not detector.found(float(times[-1]))
 
 
-def test_a_pulse_that_ends_is_missed_after_two_seconds_and_must_show_anew() -> None:
+def test_a_pulse_that_ends_is_missed_after_two_seconds_and_must_show_again() -> None:
     times = clock(60, 128)
     begin = times[0]
     silent = (times >= begin + 20) & (times < begin + 40)

@@ -79,6 +79,6 @@ async def test_one_that_never_reads_loses_it_and_the_device_goes_on() -> None:
         await asyncio.sleep(2.0)
         assert await read_to_the_end(handle) == b""
     async with device.host() as handle:
-        assert device.port.write(b"anew")
-        assert await asyncio.to_thread(os.read, handle, 100) == b"anew"
+        assert device.port.write(b"again")
+        assert await asyncio.to_thread(os.read, handle, 100) == b"again"
     device.port.dispose()

@@ -10,7 +10,7 @@ import pytest
 from tests.system.toolchain import (
     BUILD_TOOLS,
     BuildToolMissingError,
-    mend_header_paths,
+    fix_header_paths,
     require_build_tools,
 )
 
@@ -49,7 +49,7 @@ def test_the_wheels_name_the_headers_of_this_machine(tmp_path: Path) -> None:
     installed = tmp_path / "venv" / "share" / "std_msgs" / "cmake" / "targets.cmake"
     installed.parent.mkdir(parents=True)
     installed.hardlink_to(cached)
-    mend_header_paths(tmp_path / "venv", python="/usr/include/python3.12", numpy="/numpy/include")
+    fix_header_paths(tmp_path / "venv", python="/usr/include/python3.12", numpy="/numpy/include")
     assert installed.read_text() == (
         'DIRECTORIES "/usr/include/python3.12;/numpy/include;${prefix}/include"\n'
     )

@@ -109,7 +109,7 @@ class Toolchain:
         for lock in LOCKS:
             made.run(ROOT, *install, "--require-hashes", "-r", f"requirements/{lock}")
         numpy = "import numpy; print(numpy.get_include())"
-        mend_header_paths(
+        fix_header_paths(
             folder,
             python=sysconfig.get_path("include"),
             numpy=made.run(ROOT, made.python, "-c", numpy).strip(),
@@ -163,7 +163,7 @@ class Toolchain:
         return result.stdout
 
 
-def mend_header_paths(folder: Path, *, python: str, numpy: str) -> None:
+def fix_header_paths(folder: Path, *, python: str, numpy: str) -> None:
     """Let the wheels' CMake files name this machine's headers of Python and numpy.
 
     Parameters
@@ -176,9 +176,9 @@ def mend_header_paths(folder: Path, *, python: str, numpy: str) -> None:
     for place in (folder / "share", folder / "lib" / "cmake"):
         for file in place.rglob("*.cmake"):
             text = file.read_text()
-            mended = _PYTHON_HEADERS.sub(lambda _: python, text)
-            mended = _NUMPY_HEADERS.sub(lambda _: numpy, mended)
-            if mended != text:
+            fixed = _PYTHON_HEADERS.sub(lambda _: python, text)
+            fixed = _NUMPY_HEADERS.sub(lambda _: numpy, fixed)
+            if fixed != text:
                 # The file may be a hard link into the installer's cache.
                 file.unlink()
-                file.write_text(mended)
+                file.write_text(fixed)

@@ -64,7 +64,7 @@ async def test_what_a_stalled_link_loses_is_counted(belt: SimulatedBelt) -> None
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_belt_that_falls_silent_is_started_anew(
+async def test_a_belt_that_falls_silent_is_started_again(
     radio: Radio, commands: list[Command], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measure_for_a_while(monkeypatch, 0.5)
@@ -78,7 +78,7 @@ async def test_a_belt_that_falls_silent_is_started_anew(
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_belt_that_stays_silent_is_connected_anew(
+async def test_a_belt_that_stays_silent_is_connected_again(
     radio: Radio, commands: list[Command], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measure_for_a_while(monkeypatch, 0.5, 0.0)

@@ -1,4 +1,4 @@
-"""How exact stamps are after a belt was started anew, again and again."""
+"""How exact stamps are after a belt was started again, again and again."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> No
     assert outcome.lost_bytes == orphans.bytes + len(header)
 
 
-def test_a_lost_file_header_is_made_anew(tmp_path: Path) -> None:
+def test_a_lost_file_header_is_made_again(tmp_path: Path) -> None:
     _, file, content = salvaged(_spoilt(1), tmp_path)
     assert rows(file) == {"numbers": NUMBERS, "events": EVENTS}
     assert content[4:].startswith(b"\x01")
@@ -307,7 +307,7 @@ def test_a_last_sample_of_another_time_is_cut_off(chunk: int, tmp_path: Path) ->
     path = tmp_path / "garbage.xdf"
     path.write_bytes(x.xdf(header, *parts, x.footer(1, 300)))
     assert judge(read_recording(path)).can_be_salvaged
-    written = tmp_path / "mended.xdf"
+    written = tmp_path / "fixed.xdf"
     outcome = salvage(path, written)
     (stream,) = read_recording(written).streams
     assert stream.stamps.tolist() == stamps[:300]

@@ -1,4 +1,4 @@
-"""Headers of a wrong form are mended, and lost ones are taken from another recording."""
+"""Headers of a wrong form are fixed, and lost ones are taken from another recording."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_header_of_a_wrong_form_costs_no_sample(name: str, tmp_path: Path) -> 
     change, told = WRONG[name]
     outcome, file, _ = salvaged(_broken(change), tmp_path)
     assert rows(file)["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
-    (sentence,) = (each for each in printing.after_table(outcome) if "was mended" in each)
+    (sentence,) = (each for each in printing.after_table(outcome) if "was fixed" in each)
     assert told in sentence
     assert not outcome.lost_bytes
 

@@ -332,7 +332,7 @@ async def test_a_link_drop_is_a_gap_of_counted_length() -> None:
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_device_that_falls_silent_is_connected_anew(
+async def test_a_device_that_falls_silent_is_connected_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(ZephyrDriver, "silence_limit_s", 2.0)

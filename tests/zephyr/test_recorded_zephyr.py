@@ -73,7 +73,7 @@ def standing_still(number: int, message: Periodic) -> list[Periodic]:
     return [replace(message, header=replace(message.header, sequence=7))]
 
 
-def begun_anew(number: int, message: Periodic) -> list[Periodic]:
+def begun_again(number: int, message: Periodic) -> list[Periodic]:
     """Number the packets from 0 again, every 20 s or so."""
     sequence = (message.header.sequence + 100 * (number // 200)) % 256
     return [replace(message, header=replace(message.header, sequence=sequence))]
@@ -92,7 +92,7 @@ def emitted(spoil: Callable[[int, Periodic], list[Periodic]]) -> EmitterSink:
     return sink
 
 
-@pytest.mark.parametrize("spoil", [twice, standing_still, begun_anew])
+@pytest.mark.parametrize("spoil", [twice, standing_still, begun_again])
 def test_numbers_that_the_stamps_contradict_change_nothing(
     spoil: Callable[[int, Periodic], list[Periodic]],
 ) -> None:

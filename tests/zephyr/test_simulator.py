@@ -252,7 +252,7 @@ def test_a_recording_is_played_byte_for_byte_without_its_answers(
     assert b"".join(out.data for out in bench.device.sent) == recorded
 
 
-def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_anew(
+def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_again(
     bench: PluggedDevice,
 ) -> None:
     data = b"".join(

@@ -101,7 +101,7 @@ def test_a_packet_that_came_before_others_is_passed_over() -> None:
 
 @pytest.mark.parametrize("clock_is_set", [True, False])
 @pytest.mark.parametrize("first_number", [-3, -1, 20, 128, 200])
-def test_numbers_that_begin_anew_make_no_gap(clock_is_set: bool, first_number: int) -> None:
+def test_numbers_that_begin_again_make_no_gap(clock_is_set: bool, first_number: int) -> None:
     device = Device(clock_is_set)
     for index in range(300):
         device.arrive(index)
@@ -118,7 +118,7 @@ def test_numbers_that_stand_still_make_no_gap(clock_is_set: bool) -> None:
 
 
 @pytest.mark.parametrize("delay_s", [0.3, 3.0, 15.0, 60.0])
-def test_what_waited_makes_no_gap_though_numbers_begin_anew(delay_s: float) -> None:
+def test_what_waited_makes_no_gap_though_numbers_begin_again(delay_s: float) -> None:
     device = Device()
     for index in range(300):
         device.arrive(index)
@@ -191,7 +191,7 @@ def test_a_clock_that_was_never_set_is_replaced_by_counting(gaps: list[int]) -> 
         assert placed.lost_packets == gap
 
 
-def test_a_clock_that_was_never_set_starts_anew_with_a_connection() -> None:
+def test_a_clock_that_was_never_set_starts_again_with_a_connection() -> None:
     device = Device(clock_is_set=False)
     device.arrive(0, delay_s=0.0)
     device.reconnect()

@@ -1,4 +1,4 @@
-"""Finds what is wrong on this computer and how to mend it: what both programs have of it.
+"""Finds what is wrong on this computer and how to fix it: what both programs have of it.
 
 `check` has the list of all checks, `report` runs them side by side and shows what they found. A
 program says in a `Context` what it is and what it needs, and has checks of its own in a room of

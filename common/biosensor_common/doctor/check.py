@@ -55,7 +55,7 @@ class Finding:
 
     def __post_init__(self) -> None:
         if self.level is not Level.OK and not (self.why and self.fix):
-            raise ValueError(f"{self.what!r}: say why it matters and how to mend it")
+            raise ValueError(f"{self.what!r}: say why it matters and how to fix it")
 
 
 def ok(what: str) -> Finding:

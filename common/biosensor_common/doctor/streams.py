@@ -23,7 +23,7 @@ _GROUPS = "{255.255.255.255, 224.0.0.183, 239.255.172.215}"
 # Where nobody is asked, so that one way does not help the other.
 _AWAY_PORT = "61440"
 SEARCH_S, LISTEN_S = 3.0, LIMIT_S
-"""A sender's clock is asked for anew every 2 s, and the first answers may be late."""
+"""A sender's clock is asked for again every 2 s, and the first answers may be late."""
 _LISTENING_ENDS_S, _ENDS_S = 8.0, 18.0
 MAX_STAMP_ERROR_S = 30.0
 """A stamp further off is not on the LSL clock at all (Unix time, the device's time)."""
@@ -167,7 +167,7 @@ def _unseen(context: Context, seen: Sequence[SurveyedStream]) -> Iterator[Findin
             f"{guide.program} offers {len(offered)} streams, and {len(missing)} of them are not "
             f"found here: {listed(missing)}",
             "LabRecorder and the node do not find them either.",
-            "mend what the checks lsl_config, discovery and ports find",
+            "fix what the checks lsl_config, discovery and ports find",
         )
 
 

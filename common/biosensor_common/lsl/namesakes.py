@@ -2,7 +2,7 @@
 
 People copy a source_id from an example into several scripts. The first sender has the stream's
 own name, the second ``<name>_2`` and so on. The number belongs to the sender's computer, format
-and shape, as far as these differ: it gets it back whenever it or the node starts anew.
+and shape, as far as these differ: it gets it back whenever it or the node starts again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def numbered(header: StreamHeader, number: int) -> StreamHeader:
 
 
 class _Place(NamedTuple):
-    """What stays the same of a sender when it starts anew."""
+    """What stays the same of a sender when it starts again."""
 
     host: str
     format: int

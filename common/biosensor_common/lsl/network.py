@@ -95,7 +95,7 @@ def search(
     found: dict[str, pylsl.StreamInfo] = {}
     while True:
         time.sleep(LOOK_EVERY_S)
-        # A resolver gives a stream anew at each look.
+        # A resolver gives a stream again at each look.
         found |= {info.uid(): info for info in network.streams()}
         if is_enough(found, time.monotonic() - begun_s):
             return list(found.values())

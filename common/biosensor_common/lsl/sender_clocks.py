@@ -22,7 +22,7 @@ PERIOD_S = 5.0
 STEP_S = 0.1
 # liblsl sends eight probes, 64 ms apart, and waits 128 ms for the answers.
 PROBES_S = 0.64
-# By then it has tried twice: it begins anew every 2 s, unless the user's lsl_api.cfg has another
+# By then it has tried twice: it begins again every 2 s, unless the user's lsl_api.cfg has another
 # TimeUpdateInterval.
 LIMIT_S = 3.0
 
@@ -91,7 +91,7 @@ class SenderClocks:
     Parameters
     ----------
     senders
-        Returns the present ones, one a stream; called in a thread of its own.
+        Returns the present ones, one per stream; called in a thread of its own.
     period_s
         From one measurement of a clock to the next.
     """

@@ -193,7 +193,7 @@ class KnownStreams:
         except (OSError, ValueError):
             _log.warning(
                 f"{self._path} is damaged, so streams appear only when their devices are "
-                "connected; it is written anew then"
+                "connected; it is written again then"
             )
             return []
 

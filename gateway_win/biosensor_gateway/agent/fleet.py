@@ -143,7 +143,7 @@ class FleetChanges:
     removed
         That end.
     restarted
-        That end and begin anew, because something in their entry is different.
+        That end and begin again, because something in their entry is different.
     kept
         That stream on.
     """

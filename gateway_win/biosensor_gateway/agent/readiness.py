@@ -84,7 +84,7 @@ class _Watch:
 
     def take(self, status: Mapping[str, Any]) -> None:
         if status["process"] != self.process:
-            # Another agent counts anew.
+            # Another agent counts again.
             self.process, self.counts, self.advanced = status["process"], {}, {}
         self.written = status["written"]
         for device in status["devices"]:

@@ -1,4 +1,4 @@
-"""Acts on silent streams: enables them again, makes the connection anew, or says why not."""
+"""Acts on silent streams: enables them again, makes the connection again, or says why not."""
 
 from __future__ import annotations
 
@@ -79,11 +79,11 @@ class Reviver:
                 message = f"nothing from the device for {self._limit_s:.0f} s"
                 message += self._unreadable.since(self._limit_s)
                 raise TransportError(
-                    TransportReason.SILENT, f"{message}; the connection is started anew"
+                    TransportReason.SILENT, f"{message}; the connection is started again"
                 )
             if self._sink.is_paused:
                 # Nobody misses what would be withheld.
-                self._watch.wait_anew()
+                self._watch.wait_again()
                 continue
             silence = self._watch.judge(
                 can_enable=isinstance(self._driver, EnablesAgain), patience_s=self._patience_s()
@@ -170,7 +170,7 @@ class Reviver:
         if silence.remedy is Remedy.ENABLE:
             return f"{what}; enabling again"
         if silence.remedy is Remedy.RECONNECT:
-            return f"{what}; connecting anew" + (f"; {advice}" if silence.attempts else "")
+            return f"{what}; connecting again" + (f"; {advice}" if silence.attempts else "")
         return f"{what}, whatever the agent does; {advice}"
 
 

@@ -187,7 +187,7 @@ def replay(
     """
     kind = Outlet if live else UnsentOutlet
     if not capture.events or any(link[0].what is not What.OPENED for link in capture.of_links()):
-        message = "the capture has a connection without a beginning; have it recorded anew"
+        message = "the capture has a connection without a beginning; have it recorded again"
         raise ConfigError(ConfigReason.MALFORMED, message)
     clock = LSL_CLOCK if live else LeapingClock(BEGIN_S)
     make = make_sink or partial(ReplaySink, kind=kind)

@@ -160,7 +160,7 @@ def _quoted(name: str) -> str:
 _SENTENCES = {
     "added": "{} was added",
     "removed": "{} was removed",
-    "restarted": "{} was started anew: its entry was changed",
+    "restarted": "{} was started again: its entry was changed",
 }
 
 

@@ -1,4 +1,4 @@
-"""``biosensor-gateway doctor``: what is wrong on this computer, and how to mend it."""
+"""``biosensor-gateway doctor``: what is wrong on this computer, and how to fix it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def doctor(
         int, typer.Option(min=1024, max=65535, help="TCP port of --answer, and for --with.")
     ] = ANSWER_PORT,
 ) -> None:
-    """Say what is wrong on this computer and how to mend it; exit code 1 if there are errors."""
+    """Say what is wrong on this computer and how to fix it; exit code 1 if there are errors."""
     configure_logs(LogSettings(level="error"), None)
     if answer or with_:
         _network_check(settings, only, answer, with_, code, port, as_json_)

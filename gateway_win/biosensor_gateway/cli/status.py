@@ -96,7 +96,7 @@ def clocks(
 
     Offset: LSL time minus device time. Drift: how many microseconds a device's second is
     short of one of LSL's. RMS: how far the best packets are off the line. Jumps: how often
-    the mapping began anew. Age: since the newest sample was measured. None: the device has
+    the mapping began again. Age: since the newest sample was measured. None: the device has
     no clock of its own, or nothing came from it yet.
     """
     # Ctrl-C is how watching ends; it is no failure.
@@ -140,7 +140,7 @@ def report(status: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``written`` (unix time, s) and ``clocks``, one a device: who it is, its state,
+        ``written`` (unix time, s) and ``clocks``, one per device: who it is, its state,
         and ``clock``, which is None while the device has none.
     """
     devices = status["devices"]

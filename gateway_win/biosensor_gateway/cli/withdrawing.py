@@ -40,7 +40,7 @@ def withdraw(
 ) -> None:
     """Take one person out of files: shows the plan, asks, does it, and searches what is left.
 
-    Recordings are written anew without the person's streams and name, and those of this person
+    Recordings are written again without the person's streams and name, and those of this person
     alone are deleted; so are exports, tables, bags and notes. What is unclear is named and left for
     you. The report has hashes of each file before and after, and a search through all that is left;
     exit code 1 if something of the person is still found. What is deleted is gone: make no copy,

@@ -40,7 +40,7 @@ class Connected:
         Longest absence in seconds of streams that come all the time without a rate.
     patience_s
         How long a regular stream may be absent, 20 samples at least. Streams that are silent
-        for longer are enabled again, then the connection is made anew.
+        for longer are enabled again, then the connection is made again.
     """
 
     info: DeviceInfo = field(default_factory=DeviceInfo)
@@ -103,12 +103,12 @@ class EnablesAgain(Protocol):
         Parameters
         ----------
         streams
-            Data names; what they share with others may be started anew with them.
+            Data names; what they share with others may be started again with them.
 
         Raises
         ------
         TransportError, ProtocolError
-            It cannot help; the connection has to be made anew.
+            It cannot help; the connection has to be made again.
         """
         ...
 

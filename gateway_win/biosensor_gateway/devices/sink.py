@@ -60,7 +60,7 @@ class Sink(Protocol):
         ...
 
     def restart_clock(self) -> None:
-        """Map device times anew from the next observation on: the device counts anew.
+        """Map device times again from the next observation on: the device counts again.
 
         Nothing can be emitted with device times before that observation.
         """

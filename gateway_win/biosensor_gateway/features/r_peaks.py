@@ -117,12 +117,12 @@ class _Hamilton:
     def __init__(self, rate: float) -> None:
         self._rate = rate
         self._learns = [round(each * rate) for each in at.LEARNING_S]
-        self._begin_anew(0)
+        self._begin_again(0)
         self._last: _Peak | None = None
         # nothing is dropped: a memory of beats
         self._intervals: deque[float] = deque(maxlen=at.PEAKS_KEPT)
 
-    def _begin_anew(self, place: int) -> None:
+    def _begin_again(self, place: int) -> None:
         self._learnt: list[_Peak] | None = []
         self._learns_from = place
         # nothing is dropped: a memory of beats
@@ -145,7 +145,7 @@ class _Hamilton:
         beats = self._search_back(place)
         since = self._learns_from if self._last is None else self._last.place
         if place - max(since, self._learns_from) > at.LOST_S * self._rate:
-            self._begin_anew(place)
+            self._begin_again(place)
         return beats
 
     def _learn(self, place: int) -> list[Beat]:

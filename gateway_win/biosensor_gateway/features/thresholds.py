@@ -74,7 +74,7 @@ LEARNING_S, LEARNING_ALIKE, LEARNING_ARTEFACTS = (3.0, 8.0), 0.1, 2
 """[1]_ learns from 8 s; the largest peaks of each second, as there. Shorter where none of them has
 less than this share of the largest; else, so many may be artefacts, and the next one counts."""
 LOST_S = 4.0
-"""Without a beat for so long, learning begins anew: electrodes may have been changed."""
+"""Without a beat for so long, learning begins again: electrodes may have been changed."""
 APEX_S = 0.08
 """How far from the middle of its energy the apex of a QRS complex may be."""
 

@@ -50,7 +50,7 @@ class Biquad:
 class MovingMean:
     """The mean of the last values; before there are enough, of all.
 
-    It is summed up anew now and then, so that rounding never piles up.
+    It is summed up again now and then, so that rounding never piles up.
     """
 
     def __init__(self, length: int) -> None:

@@ -1,4 +1,4 @@
-"""The one rule for the names that people are given: what is typed anew has letters and digits.
+"""The one rule for the names that people are given: what is typed again has letters and digits.
 
 BIDS labels take nothing else, and file names, LSL names and ROS topics carry these as they are.
 Settings and recordings that have other names stay valid; :func:`label` says what they become.

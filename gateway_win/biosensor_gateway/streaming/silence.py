@@ -22,7 +22,7 @@ class Remedy(Enum):
     """What to do about silent streams, in this order."""
 
     ENABLE = "enabling again"
-    RECONNECT = "connecting anew"
+    RECONNECT = "connecting again"
     NONE = "none"
     """Both were tried; the other streams must not suffer any longer."""
 
@@ -209,7 +209,7 @@ class StreamWatch:
                 self._attempts.setdefault(name, 0)
                 self._came_back.discard(name)
 
-    def wait_anew(self) -> None:
+    def wait_again(self) -> None:
         """Give every stream its full time again."""
         now = self._now()
         for stream in self._streams.values():

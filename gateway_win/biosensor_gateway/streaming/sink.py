@@ -214,7 +214,7 @@ class DeviceSink:
             self._jumps.note(jump.reason.value, jump.size_s)
 
     def restart_clock(self) -> None:
-        """Map device times anew from the next observation on: the device counts anew.
+        """Map device times again from the next observation on: the device counts again.
 
         Nothing can be emitted with device times before that observation.
         """
@@ -311,7 +311,7 @@ class DeviceSink:
 
     def _say_jumps(self, jumps: Jumps) -> None:
         if jumps.cause != DEVICE_RESTARTED or jumps.times > 1:
-            self._log.warning(  # nothing is dropped: stamps are told anew
+            self._log.warning(  # nothing is dropped: stamps are told again
                 "the device's clock jumped; its stamps are re-anchored",
                 cause=jumps.cause,
                 **({} if jumps.seconds is None else {"seconds": round(jumps.seconds, 3)}),

@@ -199,7 +199,7 @@ class Panel:
             self._outflow.put(self._encoded(f"{last_line}\n" if last_line else ""))
 
     def shape(self, lines: bytes) -> bytes:
-        """Return what writes lines above the panel, and the panel anew."""
+        """Return what writes lines above the panel, and the panel again."""
         whole = self._whole_lines(lines)
         size = self._size()
         if size is None:

@@ -79,7 +79,7 @@ async def advertisements() -> AsyncGenerator[AsyncIterator[Advertisement]]:
 
 
 async def scan(seconds: float) -> list[Advertisement]:
-    """Return what is heard in so many seconds, one a device, the strongest first."""
+    """Return what is heard in so many seconds, one per device, the strongest first."""
     newest: dict[str, Advertisement] = {}
     async with advertisements() as heard:
         with suppress(TimeoutError):

@@ -58,7 +58,7 @@ class _Record:
 
 
 class Routing:
-    """Connects inlets to topics, anew whenever the set of streams changes.
+    """Connects inlets to topics, again whenever the set of streams changes.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ class Routing:
         """Close what nobody publishes any more under these names, and what changed its type.
 
         Topics of streams that are merely absent stay: their subscribers then need
-        not match anew when the stream returns.
+        not match again when the stream returns.
         """
         used = self._used_publishers()
         names = {publisher.name for publisher in used}

@@ -46,7 +46,7 @@ class Subscriber(NamedTuple):
 
 
 def subscribe(topic: str) -> Subscriber:
-    """Start one; by a fork, so that it need not import everything anew."""
+    """Start one; by a fork, so that it need not import everything again."""
     heard, say = os.pipe()
     pid = os.fork()
     if pid == 0:

@@ -44,7 +44,7 @@ def source(name: str, data_name: str) -> str:
     return source_id(DeviceIdentity(name, unit_of(name), PARTICIPANT), data_name)
 
 
-# Those that come often, one a sensor.
+# Those that come often, one per sensor.
 TOPICS = {
     f"/{PARTICIPANT}/biosensors/{name}/acc": source(name, "acc")
     for name in ("zephyr", "empatica_e4")
@@ -110,7 +110,7 @@ def sources(names: tuple[str, ...]) -> list[str]:
 
 
 def wait_for_outlets(resolver: pylsl.ContinuousResolver, since_s: float) -> dict[str, float]:
-    """When each outlet of the killed agent was made anew, by source_id."""
+    """When each outlet of the killed agent was made again, by source_id."""
     awaited, made = set(sources(KILLED)), dict[str, float]()
 
     def all_are_there() -> bool:

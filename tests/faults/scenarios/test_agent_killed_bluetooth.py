@@ -1,4 +1,4 @@
-"""An agent is killed while a Bluetooth device is connected, and started anew.
+"""An agent is killed while a Bluetooth device is connected, and started again.
 
 Nobody has told the system to let go of the device: BlueZ keeps the connection when the
 program that asked for it is gone, and a strap that is connected does not advertise.

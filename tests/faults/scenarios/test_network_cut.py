@@ -6,7 +6,7 @@ that was published.
 
 TCP keeps what it could not send, and so nothing is lost as long as it tries again soon:
 6.3 s after the cut, or 12.7 s. After a longer cut the next try may be a minute away. The
-node then does not wait for it but attaches anew, and counts what that costs.
+node then does not wait for it but attaches again, and counts what that costs.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def _is_salvaged(recording: Recording) -> None:
         result = read_recording(outcome.written)
         kept = [stream.sample_count for stream in result.streams]
         if outcome.survey.new_headers:
-            # Of a header that was mended there are samples that nothing else reads.
+            # Of a header that was fixed there are samples that nothing else reads.
             ensure(not Counter(counts) - Counter(kept), "samples are not salvaged", counts, kept)
         else:
             cut = [stream.cut is not None for stream in outcome.survey.streams.values()]

@@ -115,7 +115,7 @@ class FakeBluez:
         self._radio.world.await_(self._stop())
 
     def rise(self) -> None:
-        """Start anew after `die`, and know no device any more."""
+        """Start again after `die`, and know no device any more."""
         self._radio.world.await_(self._start())
 
     def kill_bus(self) -> None:

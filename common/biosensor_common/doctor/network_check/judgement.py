@@ -266,7 +266,7 @@ def _real_streams(sender: Party, receiver: Party) -> Iterator[Finding]:
     shut = [e.name for e in own if e.uid in uids and e.uid not in receiver.end.reached]
     amount = "1 stream" if len(own) == 1 else f"{len(own)} streams"
     again = (
-        "mend what stands above, then ask again\nif nothing does, "
+        "fix what stands above, then ask again\nif nothing does, "
         f"{sender.on}: {sender.doctor} --only streams"
     )
     if unseen:

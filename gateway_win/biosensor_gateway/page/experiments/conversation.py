@@ -67,7 +67,7 @@ class Conversation:
         self._time = MarkedTime(self._clock)
         self._asked: dict[int, float] = {}
         self._marks: asyncio.Queue[tuple[Mark, float]] = asyncio.Queue(MARKS_WAITING)
-        self._is_set_anew = asyncio.Event()
+        self._is_set_again = asyncio.Event()
         self._pace = Pace(MESSAGES_PER_S, MESSAGES_AT_ONCE)
 
     @property
@@ -129,7 +129,7 @@ class Conversation:
     def _note(self, pong: Pong, arrival: float) -> None:
         asked = self._asked.pop(pong.n, None)
         if asked is not None and not self._clock.note(Exchange(asked, pong.at / 1000, arrival)):
-            self._is_set_anew.set()
+            self._is_set_again.set()
 
     async def _take(self, mark: Mark, arrival: float) -> None:
         try:
@@ -141,19 +141,19 @@ class Conversation:
         """Ask for the browser's time: some times at first, and every two seconds then."""
         number, is_known = 0, False
         while True:
-            self._is_set_anew.clear()
+            self._is_set_again.clear()
             for _ in range(PINGS_FIRST):
                 number += 1
                 await self._ping(number)
                 await asyncio.sleep(FIRST_EVERY_S)
-            while not self._is_set_anew.is_set():
+            while not self._is_set_again.is_set():
                 if self._clock.is_known and not is_known:
                     is_known = True
                     await self._say(type="ready", uncertainty_s=self._clock.newest_uncertainty_s)
                 with contextlib.suppress(TimeoutError):
                     pause_s = PING_EVERY_S if self._clock.is_known else UNTIL_KNOWN_EVERY_S
                     async with asyncio.timeout(pause_s):
-                        await self._is_set_anew.wait()
+                        await self._is_set_again.wait()
                 number += 1
                 await self._ping(number)
 
@@ -171,7 +171,7 @@ class Conversation:
                 sent = await self._sent(mark, arrival)
             except RefusedTimeError as refused:
                 if refused.is_clock:
-                    self._is_set_anew.set()
+                    self._is_set_again.set()
                 await self._refuse(mark, str(refused), again=refused.is_clock)
             except TransportError as error:
                 await self._refuse(mark, str(error), again=True)
@@ -206,7 +206,7 @@ class RefusedTimeError(Exception):
     Attributes
     ----------
     is_clock
-        Whether it may fit when the browser's clock has been measured anew.
+        Whether it may fit when the browser's clock has been measured again.
     """
 
     def __init__(self, sentence: str, *, is_clock: bool = False) -> None:
@@ -348,7 +348,7 @@ class BrowserClock:
         return fits
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Begin again."""
         self._exchanges.clear()
 
     def to_lsl(self, at: float) -> LslTime:

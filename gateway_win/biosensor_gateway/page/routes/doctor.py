@@ -326,7 +326,7 @@ def add_doctor(router: APIRouter, session: Session, answer: NetworkAnswer) -> No
 
     @router.post("/doctor")
     async def examine() -> Examination:
-        """Say what is wrong on this computer, and how to mend it."""
+        """Say what is wrong on this computer, and how to fix it."""
         return await doctor.examine()
 
     @router.post("/network-check")

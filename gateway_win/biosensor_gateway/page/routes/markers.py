@@ -144,7 +144,7 @@ class Marking:
         for each in view.markers:
             each.time = each.lsl_time + to_unix_s
         if self._turns != self._session.turns:
-            # Another agent knows nothing of them, and counts anew.
+            # Another agent knows nothing of them, and counts again.
             self._turns = self._session.turns
             known = {(each.id, each.lsl_time) for each in view.markers}
             before = self._session.markers.markers

@@ -275,7 +275,7 @@ def away_findings(
         if sends and recorded and not sources & set(recorded):
             text = (
                 f"{name} streams, and is not in the file: it was not there under this name when "
-                "the recording began; stop it and record anew"
+                "the recording began; stop it and record again"
             )
             yield Finding(Level.ERROR, "left-out", "", text)
 

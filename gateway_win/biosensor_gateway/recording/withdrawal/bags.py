@@ -1,4 +1,4 @@
-"""Writes a bag anew without one person."""
+"""Writes a bag again without one person."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes a recording anew without one person."""
+"""Writes a recording again without one person."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from biosensor_gateway.recording.xdf.framing import MAGIC, Tag, framed
 from biosensor_gateway.recording.xdf.header import (
     Footer,
     RecordedHeader,
-    mend_stream_header,
+    fix_stream_header,
     parse_stream_header,
 )
 from biosensor_gateway.recording.xdf.samples import Texts, decode
@@ -179,7 +179,7 @@ class _Kept:
 class _Copy:
     def __init__(self, file: BinaryIO, person: Person) -> None:
         self._file, self._person = file, person
-        self._sorter = StreamSorter(_Kept, mends_headers=True)
+        self._sorter = StreamSorter(_Kept, fixes_headers=True)
 
     def take(self, chunk: Chunk) -> None:
         """Write one chunk, as it is or without the person.
@@ -217,7 +217,7 @@ class _Copy:
         try:
             header = parse_stream_header(content)
         except ChunkError:
-            header = parse_stream_header(mend_stream_header(content)[0])
+            header = parse_stream_header(fix_stream_header(content)[0])
         return writing.stream_header(chunk.stream_id, self._person.masked(header.xml))
 
     def _texts(self, chunk: Chunk, stream: _Kept) -> Iterator[bytes]:

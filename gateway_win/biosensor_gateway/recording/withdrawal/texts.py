@@ -1,4 +1,4 @@
-"""Writes tables, JSON and notes anew without one person."""
+"""Writes tables, JSON and notes again without one person."""
 
 from __future__ import annotations
 

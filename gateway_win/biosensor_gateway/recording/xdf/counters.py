@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 # At its stop the recorder loses what came in the last 0.5 s, and some devices send
 # what they measured only after a second or two.
 TAIL_S = 3.0
-# Text keeps every digit of a stamp, but a recorder may compute one anew.
+# Text keeps every digit of a stamp, but a recorder may compute one again.
 _SAME_STAMP_S = 1e-6
 
 
@@ -47,7 +47,7 @@ class RecordedCounters:
     lost
         Samples that the agent counted as lost before LSL while it was recorded.
     restarts
-        How often the agent began to count anew.
+        How often the agent began to count again.
     is_off
         The settings or the model of the device have no such data.
     """

@@ -163,7 +163,7 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "backwards": Explanation(
         "Time runs backwards",
-        "The clock was set or the program started anew, so samples may be doubled or out of order.",
+        "The clock was set or the program started again, so samples may be double or out of order.",
         "Look at the places; each begins a run of its own in EDF and Kubios.",
     ),
     "bursts": Explanation(
@@ -214,7 +214,7 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Use a cable in place of WLAN, or a network of its own.",
     ),
     "clock-reset": Explanation(
-        "The sender's clock began anew",
+        "The sender's clock began again",
         "Its computer or its clock was set or restarted; times are right on both sides of that "
         "moment, and around it nobody knows them.",
         "Look at what happened then, and treat it as a gap.",
@@ -262,7 +262,7 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Leave the gaps out of the analysis. Wear the sensor on the side of the receiver.",
     ),
     "restarted": Explanation(
-        "The agent began anew",
+        "The agent began again",
         "Between its end and its begin nothing was measured.",
         "Treat it as a gap, and see its log for the reason.",
     ),

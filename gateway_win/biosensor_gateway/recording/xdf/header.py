@@ -209,10 +209,10 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
     )
 
 
-def mend_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
+def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """Return the content of a stream header chunk in its right form, and what was wrong with it.
 
-    Mended is what some programs write: control characters (a C string's end), a bare ``&``, a
+    Fixed is what some programs write: control characters (a C string's end), a bare ``&``, a
     document type, blanks around fields, a comma in numbers, ``cf_float32``, no nominal rate.
 
     Raises
@@ -222,38 +222,38 @@ def mend_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """
     text = content.decode("utf-8", "replace")
     wrong: list[str] = []
-    for pattern, instead, what in _MENDS:
+    for pattern, instead, what in _FIXES:
         text, count = pattern.subn(instead, text)
         wrong += [what] if count else []
     text = text.strip()
     root, _ = _parse(text.encode())
-    for name, mend in _MENDED_FIELDS.items():
+    for name, fix in _FIXED_FIELDS.items():
         node = root.find(name)
         before = "" if node is None else node.text or ""
-        after = mend(before.strip())
+        after = fix(before.strip())
         if after != before:
             node = ET.SubElement(root, name) if node is None else node
             node.text = after
             wrong.append(f"{name} {before!r}" if before else f"no {name}")
     if not wrong:
-        raise ChunkError("nothing of it can be mended")
+        raise ChunkError("nothing of it can be fixed")
     return ET.tostring(root, encoding="utf-8"), tuple(wrong)
 
 
-_MENDS = (
+_FIXES = (
     (re.compile(r"<!DOCTYPE[^>\[]*(\[[^\]]*\])?[^>]*>"), "", "a document type"),
     (re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"), "", "control characters"),
     (re.compile(r"&(?!(?:\w{1,10}|#\d{1,7}|#x[0-9a-fA-F]{1,6});)"), "&amp;", "a bare &"),
 )
 
 
-def _mended_number(text: str) -> str:
+def _fixed_number(text: str) -> str:
     return text.replace(",", ".")
 
 
-_MENDED_FIELDS: Mapping[str, Callable[[str], str]] = {
-    "channel_count": _mended_number,
-    "nominal_srate": lambda text: _mended_number(text) or "0",
+_FIXED_FIELDS: Mapping[str, Callable[[str], str]] = {
+    "channel_count": _fixed_number,
+    "nominal_srate": lambda text: _fixed_number(text) or "0",
     "channel_format": lambda text: text.removeprefix("cf_").lower(),
 }
 

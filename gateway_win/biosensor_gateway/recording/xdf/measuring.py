@@ -69,7 +69,7 @@ class ClockOffsets:
     scatter_s
         How far the offsets stray from that line at most.
     resets
-        How often the clock began anew or was set.
+        How often the clock began again or was set.
     """
 
     count: int = 0

@@ -4,7 +4,7 @@ The recorder measures every few seconds how the clock of a stream's computer sta
 own. A straight line through these offsets is what EEGLAB's and pyxdf's loaders use, too, as
 the `XDF specification <https://github.com/sccn/xdf/wiki/Specifications>`_ asks for. Here it is
 a robust one (Huber's weights, by iterated least squares), because a network that is busy for a
-moment makes single offsets wrong. Where the computer was started anew or its clock was
+moment makes single offsets wrong. Where the computer was started again or its clock was
 set, a line of its own follows. Stamps that are far from all measurements, such as unix time, get
 the offset and no drift.
 """
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from biosensor_common.device_clock import READING_LIMIT_S
 
 JUMP_S = 1.0
-"""An offset that changes by more between two measurements belongs to a clock begun anew."""
+"""An offset that changes by more between two measurements belongs to a clock begun again."""
 _LEAST_STEP_S, _USUAL_CHANGES, _BESIDE = 0.05, 10, 5
 """A clock was set where offsets change by so much, and so many times more than usual; as many on
 either side tell whether it stayed so."""
@@ -94,7 +94,7 @@ class SenderClock:
 
     @property
     def restarts(self) -> int:
-        """How often the clock began anew."""
+        """How often the clock began again."""
         return max(0, len(self._lines) - 1)
 
     def to_recorder(
@@ -139,7 +139,7 @@ class SenderClock:
 
 
 def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[Offset]]]:
-    """Divide offsets where the clock began anew; each run has its place among all of the file.
+    """Divide offsets where the clock began again; each run has its place among all of the file.
 
     What no clock can read was damaged, and is passed over.
     """

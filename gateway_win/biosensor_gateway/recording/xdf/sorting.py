@@ -14,7 +14,7 @@ from biosensor_gateway.recording.xdf.header import (
     FileClock,
     Footer,
     RecordedHeader,
-    mend_stream_header,
+    fix_stream_header,
     parse_file_clock,
     parse_file_header,
     parse_footer,
@@ -69,7 +69,7 @@ class StreamSorter(Generic[_StreamT]):
     ----------
     make
         Makes a stream of its header.
-    mends_headers
+    fixes_headers
         Whether to read headers of a wrong form, too.
     lost_headers
         Contents of headers that are not in the file, by the numbers of their streams.
@@ -92,11 +92,11 @@ class StreamSorter(Generic[_StreamT]):
         self,
         make: Callable[[RecordedHeader], _StreamT],
         *,
-        mends_headers: bool = False,
+        fixes_headers: bool = False,
         lost_headers: Mapping[int, bytes] | None = None,
     ) -> None:
         self._make = make
-        self._mends_headers = mends_headers
+        self._fixes_headers = fixes_headers
         self._lost_headers = lost_headers or {}
         self.new_headers: dict[int, NewHeader] = {}
         self.begun: str | None = None
@@ -129,9 +129,9 @@ class StreamSorter(Generic[_StreamT]):
         try:
             header = parse_stream_header(content)
         except ChunkError:
-            if not self._mends_headers:
+            if not self._fixes_headers:
                 raise
-            content, wrong = mend_stream_header(content)
+            content, wrong = fix_stream_header(content)
             header = parse_stream_header(content)
             new = NewHeader(chunk.start, chunk.end, content, wrong)
         if stream_id in self.streams:

@@ -176,7 +176,7 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     if offsets.resets:
         times = "once" if offsets.resets == 1 else f"{offsets.resets} times"
-        text = f"its sender's clock began anew or was set {times}; stamps are right on either side"
+        text = f"its sender's clock began again or was set {times}; stamps are right on either side"
         yield Level.WARNING, "clock-reset", text
     if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
         text = f"its clock offsets scatter by {offsets.scatter_s * 1e3:.0f} ms: a slow network"
@@ -228,7 +228,7 @@ def _counted(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         text = f"the agent counted {counters.lost} samples as lost on their way from the device"
         yield Level.WARNING, "lost", text
     if counters.restarts:
-        text = f"the agent began anew {counters.restarts} times during the recording"
+        text = f"the agent began again {counters.restarts} times during the recording"
         yield Level.WARNING, "restarted", text
 
 

@@ -43,7 +43,7 @@ Besides these:
 ``streams_silent``  ``streams``: data names of streams that are due and do not come, while the
                     device is connected; ``seconds`` since their last data, without those in
                     which the agent did not run; ``remedy``: ``enabling again``,
-                    ``connecting anew``, or ``none`` where both have not helped and other
+                    ``connecting again``, or ``none`` where both have not helped and other
                     streams flow
 ``streams_back``    ``streams``: those of them that come again
 ``settings_changed`` ``changes``: before and after, as in

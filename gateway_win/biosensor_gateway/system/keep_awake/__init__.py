@@ -104,7 +104,7 @@ class KeepAwake:
         if self._inhibitor is None:
             return
         now = self._clock()
-        # Before it is wanted anew: a sleep that a person asked for ends a power request
+        # Before it is wanted again: a sleep that a person asked for ends a power request
         # of Windows, whose clock counts the sleep; so it is asked for again after it.
         if now >= self._wanted_until:
             self._let_go(self._inhibitor)

@@ -1,4 +1,4 @@
-"""Finds what is wrong on this ROS computer, and says how to mend it.
+"""Finds what is wrong on this ROS computer, and says how to fix it.
 
 The list of checks and those that any computer with LSL can run are in `biosensor_common.doctor`;
 that of ROS is here (`dds`). ``ros2 doctor`` shows what they find (`ros2_doctor`), and so does

@@ -96,7 +96,7 @@ def _found(found: bool, seconds: float | None, middleware: str) -> Finding:
     return error(
         f"a node of this computer is not found here within {SEARCH_S:g} s by {middleware}",
         "The topics of the node reach no other program: rviz, rosbag and your nodes see nothing.",
-        "mend what this check says of the variables of ROS; if nothing, let it through the "
+        "fix what this check says of the variables of ROS; if nothing, let it through the "
         f"firewall: sudo ufw allow {first}:{last}/udp, or sudo firewall-cmd --permanent "
         f"--add-port={first}-{last}/udp && sudo firewall-cmd --reload",
     )
@@ -107,7 +107,7 @@ def _no_node(problem: ProbeError) -> Finding:
         f"a ROS node cannot be started here ({problem})",
         "Neither can the node lsl_to_ros.",
         "source /opt/ros/$ROS_DISTRO/setup.bash and the workspace's install/setup.bash; unset "
-        f"{MIDDLEWARE} if its package is not installed; mend what this check says "
+        f"{MIDDLEWARE} if its package is not installed; fix what this check says "
         "of the variables of ROS",
     )
 

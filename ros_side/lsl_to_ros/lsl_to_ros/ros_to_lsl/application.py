@@ -207,7 +207,7 @@ class RosToLsl(Node):
         jump_ns = self._ros_time.refresh()
         if jump_ns is not None:
             self._offsets.restart()
-            # nothing is dropped: clocks are judged anew
+            # nothing is dropped: clocks are judged again
             self._log.warn(f"the system clock jumped by {jump_ns / 1e9:.6f} s; stamps follow")
             for each in self._topics.values():
                 each.bridge.clock_was_set()

@@ -61,7 +61,7 @@ class Doubts:
                 self._refusals.refuse(what, why=doubt_of(source, doubt))
 
     def restart(self) -> None:
-        """Say everything anew: this computer's own clock has jumped."""
+        """Say everything again: this computer's own clock has jumped."""
         self._said.clear()
 
 
@@ -259,7 +259,7 @@ class Bridge:
             self.judge_clocks()
 
     def clock_was_set(self) -> None:
-        """Judge the publishers' clocks anew: this computer's own one has jumped."""
+        """Judge the publishers' clocks again: this computer's own one has jumped."""
         with self._lock:
             for each in self.stampings:
                 each.restart()
@@ -358,7 +358,7 @@ class PublicationLosses:
         if number is None:
             self._is_unknown = True
             return  # nothing is dropped: this counts only
-        # A smaller one is of a publisher that was started anew.
+        # A smaller one is of a publisher that was started again.
         if self._newest is not None and number > self._newest + 1:
             self._missing += number - self._newest - 1
         self._newest = number

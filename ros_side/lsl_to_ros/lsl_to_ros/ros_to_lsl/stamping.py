@@ -132,7 +132,7 @@ class MessageStamping:
         return any(clock.is_in_doubt for clock in self.clocks.values())
 
     def restart(self) -> None:
-        """Judge the clocks anew, since this computer's own one was set."""
+        """Judge the clocks again, since this computer's own one was set."""
         self.clocks = _new_clocks()
 
     def choose(self, message: RosMessage, info: MessageInfo) -> StampSource:

@@ -23,7 +23,7 @@ _USUAL = Quality()
 
 
 class Topic:
-    """Subscribes a topic as its publishers offer it, anew when that changes.
+    """Subscribes a topic as its publishers offer it, again when that changes.
 
     Attributes
     ----------

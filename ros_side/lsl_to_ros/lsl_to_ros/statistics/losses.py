@@ -191,7 +191,7 @@ class CountersComparison:
             self._settle()
 
     def restarted(self, undelivered: int = 0) -> None:
-        """Start anew: the stream comes from an outlet that counts from zero.
+        """Start again: the stream comes from an outlet that counts from zero.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class CountersComparison:
             self._transport = 0
 
     def _take_device(self, lost: int) -> None:
-        """Take in the agent's own count; one that falls is that of an agent that started anew."""
+        """Take in the agent's own count; one that falls is that of an agent that started again."""
         if lost < self._device:
             self._earlier = Losses(self._earlier.device + self._device, self._earlier.transport)
         self._device = lost

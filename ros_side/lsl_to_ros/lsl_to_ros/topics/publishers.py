@@ -139,7 +139,7 @@ class _Key(NamedTuple):
 class TopicPublishers:
     """All publishers of the node; a topic whose stream is away stays open.
 
-    Its subscribers then need not match anew when the stream returns.
+    Its subscribers then need not match again when the stream returns.
     """
 
     def __init__(self, node: Node, pacer: Pacer) -> None:

@@ -109,7 +109,7 @@ class HeartRateStrapDriver:
         except AttError as error:
             message = (
                 f"{self._link.what} answers only when paired, and pairing does not help: remove it "
-                "in the system's Bluetooth settings, then start anew"
+                "in the system's Bluetooth settings, then start again"
             )
             raise CredentialError(CredentialReason.REJECTED, message) from error
 

@@ -102,7 +102,7 @@ class StrapEmitter:
             return  # nothing is dropped: the sensor tells better ones
         intervals_s = measured.intervals_s
         if measured.is_saturated:
-            # Nobody knows how long it was: beats are counted anew from the one that ended it.
+            # Nobody knows how long it was: beats are counted again from the one that ended it.
             self._emit(self._beats.restart())
             intervals_s = measured.intervals_s_since_saturation
         self._emit(self._beats.place([Beat(each) for each in intervals_s], arrival_s))

@@ -4,7 +4,7 @@ A packet that comes late has two causes, between which it does not tell: interva
 are missing, or it was stored, by the strap or by this computer while the agent got no time.
 So a few packets are held back. Stored ones follow each other faster than a heart
 beats, or are late by less and less; then beats go on where they were. Else the clock is anchored
-anew at their arrival.
+again at their arrival.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class StoredBeats:
         self._was_empty = False
 
     def restart(self) -> list[PlacedBeat]:
-        """Begin anew, as at a new connection; return what was held back."""
-        released = self._anchored_anew() if self._held else []
+        """Begin again, as at a new connection; return what was held back."""
+        released = self._anchored_again() if self._held else []
         self._clock = BeatClock()
         self._may_be_stored = self._was_empty = False
         return released
@@ -75,7 +75,7 @@ class StoredBeats:
         packet = _Packet(beats, arrival_s)
         # Before this one is taken in: what held it up is nothing that held up those.
         overdue = bool(self._held) and arrival_s - self._held[0].arrival_s > HOLD_LIMIT_S
-        placed = self._anchored_anew() if overdue else []
+        placed = self._anchored_again() if overdue else []
         # A packet without intervals says that the strap itself missed them.
         is_told, self._was_empty = self._was_empty, not beats
         if not self._held:
@@ -97,7 +97,7 @@ class StoredBeats:
             elif self._is_fast(0) or self._shrinks:
                 placed += self._placed(self._held.pop(0), stored=True)
             elif self._is_complete:
-                placed += self._anchored_anew()
+                placed += self._anchored_again()
             else:
                 break
         return placed
@@ -136,7 +136,7 @@ class StoredBeats:
     def _late_s(self, packet: _Packet) -> float:
         return self._clock.late_s(packet.intervals_s, packet.arrival_s)
 
-    def _anchored_anew(self) -> list[PlacedBeat]:
+    def _anchored_again(self) -> list[PlacedBeat]:
         held, self._held = self._held, []
         self._may_be_stored = False
         return [beat for packet in held for beat in self._placed(packet)]

@@ -10,7 +10,7 @@ Values = Mapping[str, float]
 Sampling = Callable[[Values, float], list[float] | None]
 """Makes a sample of fields and their LSL time of arrival; None where there is none."""
 Making = Callable[[float], Sampling]
-"""Begins anew, as for each connection; takes the circumference of the wheel in m."""
+"""Begins again, as for each connection; takes the circumference of the wheel in m."""
 _FAHRENHEIT = 1
 _TICKS_PER_S = 1024
 # Sensor unconnected to user, displaced, disconnected.
@@ -36,7 +36,7 @@ class Revolutions:
     ----------
     bits
         At which the count rolls over; 0 where it does not, as of a wheel, which may turn
-        backwards [1]_. A rate is negative then, as it is when a device counts anew.
+        backwards [1]_. A rate is negative then, as it is when a device counts again.
     ticks_per_s
         Of the time, which has 16 bits.
 

@@ -335,7 +335,7 @@ class BrainFlowDriver:
         """Start the process, and wait until it has the board."""
         self._described = await in_daemon_thread(lambda: described(self._settings))
         if not self._is_declared:
-            message = f"BrainFlow says now what {self._settings.board} has; start the agent anew"
+            message = f"BrainFlow says now what {self._settings.board} has; start the agent again"
             raise TransportError(TransportReason.UNAVAILABLE, message)
         await self._link.open(tuple(sorted(self._described)))
         try:
@@ -381,7 +381,7 @@ class BrainFlowDriver:
             async with asyncio.timeout(limit_s):
                 data, arrival_s = await self._link.read()
         except TimeoutError as error:
-            message = "the process that reads the board hangs; it is started anew"
+            message = "the process that reads the board hangs; it is started again"
             raise TransportError(TransportReason.SILENT, message) from error
         return [(frame, arrival_s) for frame in self._frames.feed(data)]
 

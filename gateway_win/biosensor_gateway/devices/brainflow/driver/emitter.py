@@ -89,7 +89,7 @@ def _read(kind: bytes, preset: int, content: bytes) -> Rows | Told:
 
 
 def _garbage() -> ProtocolError:
-    message = "what reads the board sent something that is no frame; it is started anew"
+    message = "what reads the board sent something that is no frame; it is started again"
     return ProtocolError(ProtocolReason.GARBAGE, message)
 
 
@@ -108,7 +108,7 @@ COUNTS_UP_TO = MappingProxyType(
         ("GANGLION_BOARD", 0): 201,
     }
 )
-"""Where a board's packet number begins anew, for presets in which it counts samples.
+"""Where a board's packet number begins again, for presets in which it counts samples.
 
 Of all others it counts something else, or BrainFlow counts itself: what is lost is not known.
 """

@@ -32,8 +32,8 @@ ROUNDS_KEPT = 4
 HOLE_S = 0.5
 """What is missing for longer was lost, whatever the packets' numbers say: a sensor's buffer
 was full. For shorter times, reading may have been late."""
-ANEW_S = 5.0
-"""After a longer hole the line through the times begins anew: where it would have led to is
+AGAIN_S = 5.0
+"""After a longer hole the line through the times begins again: where it would have led to is
 less certain than the next time of reading."""
 
 # Times of reading are the processor's, in whole milliseconds, and late by up to the 13 ms between
@@ -48,7 +48,7 @@ TOLERANCE = 0.03
 GAIN, GAIN_SETTLED = 1 / 16, 1 / 64
 """Which share of its distance the line moves to a time."""
 AGREES_S = 0.02
-"""Behind a gap, a line that is further from the time of reading begins anew there."""
+"""Behind a gap, a line that is further from the time of reading begins again there."""
 LEAST_STEP = 0.5
 """Of a period: times never turn back."""
 _KEPT = 32
@@ -78,8 +78,8 @@ class Oscillator:
         # nothing is dropped: nor are these
         self._line: deque[tuple[int, float]] = deque(maxlen=_KEPT)
 
-    def anew(self) -> Oscillator:
-        """Return the same one, of a device that was started anew."""
+    def restarted(self) -> Oscillator:
+        """Return the same one, of a device that was started again."""
         return Oscillator(self._rate_hz, self._late_s, self._period_s)
 
     def observe(self, index: int, count: int, read_s: float) -> None:
@@ -188,9 +188,9 @@ class SensorRows:
         self._rows: dict[int, list[float]] = {}
         self._next: int | None = None
 
-    def anew(self) -> SensorRows:
-        """Return the same sensor, of a device that was started anew."""
-        return SensorRows(self._rate_hz, self._channels, self._oscillator.anew())
+    def restarted(self) -> SensorRows:
+        """Return the same sensor, of a device that was started again."""
+        return SensorRows(self._rate_hz, self._channels, self._oscillator.restarted())
 
     def add(self, channel: int, values: Sequence[float], time_s: float, *, gap: bool) -> None:
         """Take in a packet of one channel.
@@ -272,7 +272,7 @@ class SensorRows:
         count = min(count, index - before)
         hole_s = time_s - before_s - count / self._rate_hz
         self._rounds = [*self._rounds[-ROUNDS_KEPT:], (time_s, index)]
-        follow = self._oscillator.restart if hole_s > ANEW_S else self._oscillator.observe
+        follow = self._oscillator.restart if hole_s > AGAIN_S else self._oscillator.observe
         follow(index, count, time_s)
 
 
@@ -293,7 +293,7 @@ THERMOMETERS = (Tag.THERMOPILE.value, Tag.TEMPERATURE_1.value, Tag.TEMPERATURE_0
 CHOOSING_S = 0.5
 """All that a device has come within this time."""
 _RESTARTED_MS = 2500
-"""A time so far behind is of a clock that was started anew."""
+"""A time so far behind is of a clock that was started again."""
 READ_LATE_S = 1 / 150
 """Sensors with an oscillator of their own are read 75 times a second; the processor itself has
 the others measure."""
@@ -366,7 +366,7 @@ class EmotiBitEmitter:
             self._emit()
 
     def _time_s(self, packet: Packet) -> float:
-        """Return the device's time, over roll-overs; begin anew where the device did."""
+        """Return the device's time, over roll-overs; begin again where the device did."""
         expected_ms = 0.0
         steps = self._times.steps(packet.time_ms, expected_ms, None)
         # What is late came before the connection was lost, so the first packet is never late.
@@ -383,7 +383,7 @@ class EmotiBitEmitter:
         self.ended()
         self._sink.restart_clock()
         self._observed_s = None
-        self._sensors = {name: sensor.anew() for name, sensor in self._sensors.items()}
+        self._sensors = {name: sensor.restarted() for name, sensor in self._sensors.items()}
         self._first_temperatures.clear()
         self._times.forget()
 

@@ -16,9 +16,9 @@ from biosensor_common.clocks import PacketTimeline
 
 HEADER_FIELDS = 6
 NUMBERS = 2**16
-"""The packets' numbers begin anew after so many."""
+"""The packets' numbers begin again after so many."""
 TIMES_MS = 2**32
-"""The device's milliseconds begin anew after so many, 49.7 days."""
+"""The device's milliseconds begin again after so many, 49.7 days."""
 PATIENCE_S = 0.5
 """What a datagram overtook comes by then, five rounds of sending later, or was lost."""
 
@@ -196,7 +196,7 @@ class InOrder:
         if steps <= 0:
             if time_s <= self._handed_out_s:
                 return self._late(Ordered(packet, time_s, is_behind_gap=False), place)
-            # The numbers count anew.
+            # The numbers count again.
             ready = [*self.end(), self._hand_out(packet, time_s, is_behind_gap=True)]
         else:
             self._newest_s = max(self._newest_s, time_s)
@@ -206,7 +206,7 @@ class InOrder:
         return ready
 
     def end(self) -> list[Ordered]:
-        """Return what still waits; begin anew with the next packet."""
+        """Return what still waits; begin again with the next packet."""
         ready = [self._hand_out_first() for _ in range(len(self._waiting))]
         self._numbers.forget()
         self._newest_s = self._handed_out_s = -inf

@@ -39,7 +39,7 @@ _UNAWARE = "nothing in it knows whether it is worn"
 EXPECTED = Expected(
     by_agent=frozenset({"st"}),
     gaps={
-        # Its clock begins anew, so nobody knows how long it was off.
+        # Its clock begins again, so nobody knows how long it was off.
         FaultKind.RESTART: Gap.UNKNOWN,
     },
     # Across a gap, samples are told by times at which they were read, up to a period late.

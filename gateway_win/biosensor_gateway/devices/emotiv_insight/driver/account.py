@@ -66,7 +66,7 @@ async def find_credentials() -> Credentials:
 
 
 class Account:
-    """What a device is allowed by Cortex; one a device, over all its connections.
+    """What a device is allowed by Cortex; one per device, over all its connections.
 
     The token is kept: a new one may draw sessions from a counted licence.
 

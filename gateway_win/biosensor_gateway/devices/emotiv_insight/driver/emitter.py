@@ -73,7 +73,7 @@ class SampleCount:
         self._counter = None
 
     def forget(self) -> None:
-        """Start anew, as after the headset was off."""
+        """Start again, as after the headset was off."""
         self._counter = self._time_s = None
         self._least_delay_s = math.inf
 
@@ -147,7 +147,7 @@ class SampleCount:
 
 
 class EmotivEmitter:
-    """Turns samples of Cortex into samples of streams; one a device, over all connections.
+    """Turns samples of Cortex into samples of streams; one per device, over all connections.
 
     All values come by label: what a headset does not have is NaN, what the
     declaration does not have is left out. EEG keeps its offset of about 4200 uV.

@@ -198,7 +198,7 @@ _ERRORS: dict[ErrorKind, tuple[TransportReason | CredentialReason, str]] = {
     ),
     ErrorKind.HEADSET: (_ABSENT, "switch the headset on, near this computer"),
     ErrorKind.RETRY_HEADSET: (_ABSENT, "wait until EMOTIV Launcher shows it as ready"),
-    ErrorKind.SESSION: (_LOST, "the session is made anew"),
+    ErrorKind.SESSION: (_LOST, "the session is made again"),
 }
 
 ENDINGS = {

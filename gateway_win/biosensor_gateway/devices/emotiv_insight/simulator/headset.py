@@ -342,7 +342,7 @@ class Headset:
             self._silence = self._loop.call_later(self._timing.silence_s, self._give_up)
 
     def switch_on(self) -> None:
-        """Send again; a headset that was given up must be found and connected to anew."""
+        """Send again; a headset that was given up must be found and connected to again."""
         self.is_on = True
         self._stop_waiting()
         if self.status is Status.ABSENT and not self._must_scan:

@@ -27,7 +27,7 @@ LEAP = 1000
 _FASTER = 1.5
 """A device may send so many times the lines that its settings say."""
 
-# A device's count and time both begin anew at some number, and when the device does.
+# A device's count and time both begin again at some number, and when the device does.
 SLACK_S = 90.0
 """What waited for an agent that did not run, or on its way, is late by less."""
 REORDERED = 32
@@ -46,7 +46,7 @@ class Order(Enum):
     LATE = "late"
     """It was overtaken, or comes twice."""
     RESTART = "restart"
-    """The device counts anew."""
+    """The device counts again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Place:
 
 
 class Unwrapped:
-    """Follows a number that grows, turns over, and begins anew when its device does.
+    """Follows a number that grows, turns over, and begins again when its device does.
 
     Parameters
     ----------
@@ -85,11 +85,11 @@ class Unwrapped:
         self._may_repeat = may_repeat
         self._last: float | None = None
         self._total = 0.0
-        self._is_anew = False
+        self._is_again = False
 
-    def begin_anew(self) -> None:
+    def begin_again(self) -> None:
         """Take the next one as the first of a device that was restarted."""
-        self._is_anew = self._last is not None
+        self._is_again = self._last is not None
 
     def step_to(self, number: float) -> float:
         """Return by how much a number is more than the one before; 0 for the first."""
@@ -105,9 +105,9 @@ class Unwrapped:
         most
             By how much it can have grown since the one before.
         """
-        if self._last is None or self._is_anew:
-            order = Order.RESTART if self._is_anew else Order.NEXT
-            self._is_anew = False
+        if self._last is None or self._is_again:
+            order = Order.RESTART if self._is_again else Order.NEXT
+            self._is_again = False
             return self._take(order, number, 0.0)
         step = number - self._last
         # One from before the turn, if it seems far ahead.
@@ -212,7 +212,7 @@ class LineEmitter:
         """Whether a line goes on from another one that does not go on from those before."""
         count, time = copy(self._count), copy(self._time)
         for follower in (count, time):
-            follower.begin_anew()
+            follower.begin_again()
         self._placed(count, before, self._at_count, 0.0)
         self._placed(time, before, self._at_time, 0.0)
         # The same greeting twice is no device that counts.
@@ -263,19 +263,19 @@ class LineEmitter:
             self._arrival_s = arrival_s
             return  # nothing is dropped: `_leave_out` counts it
         if count is not None and count.order is Order.RESTART and self._is_behind(row):
-            self._time.begin_anew()
+            self._time.begin_again()
         elif self._is_first and self._was_off(row, gap_s):
-            self._time.begin_anew()
-            self._count.begin_anew()
+            self._time.begin_again()
+            self._count.begin_again()
             count = self._placed(self._count, row, self._at_count, 0.0)
         self._is_first = False
         time = self._placed(self._time, row, self._at_time, (gap_s + SLACK_S) / self._tick_s)
         if time is not None and time.order is Order.LATE and count is None and self._overtakes:
             self._leave_out()
             return  # nothing is dropped: `_leave_out` counts it
-        anew = [each for each in (count, time) if each is not None and each.order is Order.RESTART]
-        if anew:
-            self._begin_anew(batch, arrival_s, is_clock=(time or count) in anew)
+        again = [each for each in (count, time) if each is not None and each.order is Order.RESTART]
+        if again:
+            self._begin_again(batch, arrival_s, is_clock=(time or count) in again)
         elif count is not None and count.step > 1:
             for name in self._counted:
                 self._sink.lost(name, round(count.step) - 1)
@@ -306,11 +306,11 @@ class LineEmitter:
         self._sink.left_out(1, _TWICE)
         self._log.warn_once("lines came twice or out of order; they are left out")
 
-    def _begin_anew(self, batch: _Batch, arrival_s: float, *, is_clock: bool) -> None:
+    def _begin_again(self, batch: _Batch, arrival_s: float, *, is_clock: bool) -> None:
         """Send what came before the device was restarted, and forget where it was."""
         # nothing is dropped: `_emit` sends what came before
         self._log.warning(
-            "the device counts anew; if it was not restarted, set sequence_turns_over_at or "
+            "the device counts again; if it was not restarted, set sequence_turns_over_at or "
             "time_turns_over_at to where it turns over"
         )
         self._emit(batch, arrival_s)

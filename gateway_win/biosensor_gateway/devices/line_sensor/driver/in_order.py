@@ -10,7 +10,7 @@ from biosensor_gateway.devices.line_sensor.driver.protocol import Row
 PATIENCE_S = 0.35
 """So long a line waits for one before it, as those of other senders of datagrams do."""
 MOST_AHEAD = 32
-"""What is further ahead overtook nothing: lines before it were lost, or the device counts anew."""
+"""What is further ahead overtook nothing: lines before it were lost, or the device counts again."""
 
 
 class InOrder:

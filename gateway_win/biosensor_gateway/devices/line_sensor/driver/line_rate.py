@@ -38,7 +38,7 @@ class LineRate:
         self.begin()
 
     def begin(self) -> None:
-        """Measure anew, as from the first line of a connection on."""
+        """Measure again, as from the first line of a connection on."""
         self._first: tuple[float, float] | None = None
         self._lines = 0
         self._wrong_hz = 0.0

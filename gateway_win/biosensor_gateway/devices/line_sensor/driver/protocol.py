@@ -60,7 +60,7 @@ def field_count(form: str) -> int:
 
 
 def turns_over_at(form: str, position: int) -> int:
-    """Return after how many counts a field begins anew; 0 if it is no unsigned integer."""
+    """Return after how many counts a field begins again; 0 if it is no unsigned integer."""
     codes = [
         code
         for count, code in re.findall(r"(\d*)([bBhHiIlLqQefd?])", form)

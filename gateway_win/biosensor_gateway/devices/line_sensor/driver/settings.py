@@ -116,7 +116,7 @@ class LineSettings(DeviceSettings):
     sequence_turns_over_at: int = Field(
         default=0,
         ge=0,
-        description="What the count begins anew at, as 256 for one byte. 0: at 2^32, and at what "
+        description="What the count begins again at, as 256 for one byte. 0: at 2^32, and at what "
         "its bytes can hold in a struct.",
     )
     time_column: str = Field(
@@ -127,7 +127,7 @@ class LineSettings(DeviceSettings):
     time_turns_over_at: int = Field(
         default=0,
         ge=0,
-        description="What the time begins anew at. 0: at 2^32, as micros() and millis() of Arduino "
+        description="Where the time begins again. 0: at 2^32, as micros() and millis() of Arduino "
         "do, and never in [s] and [ns].",
     )
     rate_hz: float = Field(

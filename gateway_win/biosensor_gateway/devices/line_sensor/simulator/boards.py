@@ -39,7 +39,7 @@ _NO_COMMANDS = "it takes no command and sends all the time"
 _NO_STATE = "its lines say nothing of it"
 
 MICROS_TURN = 1 << 32
-"""Where an Arduino's ``micros()`` begins anew."""
+"""Where an Arduino's ``micros()`` begins again."""
 
 _RECORD = struct.Struct("<IIffff")
 _RECORD_START = b"\xaa\x55"
@@ -113,7 +113,7 @@ class SimulatedLineSensor(VirtualDevice):
     link = Link.SERIAL
     expected = Expected(
         gaps={FaultKind.RESTART: Gap.STOPPED},
-        # A board that was restarted counts anew, so what was on its way is not counted.
+        # A board that was restarted counts again, so what was on its way is not counted.
         loss_tolerance=LossTolerance(over_break=1, over_restart={"acc": 25, "gsr": 25}),
         impossible={
             FaultKind.REFUSE: _NO_COMMANDS,

@@ -241,7 +241,7 @@ class MovesenseDriver:
         )
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start anew what is behind silent streams, and what comes too rarely to be missed."""
+        """Start again what is behind silent streams, and what comes too rarely to be missed."""
         for each in self._wanted.values():
             if each.rate_hz is None or not streams.isdisjoint(each.streams):
                 await self._conversation.unsubscribe(each)

@@ -76,7 +76,7 @@ class StampClock:
         return read_ms / 1000
 
     def forget(self) -> None:
-        """Begin anew with the next stamp."""
+        """Begin again with the next stamp."""
         self._newest_ms = None
 
 
@@ -106,8 +106,8 @@ class PacketSeries:
         """Expect a new series of packets, which begins at any moment after the one before."""
         self._is_new = True
 
-    def anew(self) -> PacketSeries:
-        """Return one that knows of no packet, for a device that counts anew."""
+    def restarted(self) -> PacketSeries:
+        """Return one that knows of no packet, for a device that counts again."""
         return PacketSeries(self._nominal_hz)
 
     def place(self, stamp_s: float, count: int) -> Placed:
@@ -267,16 +267,16 @@ class MovesenseEmitter:
     def _device_s(self, stamp_ms: int, arrival_s: float) -> float:
         """Read a stamp; the first one of a connection tells whether the clock went on."""
         stamp_s = self._clock.read(stamp_ms)
-        if not self._clock_runs and self._counts_anew(stamp_s, arrival_s):
-            self.log.info("the device was switched off and counts anew")
-            self._series = {path: each.anew() for path, each in self._series.items()}
+        if not self._clock_runs and self._counts_again(stamp_s, arrival_s):
+            self.log.info("the device was switched off and counts again")
+            self._series = {path: each.restarted() for path, each in self._series.items()}
             self._clock.forget()
             stamp_s = self._clock.read(stamp_ms)
             self._sink.restart_clock()
         self._clock_runs, self._last = True, (stamp_s, arrival_s)
         return stamp_s
 
-    def _counts_anew(self, stamp_s: float, arrival_s: float) -> bool:
+    def _counts_again(self, stamp_s: float, arrival_s: float) -> bool:
         """Whether the device's clock did not go on since the last connection."""
         if self._last is None:
             return False

@@ -69,7 +69,7 @@ class AthenaEmitter:
         self._emitted_percent: float | None = None
 
     def started(self, wanted: frozenset[str], percent: float | None) -> None:
-        """Expect frames that are counted anew.
+        """Expect frames that are counted again.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class AthenaEmitter:
                 self._emit_charge(block)
 
     def _follow_clock(self, stamp_s: float, arrival_s: float) -> None:
-        """Begin anew where the device's clock did.
+        """Begin again where the device's clock did.
 
         The first frame of a connection tells best: later ones may have waited for the agent.
         """
@@ -125,8 +125,8 @@ class AthenaEmitter:
         is_behind = stamp_s < self._newest[0] - TURNED_BACK_S
         limit_s = (RECKONINGS_AGREE_S if is_new else LONGEST_DELAY_S) + pause_s / 1000
         if is_behind or abs(apart_s) > limit_s:
-            # nothing is dropped: its clock starts anew
-            self._log.info("the device was switched off and counts anew")
+            # nothing is dropped: its clock starts again
+            self._log.info("the device was switched off and counts again")
             self._sink.restart_clock()
             for each in self._kinds.values():
                 each.series.forget()
@@ -146,7 +146,7 @@ class AthenaEmitter:
     def _emit(self, kind: _Numbered, blocks: Sequence[Block]) -> None:
         """Emit the blocks of one kind in a frame."""
         places = [kind.series.place(block.number, block.stamp_s) for block in blocks]
-        if places[0].is_anew:
+        if places[0].is_again:
             kind.clock.restart()
         indices = [range(place.first, place.first + kind.samples) for place in places]
         stamps = [block.stamp_s for block in blocks]
@@ -158,7 +158,7 @@ class AthenaEmitter:
         streams = _streams(blocks)
         names = [name for name in streams if name in self._wanted]
         if lost and names:
-            estimated = places[0].is_anew
+            estimated = places[0].is_again
             # nothing is dropped: `lost` counts them below
             self._log.warning("samples were lost", data=names, count=lost, estimated=estimated)
         for name in names:

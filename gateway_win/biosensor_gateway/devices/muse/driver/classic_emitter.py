@@ -95,7 +95,7 @@ class RowAssembler:
         return complete
 
     def forget(self) -> None:
-        """Begin anew: what is held is of an earlier connection."""
+        """Begin again: what is held is of an earlier connection."""
         self._held.clear()
         self._given_out = None
 
@@ -122,7 +122,7 @@ class _Numbered:
     def emit(self, number: int, streams: Mapping[str, Floats], arrival_s: float) -> None:
         """Emit the samples of a packet, by data name."""
         place = self.series.place(number, arrival_s)
-        if place.is_anew:
+        if place.is_again:
             self._clock.restart()
         last = place.first + self._samples - 1, arrival_s
         self._clock.observe(last, own_delay_s=self._sink.own_delay())
@@ -133,7 +133,7 @@ class _Numbered:
                 "samples were lost",
                 data=list(streams),
                 count=place.lost,
-                estimated=place.is_anew,
+                estimated=place.is_again,
             )
         for name, samples in streams.items():
             self._sink.lost(name, place.lost)
@@ -158,7 +158,7 @@ class ClassicEmitter:
         self._diodes = RowAssembler(len(PPG), LIGHT_SAMPLES)
 
     def started(self, *, has_aux: bool) -> None:
-        """Expect packets that are counted anew, with or without an electrode of one's own."""
+        """Expect packets that are counted again, with or without an electrode of one's own."""
         for each in (self._eeg, self._light, *self._axes.values()):
             each.series.restart()
         if has_aux != self._has_aux:

@@ -49,7 +49,7 @@ class MuseDriver:
         await self._session.close()
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start everything anew, as one preset has all of it; see the protocol class."""
+        """Start everything again, as one preset has all of it; see the protocol class."""
         del streams
         await self._session.start_again()
 

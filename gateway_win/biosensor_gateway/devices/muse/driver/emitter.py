@@ -37,7 +37,7 @@ class MuseEmitter:
         self._athena = AthenaEmitter(sink, self._log)
 
     def started(self, started: Started) -> None:
-        """Expect packets that are counted anew; to be called before they can come."""
+        """Expect packets that are counted again; to be called before they can come."""
         self._classic.started(has_aux="aux" in started.wanted)
         self._athena.started(*started)
 

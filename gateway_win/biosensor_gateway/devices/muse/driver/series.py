@@ -7,7 +7,7 @@ from typing import NamedTuple
 from biosensor_common.clocks import PacketTimeline
 
 AHEAD_S = 2.0
-"""Numbers may be so far ahead of the time; further, the device counts anew."""
+"""Numbers may be so far ahead of the time; further, the device counts again."""
 AHEAD_SHARE = 0.05
 
 
@@ -20,13 +20,13 @@ class Place(NamedTuple):
         Number of its first sample; those of a series follow each other.
     lost
         Samples missing before it.
-    is_anew
+    is_again
         It is the first one of a series, whose place is told by time alone.
     """
 
     first: int
     lost: int
-    is_anew: bool
+    is_again: bool
 
 
 class PacketSeries:
@@ -49,11 +49,11 @@ class PacketSeries:
         self._next = 0
 
     def restart(self) -> None:
-        """Expect the device to count anew."""
+        """Expect the device to count again."""
         self._numbers.forget()
 
     def forget(self) -> None:
-        """Take it that the clock which tells the time begins anew, too."""
+        """Take it that the clock which tells the time begins again, too."""
         self._numbers.forget()
         self._newest_s = None
 
@@ -71,8 +71,8 @@ class PacketSeries:
         expected = passed_s * self._rate_hz / self._samples
         steps = self._numbers.steps(number, expected)
         ahead = AHEAD_S * self._rate_hz / self._samples + AHEAD_SHARE * abs(expected)
-        is_anew = steps is None or steps > expected + ahead
-        if is_anew or steps is None:
+        is_again = steps is None or steps > expected + ahead
+        if is_again or steps is None:
             self._numbers.forget()
             self._numbers.place(number)
             lost = 0 if self._newest_s is None else self._missing(passed_s)
@@ -82,7 +82,7 @@ class PacketSeries:
         first = self._next + lost
         self._next = first + self._samples
         self._newest_s = time_s
-        return Place(first, lost, is_anew)
+        return Place(first, lost, is_again)
 
     def _missing(self, passed_s: float) -> int:
         return max(0, round(passed_s * self._rate_hz) - self._samples)

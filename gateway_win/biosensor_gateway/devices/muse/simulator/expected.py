@@ -15,7 +15,7 @@ from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 CLASSIC = Expected(
     # It comes without a time.
     unstamped_s={"bat": 0.0},
-    # Each connection begins to count anew, and is placed by its arrival.
+    # Each connection begins to count again, and is placed by its arrival.
     loss_tolerance=LossTolerance(over_break=48, by_arrival=True),
     impossible={
         FaultKind.OFF_BODY: "it does not tell whether anybody wears it",
@@ -33,8 +33,8 @@ ATHENA = replace(
         Untidiness.APART: USUALLY_IMPOSSIBLE[Untidiness.APART],
         FaultKind.DENY: "all that it measures comes by one characteristic",
     },
-    # Each connection begins to count anew, and is placed by the device's clock.
+    # Each connection begins to count again, and is placed by the device's clock.
     loss_tolerance=LossTolerance(over_break=48),
-    # Its clock begins anew.
+    # Its clock begins again.
     gaps={FaultKind.RESTART: Gap.STOPPED},
 )

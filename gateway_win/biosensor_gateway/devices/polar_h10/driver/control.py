@@ -234,7 +234,7 @@ class Measurements:
     async def restart(self, measurements: Collection[int]) -> None:
         """Stop measurements from which nothing comes, and start them.
 
-        Where nothing comes of any that has a rate, those without one are started anew, too: of
+        Where nothing comes of any that has a rate, those without one are started again, too: of
         these nobody can tell whether the device forgot them.
 
         Raises

@@ -126,7 +126,7 @@ class PolarDriver:
         await self._session.close()
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start silent measurements anew, and subscribe to the heart rate once more."""
+        """Start silent measurements again, and subscribe to the heart rate once more."""
         await self._session.enable_again(streams)
 
     def _helps(self, error: GatewayError) -> bool:
@@ -157,7 +157,7 @@ def _pairing_failure(error: GatewayError, *, still_demands: bool) -> GatewayErro
         return error
     message = (
         f"{error}; pairing does not help: remove the sensor in the system's Bluetooth settings, "
-        "then start anew"
+        "then start again"
     )
     if isinstance(error, TransportError) and not denied:
         return ProtocolError(ProtocolReason.NO_REPLY, message)

@@ -188,9 +188,9 @@ class PolarEmitter:
             self._sink.left_out(len(samples), reason)
             return
         stamp_s = header.timestamp_ns / _NS
-        if not self.clock_runs and self._counts_anew(stamp_s, arrival_s):
-            # nothing is dropped: its clock starts anew
-            self.log.info("the device was switched off and counts anew")
+        if not self.clock_runs and self._counts_again(stamp_s, arrival_s):
+            # nothing is dropped: its clock starts again
+            self.log.info("the device was switched off and counts again")
             self._timelines.clear()
             self._sink.restart_clock()
         self.clock_runs, self._last = True, (stamp_s, arrival_s)
@@ -209,7 +209,7 @@ class PolarEmitter:
         self._sink.observe(stamp_s, arrival_s)
         self._sink.emit(name, samples, [time_ns / _NS for time_ns in placed.times_ns])
 
-    def _counts_anew(self, stamp_s: float, arrival_s: float) -> bool:
+    def _counts_again(self, stamp_s: float, arrival_s: float) -> bool:
         """Whether the device's clock did not go on since the last connection."""
         if self._last is None:
             return False

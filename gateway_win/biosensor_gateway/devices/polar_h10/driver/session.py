@@ -153,7 +153,7 @@ class PolarSession:
         return DUE if has_it else {}
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start anew what is behind streams that are silent.
+        """Start again what is behind streams that are silent.
 
         Raises
         ------
@@ -202,12 +202,14 @@ class PolarSession:
             delay_s = min(2 * delay_s, ASK_AGAIN_CAP_S)
             if self.rates != promised:
                 # The streams have been declared with other rates.
-                message = f"{self._link.what}: it measures now, and is connected anew for its rates"
+                message = (
+                    f"{self._link.what}: it measures now, and is connected again for its rates"
+                )
                 raise TransportError(TransportReason.LOST, message)
 
     async def _receive(self) -> Sequence[Notification]:
         notification = await self._link.next()
-        # Now, not when it is emitted: the measurement may be started anew meanwhile.
+        # Now, not when it is emitted: the measurement may be started again meanwhile.
         is_foreign = notification.uuid == DATA and self._emitter.is_foreign(notification.data)
         return () if is_foreign else (notification,)
 

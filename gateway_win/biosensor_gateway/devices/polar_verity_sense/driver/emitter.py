@@ -116,7 +116,7 @@ class _Beats:
         return self._named(self._stored.place(beats, arrival_s))
 
     def restart(self) -> list[tuple[PulseInterval, float]]:
-        """Begin anew; return what waited for its place."""
+        """Begin again; return what waited for its place."""
         return self._named(self._stored.restart())
 
     def _named(self, placed: Sequence[PlacedBeat]) -> list[tuple[PulseInterval, float]]:

@@ -127,7 +127,7 @@ class ShimmerDriver:
         # As far as one knows it went on measuring.
         self._emitter.kept_measuring_until(self._sink.clock())
         if not is_there:
-            message = f"{self._port}: the device has fallen silent; it is started anew"
+            message = f"{self._port}: the device has fallen silent; it is started again"
             raise TransportError(TransportReason.SILENT, message)
         await self._start(self._prepared)
 

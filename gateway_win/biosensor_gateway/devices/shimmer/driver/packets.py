@@ -83,7 +83,7 @@ class TickTimeline:
         """Return how many samples are missing, and whether the counter was restarted."""
         agree_s = SURVIVED_AGREE_S if self._is_new_connection else LONGEST_DELAY_S
         restarted = step <= 0 or abs(step - expected) > agree_s * TICKS_PER_S
-        # A device that was started anew has measured nothing in between.
+        # A device that was started again has measured nothing in between.
         is_counted = not restarted and not self._is_new_connection
         return max(0, round(step / self._divisor) - 1) if is_counted else 0, restarted
 

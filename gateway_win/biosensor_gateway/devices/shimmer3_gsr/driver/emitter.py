@@ -42,7 +42,7 @@ INTERVALS_KEPT = 5
 MISFITS_TOLERATED = 3
 """So many misfits in a row, and it is the intervals before that were wrong."""
 LONGEST_GAP_S = 0.25
-"""After a longer hole in the signal a beat may be missing, so counting starts anew."""
+"""After a longer hole in the signal a beat may be missing, so counting starts again."""
 
 
 class HeartRate(NamedTuple):

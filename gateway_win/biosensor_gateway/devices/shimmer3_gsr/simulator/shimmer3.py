@@ -46,7 +46,7 @@ EXPECTED = Expected(
         FaultKind.STALL: Gap.UNKNOWN,
         # It answers and sends nothing: whether it measures, nobody knows.
         FaultKind.FORGET: Gap.UNKNOWN,
-        # It is started anew meanwhile, and nobody can read since when it measures.
+        # It is started again meanwhile, and nobody can read since when it measures.
         FaultKind.UNREADABLE: Gap.UNKNOWN,
     },
     # A quarter of a second may be on its way when the link breaks: in its radio, and in the

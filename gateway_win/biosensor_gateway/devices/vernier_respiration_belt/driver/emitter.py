@@ -102,7 +102,7 @@ class Numbering:
         self._held: list[Arrived] = []
 
     def restart(self, period_s: float) -> None:
-        """Begin to count anew: the next sample is the first after a start."""
+        """Begin to count again: the next sample is the first after a start."""
         self._origin_s, self._index = self._time(0), 0
         self._period_s = period_s
         self._restarted = True

@@ -37,7 +37,7 @@ _MAX_BRIDGED_S = 86_400.0
 _REMEMBERED = 16
 _USUALLY_LATE_S = 5.0
 """Where a device has no clock, numbers that claim a longer gap than arrivals leave room for,
-by more than this, were begun anew."""
+by more than this, were begun again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class PacketTrack:
     """One kind of periodic packet, followed over connections.
 
     What a packet's stamp says decides; its number confirms it, and tells a gap from a clock
-    that was set. So numbers that are begun anew, or stand still, make no gap.
+    that was set. So numbers that are begun again, or stand still, make no gap.
 
     Parameters
     ----------

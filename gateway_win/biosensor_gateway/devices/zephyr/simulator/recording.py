@@ -133,7 +133,7 @@ class RecordedSource:
     periodic packets that the host has not enabled. Lifesigns, events and junk are
     always played. Playback begins when all periodic packets of the recording are
     enabled, or ``settle_s`` after the last change if a host wants only some; it
-    begins anew on every connection.
+    begins again on every connection.
 
     Parameters
     ----------

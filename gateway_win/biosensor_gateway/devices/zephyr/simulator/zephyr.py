@@ -195,7 +195,7 @@ class SyntheticSource:
         self._crystal = Crystal(clock, self._crystal_ppm(self._drift_ppm))
 
     def power_cycle(self) -> None:
-        """Begin anew with every number at 0; the clock has gone on."""
+        """Begin again with every number at 0; the clock has gone on."""
         self.step_clock(round(1000 * self._crystal.now()))
         self.power_on(self._crystal.clock)
         self._begin_measuring()

@@ -1,4 +1,4 @@
-// What is wrong on this computer, why it matters, and what mends it.
+// What is wrong on this computer, why it matters, and what fixes it.
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
@@ -9,7 +9,7 @@ function sentence(outcome) {
   const { error: errors, warning: warnings } = outcome.counts;
   if (!errors && !warnings) return "Nothing is wrong with this computer.";
   const named = (n, word) => `${n} ${word}${n === 1 ? "" : "s"}`;
-  return `${[errors && named(errors, "error"), warnings && named(warnings, "warning")].filter(Boolean).join(" and ")}; what mends each stands below it.`;
+  return `${[errors && named(errors, "error"), warnings && named(warnings, "warning")].filter(Boolean).join(" and ")}; what fixes each stands below it.`;
 }
 
 export function Doctor({ onClose }) {

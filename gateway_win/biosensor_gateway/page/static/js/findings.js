@@ -1,4 +1,4 @@
-// What was found, how bad it is, why it matters and what mends it.
+// What was found, how bad it is, why it matters and what fixes it.
 
 import { html } from "../vendor/preact-htm.js";
 

@@ -95,7 +95,7 @@ def after_table(outcome: Outcome) -> Iterator[str]:
     for number, new in known.new_headers.items():
         name = printable(known.streams[number].header.name)
         if new.wrong:
-            yield f"{name}: its header was mended, which had {', '.join(map(printable, new.wrong))}"
+            yield f"{name}: its header was fixed, which had {', '.join(map(printable, new.wrong))}"
         else:
             yield f"{name}: its header is that of the other recording; see whether it fits"
     for stream in known.streams.values():

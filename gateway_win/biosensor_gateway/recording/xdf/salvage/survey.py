@@ -49,7 +49,7 @@ class Survey:
     damages
         What cannot be read.
     new_headers
-        Of streams whose header was mended or taken from another recording, by their numbers.
+        Of streams whose header was fixed or taken from another recording, by their numbers.
     """
 
     size: int
@@ -67,7 +67,7 @@ class Survey:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it holds streams, and nothing is to be mended."""
+        """Whether it holds streams, and nothing is to be fixed."""
         broken = self.damages or self.orphans or self.unclosed or self.new_headers
         broken = broken or any(each.cut for each in self.streams.values())
         return bool(self.streams) and not broken
@@ -140,7 +140,7 @@ def survey(
 
 class _Surveyor:
     def __init__(self, lost_headers: Mapping[int, bytes] | None) -> None:
-        self._sorter = StreamSorter(KeptStream, mends_headers=True, lost_headers=lost_headers)
+        self._sorter = StreamSorter(KeptStream, fixes_headers=True, lost_headers=lost_headers)
         self._orphans: dict[int, Orphans] = {}
         self._dropped = array("q")
 

@@ -64,7 +64,7 @@ class FrameTimeline:
         return _NS / self._period_ns
 
     def restart(self, nominal_hz: float) -> None:
-        """Begin anew, as when the measurement was stopped and started."""
+        """Begin again, as when the measurement was stopped and started."""
         self._previous_ns = None
         if nominal_hz != self._nominal_hz:
             self._nominal_hz, self._nominal_ns = nominal_hz, _NS / nominal_hz
