@@ -66,7 +66,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
 
 
 def test_each_module_that_resolves_has_its_case() -> None:
-    resolving = re.compile(r"\b(ContinuousResolver|resolve_\w+)\(")
+    resolving = re.compile(r"\b(ContinuousResolver|resolve_(by\w+|streams?))\(")
     modules = {
         f"{path.parent.name}/{path.name}"
         for folder in ("common", "gateway_win", "ros_side")

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from lsl_to_ros.lsl import discovery, rivals
+from biosensor_common.lsl import network
+from lsl_to_ros.lsl import rivals
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Collector, wait_until
@@ -102,7 +103,7 @@ def sender() -> Iterator[Sender]:
 
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
-    monkeypatch.setattr(discovery, "FORGET_AFTER_S", FORGET_S)
+    monkeypatch.setattr(network, "FORGET_AFTER_S", FORGET_S)
     monkeypatch.setattr(rivals, "PATIENCE_S", PATIENCE_S)
     monkeypatch.setattr(rivals, "SEEN_AGAIN_S", 0.5)
     node = Node()
