@@ -22,7 +22,8 @@ STREAM = raw("acc", ContentType.ACCELEROMETER, channels(Unit.G, "x", "y", "z"), 
 NEED_PYLSL = {
     "biosensor_common.doctor.survey",
     "biosensor_common.lsl.inlet",
-    "biosensor_common.lsl_outlet",
+    "biosensor_common.lsl.network",
+    "biosensor_common.lsl.outlet",
 }
 
 IMPORT_ALL = """
