@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.recorder import live_file
+from biosensor_gateway.recording.recorder import recording_file
 from biosensor_gateway.recording.recorder.recording_file import (
     grows,
     sizes,
@@ -133,7 +133,7 @@ def test_what_goes_on_growing_is_not_closed(
         return file.stat().st_size
 
     # It grows from look to look, whoever is held up.
-    monkeypatch.setattr(live_file, "size_of", grown)
+    monkeypatch.setattr(recording_file, "size_of", grown)
     begun = time.monotonic()
     assert wait_until_closed(path, 1.0, 3.0) is None
     assert time.monotonic() - begun >= 3.0

@@ -61,7 +61,7 @@ class NetworkPage:
             source, live = await asyncio.to_thread(self._source, lsl)
             front.show(live)
             running.append(asyncio.create_task(source.run()))
-            front.complete(await asyncio.to_thread(_api, source))
+            front.complete(await asyncio.to_thread(interface, source))
             await asyncio.gather(*running)
         finally:
             await cancelled(running)
@@ -81,7 +81,8 @@ class NetworkPage:
             return source, live(source, source.status)
 
 
-def _api(source: NetworkSource) -> ASGIApp:
+def interface(source: NetworkSource) -> ASGIApp:
+    """Return what can be asked for: the streams that this computer sees."""
     with responsive():
         from biosensor_gateway.page.models import NetworkView
         from biosensor_gateway.page.routes.api import new_app
@@ -89,7 +90,8 @@ def _api(source: NetworkSource) -> ASGIApp:
 
         app = new_app()
 
-        @app.get(f"{PREFIX}/streams")
+        # Named here: annotations are looked up at the top of the module, which is light.
+        @app.get(f"{PREFIX}/streams", response_model=NetworkView)
         async def streams() -> NetworkView:  # pyright: ignore[reportUnusedFunction]
             """Say which streams this computer sees, and how they are."""
             return source.status()
