@@ -177,6 +177,8 @@ def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
         "streams_refused": "1",
         "streams_left_out": "0",
         "clock_steps": "0",
+        # What it is set to, so that a bag tells why types differ (docs/migration.md).
+        "compat": "",
         "stamped_topics": "no",
         "liblsl": str(pylsl.library_version()),
     }
