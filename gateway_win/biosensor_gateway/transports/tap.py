@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
@@ -225,16 +225,11 @@ class LinkTap:
             self._tap.passed(self._number, passed)
 
 
-class TappedLink:
-    """A byte link that tells what passes; see :class:`~biosensor_gateway.transports.link.ByteLink`.
+_Link = TypeVar("_Link", ByteLink, TextLink)
 
-    Parameters
-    ----------
-    link
-        The one that carries it.
-    """
 
-    def __init__(self, link: ByteLink, tap: Tap) -> None:
+class _Tapped(Generic[_Link]):
+    def __init__(self, link: _Link, tap: Tap) -> None:
         self._link = link
         with tapped(tap):
             self._tap = LinkTap(LSL_CLOCK)
@@ -247,6 +242,21 @@ class TappedLink:
             self._tap.failed(error)
             raise
         self._tap.opened(None, [])
+
+    async def close(self) -> None:
+        """Close the link."""
+        self._tap.ended(What.CLOSED)
+        await self._link.close()
+
+
+class TappedLink(_Tapped[ByteLink]):
+    """A byte link that tells what passes; see :class:`~biosensor_gateway.transports.link.ByteLink`.
+
+    Parameters
+    ----------
+    link
+        The one that carries it.
+    """
 
     async def read(self) -> Received:
         """Wait for the next bytes."""
@@ -263,13 +273,8 @@ class TappedLink:
         self._tap.came(What.SENT, "", data, LSL_CLOCK())
         self._link.write(data)
 
-    async def close(self) -> None:
-        """Close the link."""
-        self._tap.ended(What.CLOSED)
-        await self._link.close()
 
-
-class TappedTexts:
+class TappedTexts(_Tapped[TextLink]):
     """A link of texts that tells what passes; see :class:`TextLink`.
 
     Parameters
@@ -278,24 +283,10 @@ class TappedTexts:
         The one that carries them.
     """
 
-    def __init__(self, link: TextLink, tap: Tap) -> None:
-        self._link = link
-        with tapped(tap):
-            self._tap = LinkTap(LSL_CLOCK)
-
     @property
     def dropped(self) -> int:
         """Messages that came and could not be kept."""
         return self._link.dropped
-
-    async def open(self) -> None:
-        """Open the link."""
-        try:
-            await self._link.open()
-        except GatewayError as error:
-            self._tap.failed(error)
-            raise
-        self._tap.opened(None, [])
 
     async def read(self) -> ReceivedText:
         """Wait for the next message."""
@@ -311,11 +302,6 @@ class TappedTexts:
         """Send a message."""
         self._tap.came(What.SENT, "", _encoded(text), LSL_CLOCK())
         await self._link.send(text)
-
-    async def close(self) -> None:
-        """Close the link."""
-        self._tap.ended(What.CLOSED)
-        await self._link.close()
 
 
 class _TextsOfBytes:

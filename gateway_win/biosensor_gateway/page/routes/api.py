@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -21,6 +22,31 @@ class QuestionError(ConfigError):
     def __init__(self, title: str, sentence: str, choices: Sequence[Choice]) -> None:
         super().__init__(ConfigReason.IN_USE, sentence)
         self.problem = Problem(problem=sentence, title=title, choices=[*choices])
+
+
+class OneAtATime:
+    """Work of which one goes on at a time; whoever comes meanwhile is refused with a sentence."""
+
+    def __init__(self, refused: str) -> None:
+        self._refused = refused
+        self._goes_on = False
+
+    @contextmanager
+    def turn(self) -> Generator[None]:
+        """Do it in the block.
+
+        Raises
+        ------
+        ConfigError
+            ``IN_USE`` if it goes on already.
+        """
+        if self._goes_on:
+            raise ConfigError(ConfigReason.IN_USE, self._refused)
+        self._goes_on = True
+        try:
+            yield
+        finally:
+            self._goes_on = False
 
 
 def new_app() -> FastAPI:

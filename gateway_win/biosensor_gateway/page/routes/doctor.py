@@ -25,6 +25,7 @@ from biosensor_common.doctor.network_check.sides import ANSWER_PORT, Answerer
 from biosensor_common.doctor.report import Report, content, printable, run_checks
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.doctor.context import read_context
+from biosensor_gateway.page.routes.api import OneAtATime
 from biosensor_gateway.page.session import Session
 
 
@@ -86,7 +87,7 @@ class Doctor:
 
     def __init__(self, settings: Path, folder: Path) -> None:
         self._settings, self._folder = settings, folder
-        self._is_busy = False
+        self._once = OneAtATime("this computer is being examined already; wait for the outcome")
 
     async def examine(self) -> Examination:
         """Run all checks, which takes up to some seconds.
@@ -96,14 +97,8 @@ class Doctor:
         ConfigError
             ``IN_USE`` if an examination goes on.
         """
-        if self._is_busy:
-            message = "this computer is being examined already; wait for the outcome"
-            raise ConfigError(ConfigReason.IN_USE, message)
-        self._is_busy = True
-        try:
+        with self._once.turn():
             return Examination.model_validate(content(await asyncio.to_thread(self._run)))
-        finally:
-            self._is_busy = False
 
     def _run(self) -> Report:
         return run_checks(checks_of(AGENT), read_context(self._settings, self._folder))
@@ -143,7 +138,7 @@ class NetworkCheck:
 
     def __init__(self, settings: Path, folder: Path) -> None:
         self._settings, self._folder = settings, folder
-        self._is_busy = False
+        self._once = OneAtATime("the network is being tried already; wait for the outcome")
 
     async def check(self, other: OtherComputer) -> NetworkView:
         """Try it, which takes a quarter of a minute.
@@ -153,14 +148,8 @@ class NetworkCheck:
         ConfigError
             ``IN_USE`` if it is being tried.
         """
-        if self._is_busy:
-            message = "the network is being tried already; wait for the outcome"
-            raise ConfigError(ConfigReason.IN_USE, message)
-        self._is_busy = True
-        try:
+        with self._once.turn():
             return network_view(await asyncio.to_thread(self._run, other))
-        finally:
-            self._is_busy = False
 
     def _run(self, other: OtherComputer) -> Outcome:
         context = read_context(self._settings, self._folder)

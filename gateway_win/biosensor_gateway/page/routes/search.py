@@ -14,6 +14,7 @@ from biosensor_gateway.devices.registry import driver
 from biosensor_gateway.doctor import scan
 from biosensor_gateway.doctor.device_test import DeviceTestResult, described, run_device_test
 from biosensor_gateway.doctor.scan import SearchedPlace
+from biosensor_gateway.page.routes.api import OneAtATime
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.models import DeviceSettings
 
@@ -125,7 +126,7 @@ class DeviceTester:
 
     def __init__(self, streamed: Callable[[], Sequence[tuple[str, str]]]) -> None:
         self._streamed = streamed
-        self._is_busy = False
+        self._once = OneAtATime("another device is being tried; wait for the outcome")
 
     async def run(self, candidate: Candidate) -> DeviceTestResult:
         """Connect, listen for `TRIAL_S`, and judge.
@@ -143,14 +144,8 @@ class DeviceTester:
         if (settings.sensor_name, settings.unit) in self._streamed():
             message = "the agent has this device; its card shows what it sends"
             raise TransportError(TransportReason.BUSY, message)
-        if self._is_busy:
-            message = "another device is being tried; wait for the outcome"
-            raise ConfigError(ConfigReason.IN_USE, message)
-        self._is_busy = True
-        try:
+        with self._once.turn():
             return described(await run_device_test(settings, TRIAL_S))
-        finally:
-            self._is_busy = False
 
 
 def _settings(candidate: Candidate) -> DeviceSettings:

@@ -8,48 +8,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.stream import Samples
+from biosensor_gateway.recording.export.fitted_line import FittedLine
 from biosensor_gateway.recording.xdf.pace import Cuts
-
-
-@dataclass(slots=True)
-class _Line:
-    """Number against time of the samples of a run, as sums around their means."""
-
-    begin: int
-    count: int = 0
-    mean_number: float = 0.0
-    mean_s: float = 0.0
-    spread: float = 0.0
-    product: float = 0.0
-
-    def add(self, times: NDArray[np.float64]) -> None:
-        """Take in the samples that follow; means and sums are joined as Chan et al. (1983) do."""
-        count = len(times)
-        number = self.count + np.arange(count, dtype=np.float64)
-        mean_number, mean_s = float(number.mean()), float(times.mean())
-        total = self.count + count
-        weight = self.count * count / total
-        away, away_s = mean_number - self.mean_number, mean_s - self.mean_s
-        self.spread += float(((number - mean_number) ** 2).sum()) + weight * away**2
-        self.product += float((number - mean_number) @ (times - mean_s)) + weight * away * away_s
-        self.mean_number += away * count / total
-        self.mean_s += away_s * count / total
-        self.count = total
-
-    def times(self, first: int, count: int, usual_s: float) -> NDArray[np.float64]:
-        """Return the times of samples by their numbers in the stream."""
-        slope_s = self.product / self.spread if self.spread else usual_s
-        # Of a few samples that came at once no line can be seen.
-        if not 0.5 < slope_s / usual_s < 2:
-            slope_s = usual_s
-        number = np.arange(first - self.begin, first - self.begin + count, dtype=np.float64)
-        return self.mean_s + slope_s * (number - self.mean_number)
 
 
 class Evened:
@@ -66,7 +32,7 @@ class Evened:
     def __init__(self, blocks: Iterable[NDArray[np.float64]], cuts: Cuts) -> None:
         self._begins = [0, *cuts.numbers]
         self._period_s = cuts.period_s
-        self._lines = [_Line(begin) for begin in self._begins]
+        self._lines = [FittedLine() for _ in self._begins]
         done = 0
         for times in blocks:
             for run, first, last in self._parts(done, len(times)):
@@ -79,12 +45,22 @@ class Evened:
         for samples in batches:
             times = np.concatenate(
                 [
-                    self._lines[run].times(first, last - first, self._period_s)
+                    self._times(run, first, last)
                     for run, first, last in self._parts(done, len(samples))
                 ]
             )
             done += len(samples)
             yield replace(samples, times=times)
+
+    def _times(self, run: int, first: int, last: int) -> NDArray[np.float64]:
+        """Return the times of samples of a run, the last one excluded."""
+        line = self._lines[run]
+        slope_s = line.product / line.spread if line.spread else self._period_s
+        # Of a few samples that came at once no line can be seen.
+        if not 0.5 < slope_s / self._period_s < 2:
+            slope_s = self._period_s
+        number = np.arange(first - self._begins[run], last - self._begins[run], dtype=np.float64)
+        return line.mean_s + slope_s * (number - line.mean_number)
 
     def _parts(self, done: int, count: int) -> Iterator[tuple[int, int, int]]:
         """Divide samples by runs: number of the run, first sample, and the one behind the last."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_gateway.recording.export.fitted_line import FittedLine
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import longest_step_s
 from biosensor_gateway.recording.xdf.pace import Cuts
@@ -64,31 +65,6 @@ class Timing:
 
 
 @dataclass(slots=True)
-class _Line:
-    """Samples without a gap between them: index against time, as sums around their means."""
-
-    count: int = 0
-    mean_index: float = 0.0
-    mean_s: float = 0.0
-    spread: float = 0.0
-    product: float = 0.0
-
-    def add(self, times: NDArray[np.float64]) -> None:
-        """Take in the samples that follow; means and sums are joined as Chan et al. (1983) do."""
-        count = len(times)
-        index = self.count + np.arange(count, dtype=np.float64)
-        mean_index, mean_s = float(index.mean()), float(times.mean())
-        total = self.count + count
-        weight = self.count * count / total
-        away, away_s = mean_index - self.mean_index, mean_s - self.mean_s
-        self.spread += float(((index - mean_index) ** 2).sum()) + weight * away**2
-        self.product += float((index - mean_index) @ (times - mean_s)) + weight * away * away_s
-        self.mean_index += away * count / total
-        self.mean_s += away_s * count / total
-        self.count = total
-
-
-@dataclass(slots=True)
 class _Survey:
     longest_step_s: float
     longest_filled_s: float
@@ -103,8 +79,8 @@ class _Survey:
     longest_gap_s: float = 0.0
     spans_s: float = 0.0
     parts: list[Part] = field(default_factory=list[Part])
-    firsts: list[_Line] = field(default_factory=list[_Line])
-    _line: _Line = field(default_factory=_Line)
+    firsts: list[FittedLine] = field(default_factory=list[FittedLine])
+    _line: FittedLine = field(default_factory=FittedLine)
     _begin_s: float = 0.0
     _last_s: float = 0.0
     _count: int = 0
@@ -151,7 +127,7 @@ class _Survey:
     def end_line(self) -> None:
         self.spread += self._line.spread
         self.product += self._line.product
-        self._line = _Line()
+        self._line = FittedLine()
 
     def end_part(self) -> None:
         if self.parts:
@@ -195,7 +171,7 @@ def find_timing(
     found_hz = _rate(survey, header.rate) if cuts is None else 1.0 / cuts.period_s
     rate_hz = float(f"{_likely(found_hz, header.rate):.{_DIGITS}g}")
     for part, line in zip(survey.parts, survey.firsts, strict=True):
-        part.start_s = line.mean_s - line.mean_index / rate_hz
+        part.start_s = line.mean_s - line.mean_number / rate_hz
     rows = survey.spans_s * rate_hz + len(survey.parts)
     return Timing(rate_hz, survey.gaps, survey.longest_gap_s, tuple(survey.parts), rows)
 
