@@ -9,7 +9,9 @@ import pytest
 
 from biosensor_gateway.recording.recorder.live_file import GrowingFile, Growth
 from biosensor_gateway.recording.xdf.container import Tag
-from tests.xdf.xdf_file import FILE_HEADER, boundary, chunk, footer, samples, stream_header
+from biosensor_gateway.recording.xdf.findings import Level
+from tests.recording_export.study import ours
+from tests.xdf.xdf_file import FILE_HEADER, boundary, chunk, footer, samples, stream_header, xdf
 
 HEAD = b"XDF:" + chunk(1, FILE_HEADER) + stream_header(1, "one", rate=10.0)
 TWO = stream_header(2, "two", rate=10.0)
@@ -191,3 +193,22 @@ def test_gaps_stay_said_when_all_goes_on(written: Written) -> None:
     (gap,) = written.growth.gaps()
     assert (gap.stream, gap.text) == ("one", "2 gaps so far, the longest of 2.9 s")
     assert "gaps" not in {code for _, code in written.codes()}
+
+
+@pytest.mark.parametrize(
+    ("participants", "level"),
+    [(("P01", "P02"), Level.WARNING), (("P02",), Level.ERROR), (("P01", ""), None)],
+)
+def test_a_file_called_after_somebody_else_is_not_green_while_it_grows(
+    tmp_path: Path, participants: tuple[str, ...], level: Level | None
+) -> None:
+    path = tmp_path / "sub-P01_task-walk_beh.xdf"
+    streams = [
+        ours(number, "polar_h10", "hr", [[64.0]], [101.0], participant)
+        for number, participant in enumerate(participants, 1)
+    ]
+    path.write_bytes(xdf(*streams))
+    growth = Growth(path)
+    growth.look()
+    found = [each.level for each in growth.problems() if each.code == "other-participants"]
+    assert found == ([] if level is None else [level])

@@ -100,6 +100,12 @@ def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
     return Mismatch(named, others, is_all, sentence)
 
 
+def compare_file(path: Path, identities: Iterable[DeviceIdentity | None]) -> Mismatch | None:
+    """Compare a file's name with the identities in the headers of its streams; see `compare`."""
+    worn = [Worn.by(each) for each in identities if each is not None]
+    return compare(participant_of(path), worn)
+
+
 def participant_of(path: Path) -> str:
     """Return whose recording a file's name says it is; empty if it says nobody."""
     return entities_of(path.name.partition(".")[0]).get("sub", "")

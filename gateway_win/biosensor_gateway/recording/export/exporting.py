@@ -19,8 +19,7 @@ from biosensor_gateway.recording.export.outcome import NothingForIt, Outcome, Wr
 from biosensor_gateway.recording.participants import (
     Mismatch,
     Whose,
-    Worn,
-    compare,
+    compare_file,
     participant_of,
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -97,9 +96,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
 
 
 def _mismatch(path: Path, chosen: Chosen) -> Mismatch | None:
-    identities = (each.header.identity for each in chosen.streams)
-    worn = [Worn.by(each) for each in identities if each is not None]
-    return compare(participant_of(path), worn)
+    return compare_file(path, (each.header.identity for each in chosen.streams))
 
 
 @contextmanager

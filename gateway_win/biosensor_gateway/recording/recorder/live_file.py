@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf.container import ChunkError
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
 from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Frame, Tag
 from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
 from biosensor_gateway.recording.xdf.measuring import (
@@ -372,7 +372,9 @@ class Growth:
             Those that may say nothing, as of a device that is paused.
         """
         streams = [self._progress(each) for each in self._streams.values()]
-        found = [*self._problems_of_file(), *self._missing(required)]
+        identities = [each.header.identity for each in self._streams.values()]
+        whose = other_participants(self._file, identities)
+        found = [*self._problems_of_file(), *self._missing(required), *whose]
         if not self._is_closed:
             for each in streams:
                 if not each.is_closed and each.source_id not in silent:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum, unique
+from pathlib import Path
+
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.recording.participants import compare_file
 
 
 @unique
@@ -55,6 +59,16 @@ class Finding:
         """Return the same about something; what we record of ourselves spoils nobody's data."""
         milder = _MILDER if about is About.OURSELVES else {}
         return replace(self, about=about, level=milder.get(self.level, self.level))
+
+
+def other_participants(
+    path: Path, identities: Iterable[DeviceIdentity | None]
+) -> Iterator[Finding]:
+    """Say whether a recording is called after somebody else than those who wear its sensors."""
+    mismatch = compare_file(path, identities)
+    if mismatch is not None:
+        level = Level.ERROR if mismatch.is_all else Level.WARNING
+        yield Finding(level, "other-participants", "", mismatch.sentence)
 
 
 _MILDER = {Level.ERROR: Level.WARNING, Level.WARNING: Level.NOTE}

@@ -8,12 +8,17 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
-from biosensor_gateway.recording.participants import Worn, compare, participant_of
 from biosensor_gateway.recording.xdf.agent_rules import compare_with_agent
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.event_rules import judge_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
-from biosensor_gateway.recording.xdf.findings import About, Finding, Level, in_order
+from biosensor_gateway.recording.xdf.findings import (
+    About,
+    Finding,
+    Level,
+    in_order,
+    other_participants,
+)
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import measure
 from biosensor_gateway.recording.xdf.recording import Recording
@@ -38,7 +43,7 @@ def judge(
     findings = [
         *_damaged(recording),
         *_not_closed(recording),
-        *_other_participants(recording),
+        *other_participants(recording.path, (each.header.identity for each in recording.streams)),
         *_missing(streams, expected),
         *_duplicates(streams),
         *_unaligned(streams),
@@ -105,15 +110,6 @@ def _damage_text(damage: Damage, size: int) -> str:
         f"bytes {damage.start} to {damage.end} of {size} cannot be read ({damage.what}); "
         "what comes after was read"
     )
-
-
-def _other_participants(recording: Recording) -> Iterator[Finding]:
-    identities = (each.header.identity for each in recording.streams)
-    worn = [Worn.by(each) for each in identities if each is not None]
-    mismatch = compare(participant_of(recording.path), worn)
-    if mismatch is not None:
-        level = Level.ERROR if mismatch.is_all else Level.WARNING
-        yield Finding(level, "other-participants", "", mismatch.sentence)
 
 
 def _missing(measured: Sequence[Measured], expected: Sequence[ExpectedStream]) -> Iterator[Finding]:
