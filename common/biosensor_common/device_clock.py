@@ -140,7 +140,7 @@ class DeviceClock:
     def restart(self) -> None:
         """Forget the offset, as when the device is known to count again; counted as a re-anchor.
 
-        The crystal is the same, so the drift stays as a first guess. Nothing can be
+        The oscillator is the same, so the drift stays as a first guess. Nothing can be
         mapped before the next observation.
         """
         if self._envelope is not None:
@@ -265,7 +265,7 @@ class DeviceClock:
         x = device_s - self._device_origin
         target = x + envelope.at(x) + late_s
         size = target - self._mapping.at(x)
-        # The crystal is the same as before the jump, so its drift is a good first guess.
+        # The oscillator is the same as before the jump, so its drift is a good first guess.
         self._envelope = self._anchor(device_s, self._lsl_origin + target, envelope.slope)
         self._reanchors += 1
         return Reanchor(reason, size)

@@ -9,7 +9,7 @@ the median abscissa: the same for steady packets, and a single late packet after
 pause cannot tilt the line.
 
 A few packets determine that edge's slope badly (it may exceed the drift of any
-crystal tenfold). So the slope has a prior, and the line is the mean of all lines
+oscillator tenfold). So the slope has a prior, and the line is the mean of all lines
 under the points, each weighted by how likely it is: the estimate with the least
 expected square error [3]_, where the most likely line alone turns from one edge of
 the hull to the next. Delays of neighbouring packets are alike, and rare just above
@@ -44,9 +44,9 @@ SLOPE_STEP = 10e-6
 SLOPES = tuple(step * SLOPE_STEP for step in range(-40, 41))
 """What is averaged over: beyond the limit on both sides, or the average would shy away from it."""
 USUAL_SLOPE = 20e-6
-"""SD of the slopes of good crystals: it takes two clocks, each of which may be off."""
+"""SD of the slopes of good oscillators: it takes two clocks, each of which may be off."""
 UNUSUAL_SHARE = 0.2
-"""So many of all slopes may be anything: a poor crystal's must not be pulled back."""
+"""So many of all slopes may be anything: a poor oscillator's must not be pulled back."""
 POWER = 0.31
 """Of the likelihood: over a real radio, three half seconds tell as much as one would if delays were
 independent. Above it the line turns too soon, below it large drifts are followed late."""

@@ -33,8 +33,8 @@ async def link(probe: Probe) -> AsyncGenerator[BleLink]:
 
 @pytest.fixture
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for rivals that are not there, or are `heard`, no longer than necessary."""
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
+    """Wait for others that are not there, or are `heard`, no longer than necessary."""
+    monkeypatch.setattr(ble_choice, "OTHERS_S", 0.5)
 
 
 async def absence(link: BleLink) -> GatewayError:

@@ -35,7 +35,7 @@ async def test_an_absent_device_is_absent_with_advice(probe: Probe) -> None:
 async def test_a_device_is_chosen_by_id_name_or_address(
     device: str, radio: Radio, probe: Probe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
+    monkeypatch.setattr(ble_choice, "OTHERS_S", 0.5)
     other = switched_on(radio, 2)
     link = BleLink(choice(device))
     assert (await link.open()).address == other.address

@@ -20,7 +20,7 @@ def strap(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> Generator[SimulatedH
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
     # Not shorter: a second strap has to be heard in that time.
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 2.0)
+    monkeypatch.setattr(ble_choice, "OTHERS_S", 2.0)
     wearer = Wearer(seed=3, heart_rate_bpm=160)
     with SimulatedHeartRateStrap(radio.world, radio, wearer=wearer, rssi_dbm=-67) as strap:
         yield strap

@@ -19,7 +19,7 @@ async def test_an_h10_of_another_table_is_not_taken(
 ) -> None:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(ble_choice, "SCAN_S", 1.5)
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
+    monkeypatch.setattr(ble_choice, "OTHERS_S", 0.5)
     strap = SimulatedHeartRateStrap(radio.world, radio)
     with SimulatedPolarH10(radio.world, radio) as h10:
         straps, polars = Run(strap, device=""), Run(h10, device=device)

@@ -171,7 +171,7 @@ async def test_a_restart_ends_the_link_and_begins_again(strap: SimulatedHeartRat
         decode(host.all(MEASUREMENT)[-1])
 
 
-async def test_a_fast_crystal_makes_its_seconds_short(
+async def test_a_fast_oscillator_makes_its_seconds_short(
     radio: Radio, strap: SimulatedHeartRateStrap
 ) -> None:
     del strap  # two on one air

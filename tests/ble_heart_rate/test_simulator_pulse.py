@@ -16,7 +16,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import (
     encode,
 )
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import Pulse
-from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.system.clock import LSL_CLOCK
@@ -67,7 +67,7 @@ def test_every_damaged_value_is_too_short_for_its_flags(count: int) -> None:
 
 
 def detector(wearer: Wearer, drift_ppm: float = 0.0) -> BeatDetector:
-    return BeatDetector(wearer, Crystal(LSL_CLOCK, drift_ppm, ORIGIN_S), ORIGIN_S, ORIGIN_S)
+    return BeatDetector(wearer, Oscillator(LSL_CLOCK, drift_ppm, ORIGIN_S), ORIGIN_S, ORIGIN_S)
 
 
 @pytest.mark.parametrize("step_s", [0.3, 1.0, 7.0])
@@ -87,7 +87,7 @@ def test_intervals_are_those_of_the_wearer_however_often_it_looks(step_s: float)
     assert sum(one.rr for one in found) / 1024 == pytest.approx(beats[-1] - beats[0], abs=1 / 1024)
 
 
-def test_intervals_are_measured_with_the_crystal() -> None:
+def test_intervals_are_measured_with_the_oscillator() -> None:
     wearer = Wearer()
     found = detector(wearer, drift_ppm=200.0).search(ORIGIN_S + 600.0)
     beats = wearer.beats_between(0.0, 600.0)

@@ -19,7 +19,7 @@ def device(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> Generator[Simulated
     """One that is switched on; it is looked for without long pauses."""
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
+    monkeypatch.setattr(ble_choice, "OTHERS_S", 0.5)
     wearer = Wearer(seed=3)
     with SimulatedHealthDevice(radio.world, radio, wearer=wearer, rssi_dbm=-67) as device:
         yield device

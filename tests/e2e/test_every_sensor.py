@@ -1,6 +1,6 @@
 """From the device to ROS, for every sensor: each sample once, in order, on time.
 
-The virtual devices run in a process of their own, with drifting crystals and a radio
+The virtual devices run in a process of their own, with drifting oscillators and a radio
 that delays every packet by up to `JITTER_S`; Bluetooth ones are reached through bleak's
 stock Linux backend. What a subscriber gets is compared with what the devices sent,
 and the stamps in LSL with the true times of measuring.

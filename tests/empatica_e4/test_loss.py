@@ -18,7 +18,7 @@ HOUR_S = 3600.0
 def arrivals(
     seconds: float, *, drift_ppm: float = 0.0, jitter_s: float = 0.0, seed: int = 0
 ) -> np.ndarray:
-    """When samples of a wristband arrive; positive drift is a slow crystal."""
+    """When samples of a wristband arrive; positive drift is a slow oscillator."""
     count = int(seconds * RATE_HZ)
     measured = np.arange(count) / RATE_HZ * (1 + drift_ppm * 1e-6)
     delays = np.random.default_rng(seed).uniform(0, jitter_s, count)
@@ -34,7 +34,7 @@ def estimates(times: Iterable[float], estimate: LossEstimate | None = None) -> I
 
 
 @pytest.mark.parametrize("drift_ppm", [-200, 47, 200, 400])
-def test_drift_of_the_crystal_is_no_loss_however_long(drift_ppm: float) -> None:
+def test_drift_of_the_oscillator_is_no_loss_however_long(drift_ppm: float) -> None:
     told = list(estimates(arrivals(HOUR_S, drift_ppm=drift_ppm, jitter_s=0.05)))
     assert len(told) == pytest.approx(HOUR_S / WINDOW_S, abs=2)
     assert set(told) == {0.0}

@@ -191,7 +191,7 @@ def test_a_button_press_is_a_line_without_value(world: World, line_client: Any) 
         assert tag.stamp - truth == pytest.approx(first, abs=1e-4)
 
 
-def test_the_crystal_drifts_against_the_stamps(world: World, line_client: Any) -> None:
+def test_the_oscillator_drifts_against_the_stamps(world: World, line_client: Any) -> None:
     with (
         SteeredE4(world, drift_ppm=5000) as server,
         line_client(server.settings) as client,

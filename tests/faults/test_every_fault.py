@@ -141,7 +141,7 @@ def test_beats_that_waited_are_where_the_heart_beat(bench: FaultBench, name: str
 
 
 @EVERY_SENSOR
-def test_stamps_follow_a_crystal_that_drifts(bench: FaultBench, name: str) -> None:
+def test_stamps_follow_a_oscillator_that_drifts(bench: FaultBench, name: str) -> None:
     episode = bench.episode(FaultKind.DRIFT)
     for data_name in regular_streams(name):
         places = episode.matched(name, data_name)

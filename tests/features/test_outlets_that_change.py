@@ -13,7 +13,7 @@ from pylsl import util
 from biosensor_common.lsl import inlet as inlet_module
 from biosensor_common.lsl.inlet import read_description
 from biosensor_gateway.features import live as live_module
-from biosensor_gateway.features.live import RIVAL_S, SETTLED_S, Live
+from biosensor_gateway.features.live import DUPLICATE_S, SETTLED_S, Live
 from biosensor_gateway.features.sources import Source
 
 FIRST, SECOND = "uid-1", "uid-2"
@@ -159,10 +159,10 @@ def test_another_header_is_another_source(watched: Watched) -> None:
 def test_of_two_that_live_the_first_stays_and_it_is_said_once(watched: Watched) -> None:
     first, second = Outlet(FIRST), Outlet(SECOND)
     watched.see(first)
-    watched.see(first, second, seconds=RIVAL_S / 2)
+    watched.see(first, second, seconds=DUPLICATE_S / 2)
     assert watched.told.sentences == []
-    watched.see(first, second, seconds=3 * RIVAL_S)
-    watched.see(first, second, seconds=3 * RIVAL_S)
+    watched.see(first, second, seconds=3 * DUPLICATE_S)
+    watched.see(first, second, seconds=3 * DUPLICATE_S)
     (sentence,) = watched.told.sentences
     assert "share the source_id 'strap'" in sentence
     assert second.openings == 0

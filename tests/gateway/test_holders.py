@@ -112,10 +112,10 @@ def test_what_waits_to_take_over_for_an_agent_is_closed_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
-    keeper = _Process(11, EXE, "run", "--keep-alive")
-    agent, standby = (_Process(each, EXE, "run", parent=keeper) for each in (10, 12))
+    supervisor = _Process(11, EXE, "run", "--keep-alive")
+    agent, standby = (_Process(each, EXE, "run", parent=supervisor) for each in (10, 12))
     other = _Process(13, EXE, "run")
-    monkeypatch.setattr(psutil, "process_iter", lambda: iter([keeper, agent, standby, other]))
+    monkeypatch.setattr(psutil, "process_iter", lambda: iter([supervisor, agent, standby, other]))
 
     def number_of_agent(_state: Path) -> int:
         return agent.pid

@@ -26,7 +26,7 @@ if end.isdecimal():
     sys.exit(int(end))
 os.kill(os.getpid(), getattr(__import__("signal"), end))
 """
-KEEPER = """
+SUPERVISOR = """
 import sys
 from pathlib import Path
 from biosensor_gateway.system.keep_alive import KeepAlive
@@ -42,7 +42,7 @@ def kept(folder: Path, *ends: str) -> tuple[int, list[str], list[str]]:
     command = [
         sys.executable,
         "-c",
-        KEEPER,
+        SUPERVISOR,
         str(folder),
         sys.executable,
         "-c",
@@ -76,13 +76,13 @@ def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Pat
 def test_a_request_to_end_reaches_the_program(
     tmp_path: Path, request_to_end: signal.Signals
 ) -> None:
-    command = [sys.executable, "-c", KEEPER, str(tmp_path), sys.executable, "-c", WAITS]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as keeper:
-        assert keeper.stdout is not None
-        assert keeper.stdout.readline() == "waiting\n"
-        keeper.send_signal(request_to_end)
-        keeper.wait(60)
-        assert keeper.stdout.read() == ""
+    command = [sys.executable, "-c", SUPERVISOR, str(tmp_path), sys.executable, "-c", WAITS]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as supervisor:
+        assert supervisor.stdout is not None
+        assert supervisor.stdout.readline() == "waiting\n"
+        supervisor.send_signal(request_to_end)
+        supervisor.wait(60)
+        assert supervisor.stdout.read() == ""
 
 
 def test_nothing_is_said_of_a_first_life() -> None:

@@ -70,9 +70,9 @@ class Events:
         self._inlet.close_stream()
 
 
-def standby_of(keeper: Popen[bytes], agent: int) -> int:
+def standby_of(supervisor: Popen[bytes], agent: int) -> int:
     """The process that waits beside the agent; 0 while there is none."""
-    others = [each.pid for each in psutil.Process(keeper.pid).children() if each.pid != agent]
+    others = [each.pid for each in psutil.Process(supervisor.pid).children() if each.pid != agent]
     return others[0] if others else 0
 
 
@@ -80,16 +80,16 @@ def standby_of(keeper: Popen[bytes], agent: int) -> int:
 def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:
-    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as keeper:
+    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as supervisor:
         until(lambda: pushed(tmp_path) > 0 and (tmp_path / STREAMS_FILE).exists())
         killed = status(tmp_path)["process"]
-        assert killed != keeper.pid
+        assert killed != supervisor.pid
         events = Events()
         until(lambda: len(events.heartbeats()) > 0)
         first = events.heartbeats()[-1]
         assert "restarts" not in first
-        until(lambda: standby_of(keeper, killed) != 0)
-        standby = standby_of(keeper, killed)
+        until(lambda: standby_of(supervisor, killed) != 0)
+        standby = standby_of(supervisor, killed)
         os.kill(killed, signal.SIGKILL)
         until(lambda: status(tmp_path).get("process", killed) != killed and pushed(tmp_path) > 0)
         assert status(tmp_path)["process"] == standby
@@ -102,7 +102,7 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
         assert (second["restarts"], second["last_end"]) == (1, "killed by SIGKILL")
         events.close()
         assert stop(tmp_path)[0] == 0
-        assert keeper.wait(DEADLINE_S) == 0
+        assert supervisor.wait(DEADLINE_S) == 0
     said = (tmp_path / "stderr.txt").read_text()
     assert "the agent has died (killed by SIGKILL) and is started again now" in said
     log = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]
@@ -114,13 +114,13 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
 def test_a_stream_goes_on_after_one_gap(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:
-    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as keeper:
+    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as supervisor:
         until(lambda: pushed(tmp_path) > 0)
         killed = status(tmp_path)["process"]
         (info,) = pylsl.resolve_byprop("source_id", ECG, timeout=DEADLINE_S)
         reader = pylsl.StreamInlet(info, recover=True)
-        until(lambda: standby_of(keeper, killed) != 0)
-        standby = standby_of(keeper, killed)
+        until(lambda: standby_of(supervisor, killed) != 0)
+        standby = standby_of(supervisor, killed)
         stamps = received(reader, until)
         os.kill(killed, signal.SIGKILL)
         killed_s = pylsl.local_clock()
@@ -129,7 +129,7 @@ def test_a_stream_goes_on_after_one_gap(
         reader.close_stream()
         assert status(tmp_path)["process"] == standby
         assert stop(tmp_path)[0] == 0
-        assert keeper.wait(DEADLINE_S) == 0
+        assert supervisor.wait(DEADLINE_S) == 0
     steps = np.diff(stamps)
     assert steps.min() > 0
     (gap,) = np.flatnonzero(steps > 2 * ECG_STEP_S)

@@ -37,12 +37,12 @@ def test_the_end_of_input_is_no_death(tmp_path: Path) -> None:
 def test_a_standby_can_ask_who_sits_there(tmp_path: Path) -> None:
     with at_terminal([*RUN, "--ask"], environment(tmp_path)) as terminal:
         terminal.until(lambda seen: seen.endswith(MENU))
-        (keeper,) = psutil.Process().children()
-        terminal.until(lambda _seen: len(keeper.children()) == 2)
-        agent, standby = sorted(keeper.children(), key=lambda each: each.create_time())
+        (supervisor,) = psutil.Process().children()
+        terminal.until(lambda _seen: len(supervisor.children()) == 2)
+        agent, standby = sorted(supervisor.children(), key=lambda each: each.create_time())
         agent.kill()
         terminal.until(lambda seen: "is started again now" in seen and seen.endswith(MENU))
-        assert standby in keeper.children()
+        assert standby in supervisor.children()
         terminal.type("3\n")
         assert terminal.exit_code() == 0
 
@@ -54,9 +54,9 @@ def test_who_has_chosen_devices_need_not_come_back(tmp_path: Path) -> None:
         terminal.until(lambda seen: seen.endswith(MENU))
         terminal.type("\n")
         terminal.until_seen("Zephyr BioHarness 3 B1")
-        (keeper,) = psutil.Process().children()
-        terminal.until(lambda _seen: len(keeper.children()) == 2)
-        agent, _standby = sorted(keeper.children(), key=lambda each: each.create_time())
+        (supervisor,) = psutil.Process().children()
+        terminal.until(lambda _seen: len(supervisor.children()) == 2)
+        agent, _standby = sorted(supervisor.children(), key=lambda each: each.create_time())
         agent.kill()
         shown = terminal.until_seen("the agent had died and was started again")
         assert shown.count(MENU) == 1

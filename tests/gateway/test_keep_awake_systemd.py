@@ -104,9 +104,9 @@ async def login(monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[Login]:
 @pytest.fixture
 def awake(login: Login) -> Generator[KeepAwake]:
     del login
-    keeper = KeepAwake(system_inhibitor("linux"))
-    yield keeper
-    keeper.close()
+    supervisor = KeepAwake(system_inhibitor("linux"))
+    yield supervisor
+    supervisor.close()
 
 
 def held_until(awake: KeepAwake, logs: list[Any], event: str) -> Callable[[], bool]:

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal
 DEADLINE_S = 30.0
 PROGRAM = Path(__file__).with_name("kept_program.py")
 # The second argument is Python that runs first.
-KEEPER = """
+SUPERVISOR = """
 import sys
 from pathlib import Path
 from biosensor_gateway.system.keep_alive import KeepAlive
@@ -47,25 +47,25 @@ Process = subprocess.Popen[bytes]
 
 
 class Kept:
-    """A keeper, and what its program has recorded."""
+    """A supervisor, and what its program has recorded."""
 
     def __init__(self, folder: Path, until: Until) -> None:
         self._record, self._until = folder / "record.txt", until
         self._folder = folder
-        self._keepers: list[Process] = []
+        self._supervisors: list[Process] = []
 
     def start(self, standby_after_s: float = 0.1, before: str = "") -> Process:
         options = [str(self._folder), before, str(standby_after_s)]
         program = [sys.executable, str(PROGRAM), str(self._record)]
-        command = [sys.executable, "-c", KEEPER, *options, *program]
+        command = [sys.executable, "-c", SUPERVISOR, *options, *program]
         with (self._folder / "told.txt").open("wb") as told:
-            keeper = subprocess.Popen(command, stdout=told)
-        self._keepers.append(keeper)
-        return keeper
+            supervisor = subprocess.Popen(command, stdout=told)
+        self._supervisors.append(supervisor)
+        return supervisor
 
     @property
     def told(self) -> list[str]:
-        """What the keeper said."""
+        """What the supervisor said."""
         return (self._folder / "told.txt").read_text().splitlines()
 
     def tell_program(self, word: str) -> None:
@@ -81,9 +81,9 @@ class Kept:
         return self.story(beginning)[count - 1]
 
     def close(self) -> None:
-        for keeper in self._keepers:
-            keeper.kill()
-            keeper.wait()
+        for supervisor in self._supervisors:
+            supervisor.kill()
+            supervisor.wait()
         for line in self.story("runs"):
             kill(int(line.split()[0]))
 
@@ -102,7 +102,7 @@ def kept(tmp_path: Path, until: Until) -> Generator[Kept]:
 
 @pytest.mark.seam
 def test_the_standby_takes_over_and_has_a_standby_then(kept: Kept) -> None:
-    keeper = kept.start()
+    supervisor = kept.start()
     standby = kept.wait_for("stands by", 1)
     first = kept.wait_for("runs", 1)
     assert first.split()[1:] == ["0"]
@@ -110,7 +110,7 @@ def test_the_standby_takes_over_and_has_a_standby_then(kept: Kept) -> None:
     assert kept.wait_for("runs", 2) == f"{standby} 1 killed by SIGKILL"
     another = int(kept.wait_for("stands by", 2))
     kept.tell_program("end")
-    assert keeper.wait(DEADLINE_S) == 0
+    assert supervisor.wait(DEADLINE_S) == 0
     assert kept.told == ["the agent has died (killed by SIGKILL) and is started again now"]
     assert not lives(another)
 
@@ -131,20 +131,20 @@ def test_for_a_standby_that_has_died_a_new_program_is_started(kept: Kept, until:
 
 @pytest.mark.nightly
 def test_a_standby_that_cannot_be_started_keeps_nobody_from_coming_back(kept: Kept) -> None:
-    keeper = kept.start(before=NO_STANDBY)
+    supervisor = kept.start(before=NO_STANDBY)
     kill(int(kept.wait_for("runs", 1).split()[0]))
     kept.wait_for("runs", 2)
     kept.tell_program("end")
-    assert keeper.wait(DEADLINE_S) == 0
+    assert supervisor.wait(DEADLINE_S) == 0
     assert kept.story("stands by") == []
 
 
 @pytest.mark.nightly
 def test_a_standby_ends_with_its_keeper(kept: Kept, until: Until) -> None:
-    keeper = kept.start()
+    supervisor = kept.start()
     kept.wait_for("runs", 1)
     standby = int(kept.wait_for("stands by", 1))
-    keeper.kill()
+    supervisor.kill()
     until(lambda: not lives(standby))
     assert len(kept.story("runs")) == 1
 
@@ -154,11 +154,11 @@ def test_a_standby_ends_with_its_keeper(kept: Kept, until: Until) -> None:
 def test_a_request_to_end_ends_the_standby_as_well(
     kept: Kept, request_to_end: signal.Signals
 ) -> None:
-    keeper = kept.start()
+    supervisor = kept.start()
     kept.wait_for("runs", 1)
     standby = int(kept.wait_for("stands by", 1))
-    keeper.send_signal(request_to_end)
-    keeper.wait(DEADLINE_S)
+    supervisor.send_signal(request_to_end)
+    supervisor.wait(DEADLINE_S)
     assert not lives(standby)
     assert len(kept.story("runs")) == 1
 
@@ -166,10 +166,10 @@ def test_a_request_to_end_ends_the_standby_as_well(
 @pytest.mark.nightly
 def test_who_dies_soon_has_no_standby(kept: Kept) -> None:
     kept.tell_program("fail")
-    keeper = kept.start(standby_after_s=60.0)
+    supervisor = kept.start(standby_after_s=60.0)
     kept.wait_for("runs", 3)
-    keeper.send_signal(signal.SIGTERM)
-    keeper.wait(DEADLINE_S)
+    supervisor.send_signal(signal.SIGTERM)
+    supervisor.wait(DEADLINE_S)
     assert kept.story("stands by") == []
     whens = [line.partition(" again ")[2] for line in kept.told]
     assert whens[:2] == ["now", "in 1 s"]
@@ -177,12 +177,12 @@ def test_who_dies_soon_has_no_standby(kept: Kept) -> None:
 
 @pytest.fixture
 def waiting(kept: Kept, state: Path, until: Until) -> Process:
-    """A keeper that waits for a minute before its next start."""
+    """A supervisor that waits for a minute before its next start."""
     state.mkdir()
     kept.tell_program("fail")
-    keeper = kept.start(before=f"{WAITS_FOR_A_MINUTE}; folder = {str(state)!r}")
+    supervisor = kept.start(before=f"{WAITS_FOR_A_MINUTE}; folder = {str(state)!r}")
     until(lambda: restart_notice.read(state) is not None)
-    return keeper
+    return supervisor
 
 
 @pytest.mark.nightly
@@ -216,17 +216,17 @@ def test_who_is_not_stopped_goes_on_and_says_no_more(
     kept: Kept, tmp_path: Path, until: Until
 ) -> None:
     kept.tell_program("fail")
-    keeper = kept.start()
+    supervisor = kept.start()
     until((tmp_path / RESTARTING_FILE).exists)
     (tmp_path / "record.fail").unlink()
     kept.wait_for("runs", 3)
     until(lambda: not (tmp_path / RESTARTING_FILE).exists())
     kept.tell_program("end")
-    assert keeper.wait(DEADLINE_S) == 0
+    assert supervisor.wait(DEADLINE_S) == 0
 
 
 @pytest.mark.nightly
-def test_what_a_killed_keeper_has_left_is_no_promise(
+def test_what_a_killed_supervisor_has_left_is_no_promise(
     waiting: Process, run: Callable[..., Outcome], state: Path
 ) -> None:
     waiting.kill()
@@ -243,10 +243,10 @@ def test_where_nothing_can_be_written_it_waits_all_the_same(kept: Kept, tmp_path
     in_the_way = tmp_path / "state"
     in_the_way.touch()
     kept.tell_program("fail")
-    keeper = kept.start(before=f"folder = {str(in_the_way)!r}")
+    supervisor = kept.start(before=f"folder = {str(in_the_way)!r}")
     kept.wait_for("runs", 3)
-    keeper.send_signal(signal.SIGTERM)
-    keeper.wait(DEADLINE_S)
+    supervisor.send_signal(signal.SIGTERM)
+    supervisor.wait(DEADLINE_S)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"process": 1}', '{"process": "x", "at": 0}'])

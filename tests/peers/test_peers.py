@@ -52,7 +52,7 @@ Floats = NDArray[np.float64]
 
 @contextmanager
 def laboratory(tmp_path: Path, sensor: str, **options: Any) -> Generator[LabProcess]:
-    """One virtual device with a drifting crystal and a radio that delays."""
+    """One virtual device with a drifting oscillator and a radio that delays."""
     # A skip would pass where nothing was tried.
     if not (ENVIRONMENT / ".installed").exists():
         pytest.fail("the peers are not installed: run `make venv-peers` first")

@@ -142,7 +142,7 @@ def every_format() -> Generator[list[str]]:
 
 @contextmanager
 def own_recorder(file: Path) -> Generator[None]:
-    """Record everything with the program itself, as its keeper runs it."""
+    """Record everything with the program itself, as its supervisor runs it."""
     log = file.with_suffix(".log")
     with log.open("wb") as said:
         process = subprocess.Popen(
@@ -256,19 +256,19 @@ def test_a_stream_that_does_not_answer_is_named(
 
 
 @pytest.mark.usefixtures("only_own")
-def test_its_file_is_closed_if_its_keeper_is_killed(
+def test_its_file_is_closed_if_its_supervisor_is_killed(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
     recording = LocalRecorder(state)
     recording.start(request(tmp_path), sources.presence)
     kept = RecorderFolder(state).saved()
     assert kept is not None
-    keeper = psutil.Process(kept.program).parent()
-    assert keeper is not None
-    keeper.kill()
+    supervisor = psutil.Process(kept.program).parent()
+    assert supervisor is not None
+    supervisor.kill()
     wait_until(lambda: not recording.is_running, "the lock is given back")
     ended = recording.stop()
-    assert any("keeper was killed" in each for each in ended.warnings)
+    assert any("supervisor was killed" in each for each in ended.warnings)
     assert set(contents(ended.file)) == {"chest", "wrist"}
 
 
@@ -279,9 +279,9 @@ def test_a_service_that_ends_closes_its_file(sources: Sources, state: Path, tmp_
     kept = RecorderFolder(state).saved()
     assert kept is not None
     receiver = psutil.Process(kept.program)
-    keeper = receiver.parent()
-    assert keeper is not None
-    for process in (receiver, keeper):
+    supervisor = receiver.parent()
+    assert supervisor is not None
+    for process in (receiver, supervisor):
         process.send_signal(signal.SIGTERM)
     wait_until(lambda: not recording.is_running, "it has ended")
     assert set(contents(recording.stop().file)) == {"chest", "wrist"}
@@ -310,7 +310,7 @@ def test_a_killed_one_is_said(sources: Sources, state: Path, tmp_path: Path) -> 
     kept = RecorderFolder(state).saved()
     assert kept is not None
     os.kill(kept.program, signal.SIGKILL)
-    wait_until(lambda: not recording.is_running, "its keeper has noticed")
+    wait_until(lambda: not recording.is_running, "its supervisor has noticed")
     with pytest.raises(RecorderError, match=OWN):
         recording.stop()
 

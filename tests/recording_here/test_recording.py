@@ -182,7 +182,7 @@ def test_a_killed_program_is_said_with_what_it_said(
     kept = RecorderFolder(state).saved()
     assert kept is not None
     os.kill(kept.program, signal.SIGKILL)
-    wait_until(lambda: not recording.is_running, "its keeper has noticed")
+    wait_until(lambda: not recording.is_running, "its supervisor has noticed")
     assert codes(recording) == {"": "ended"}
     with pytest.raises(RecorderError, match="killed by SIGKILL") as caught:
         recording.stop()
@@ -229,21 +229,21 @@ def _bytes(recording: LocalRecorder) -> int:
 
 
 @pytest.mark.seam
-def test_a_killed_keeper_closes_the_file(sources: Sources, state: Path, tmp_path: Path) -> None:
+def test_a_killed_supervisor_closes_the_file(sources: Sources, state: Path, tmp_path: Path) -> None:
     recording = LocalRecorder(state)
     recording.start(request(tmp_path), sources.presence)
     kept = RecorderFolder(state).saved()
     assert kept is not None
-    keeper = psutil.Process(kept.program).parent()
-    assert keeper is not None
-    keeper.kill()
+    supervisor = psutil.Process(kept.program).parent()
+    assert supervisor is not None
+    supervisor.kill()
     wait_until(lambda: not recording.is_running, "the lock is given back")
     ended = recording.stop()
-    assert any("keeper was killed" in each for each in ended.warnings)
+    assert any("supervisor was killed" in each for each in ended.warnings)
     assert set(loaded(ended.file)) == {"chest-id", "wrist-id"}
 
 
-def test_a_keeper_that_its_service_ends_closes_the_file(
+def test_a_supervisor_that_its_service_ends_closes_the_file(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
     recording = LocalRecorder(state)
@@ -251,10 +251,10 @@ def test_a_keeper_that_its_service_ends_closes_the_file(
     kept = RecorderFolder(state).saved()
     assert kept is not None
     program = psutil.Process(kept.program)
-    keeper = program.parent()
-    assert keeper is not None
+    supervisor = program.parent()
+    assert supervisor is not None
     # As systemd does: all processes of the service.
-    for process in (program, keeper):
+    for process in (program, supervisor):
         process.terminate()
     wait_until(lambda: not recording.is_running, "it has ended")
     assert set(loaded(recording.stop().file)) == {"chest-id", "wrist-id"}

@@ -23,7 +23,7 @@ def file(tmp_path: Path) -> Path:
         (2.0, False, "ended from outside"),
         # Whoever asked has not yet looked at the file, and says then how it is.
         (2.0, True, ""),
-        (0.0, True, "keeper was killed"),
+        (0.0, True, "supervisor was killed"),
     ],
 )
 def test_an_end_that_was_asked_for_is_no_problem(

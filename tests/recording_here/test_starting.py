@@ -1,4 +1,4 @@
-"""A recording that takes several tries to begin, with a keeper that is none."""
+"""A recording that takes several tries to begin, with a supervisor that is none."""
 
 from __future__ import annotations
 

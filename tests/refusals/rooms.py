@@ -11,7 +11,7 @@ _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway
 _PATTERNS = (
     "common/biosensor_common/ros/layout.py",
     *(f"{_NODE}/lsl/{each}.py" for each in (
-        "delivery", "descriptions", "discovery", "inlets", "pulls", "reading", "rivals",
+        "delivery", "descriptions", "discovery", "inlets", "pulls", "reading", "duplicates",
     )),
     "common/biosensor_common/lsl/namesakes.py",
     f"{_NODE}/topics/*.py",

@@ -353,7 +353,7 @@ async def test_docking_is_told_and_disturbs_nothing(
     assert run.lost == {}
 
 
-async def test_a_drifting_crystal_loses_nothing(streaming: Streaming) -> None:
+async def test_a_drifting_oscillator_loses_nothing(streaming: Streaming) -> None:
     async with streaming(seed=15, jitter_s=0.05, drift_ppm=-100) as run:
         await run.more(100)
         run.device.apply(Fault(FaultKind.DRIFT, 200))

@@ -333,7 +333,7 @@ class TestFaults:
         again = hosts.connect(device.port)
         assert again.is_quiet()
         again.ask_all("07")
-        # The crystal has gone on.
+        # The oscillator has gone on.
         assert again.packets(1)[0].ticks > before[-1].ticks
 
     def test_restart_begins_with_new_ticks_and_no_clock(

@@ -37,7 +37,7 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.shimmer3 import (
     counts_in,
     ppg_mv,
 )
-from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.system.clock import LSL_CLOCK
 
@@ -57,7 +57,7 @@ FIELDS = {
 }
 
 
-def sampling(crystal: Crystal, jitter_s: float = 0.0) -> Sampling:
+def sampling(oscillator: Oscillator, jitter_s: float = 0.0) -> Sampling:
     return Sampling(
         channels=(0x12, 0x1C),
         divider=256,
@@ -68,8 +68,8 @@ def sampling(crystal: Crystal, jitter_s: float = 0.0) -> Sampling:
             Wearer(),
             lambda: Conditions(worn=True, probe_powered=True, battery_counts=2700),
         ),
-        wearer_born_s=crystal.true_time(0.0),
-        crystal=crystal,
+        wearer_born_s=oscillator.true_time(0.0),
+        oscillator=oscillator,
         first_tick=0,
         rng=np.random.default_rng(0),
         jitter_s=jitter_s,
@@ -332,16 +332,18 @@ async def test_a_late_answer_is_not_given_to_the_next_host() -> None:
 
 
 def test_the_first_65_ms_are_not_sent() -> None:
-    crystal = Crystal(LSL_CLOCK)
-    earliest = crystal.now() * 32768
-    first = next(samples(sampling(crystal)))
-    latest = crystal.now() * 32768
+    oscillator = Oscillator(LSL_CLOCK)
+    earliest = oscillator.now() * 32768
+    first = next(samples(sampling(oscillator)))
+    latest = oscillator.now() * 32768
     ticks = int.from_bytes(first.packet[1:4], "little")
     assert earliest + 0.065 * 32768 - 2 <= ticks <= latest + 0.065 * 32768 + 256
 
 
 def test_samples_leave_in_order_and_not_before_they_are_measured() -> None:
-    taken = list(itertools.islice(samples(sampling(Crystal(LSL_CLOCK, drift_ppm=200.0), 0.1)), 300))
+    taken = list(
+        itertools.islice(samples(sampling(Oscillator(LSL_CLOCK, drift_ppm=200.0), 0.1)), 300)
+    )
     assert all(each.leaves_s >= each.measured_s for each in taken)
     assert all(old.leaves_s <= new.leaves_s for old, new in itertools.pairwise(taken))
     assert max(each.leaves_s - each.measured_s for each in taken) > 0.05

@@ -51,7 +51,7 @@ async def test_what_comes_in_bundles_is_stamped_as_measured(
 async def test_the_belt_says_who_it_is(
     belt: SimulatedBelt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
+    monkeypatch.setattr(ble_choice, "OTHERS_S", 0.5)
     async with connected(belt, device="") as connection:
         assert connection.info == DeviceInfo("", "GDX-RB", "0K2002Z5", "1.7.220")
         assert connection.rates == {"force": 10.0, "bpm": 10.0}

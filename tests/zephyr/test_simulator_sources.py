@@ -99,7 +99,7 @@ def test_packets_that_nobody_enabled_are_measured_but_not_given() -> None:
     assert {out.packet for out in later} == {Packet.ECG}
 
 
-def test_a_fast_crystal_measures_its_samples_sooner() -> None:
+def test_a_fast_oscillator_measures_its_samples_sooner() -> None:
     frames = of(Packet.ECG, produce(SyntheticSource(drift_ppm=200), 60))
     spacing = np.diff([out.measured_at or 0.0 for out in frames])
     np.testing.assert_allclose(spacing, 0.252 / 1.0002, rtol=1e-6)

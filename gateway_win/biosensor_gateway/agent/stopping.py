@@ -27,10 +27,10 @@ def stop_agent(folder: Path, timeout_s: float = USUAL_LIMIT_S) -> str:
         ``REFUSED``, with the sentence of the agent.
     """
     deadline = time.monotonic() + timeout_s
-    keeper = _keep_from_starting(folder)
-    if keeper is not None:
-        has_ended = _has_ended(keeper, deadline)
-        process, outcome = keeper, "the agent had died, and is not started again"
+    supervisor = _keep_from_starting(folder)
+    if supervisor is not None:
+        has_ended = _has_ended(supervisor, deadline)
+        process, outcome = supervisor, "the agent had died, and is not started again"
     else:
         process = _ask_to_end(folder, deadline)
         has_ended = process is None or wait_until_free(folder, _left_s(deadline))

@@ -21,7 +21,7 @@ BEGUN_S = time.perf_counter()
 
 KEEP_ALIVE = "--keep-alive"
 KEEP_RECORDING = "keep-recording"
-"""Not for people: this process is then the keeper of a recording."""
+"""Not for people: this process is then the supervisor of a recording."""
 RECORD_STREAMS = "record-streams"
 """Likewise: it records in the place of LabRecorder's program."""
 PLAY_RECORDING = "play-recording"

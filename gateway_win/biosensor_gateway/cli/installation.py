@@ -40,7 +40,7 @@ class Program:
         Its command line; empty if the system does not tell.
     family
         Numbers of the processes that it was started by or has started, and its own; also of those
-        that the same agent's keeper has started.
+        that the same agent's supervisor has started.
     """
 
     number: int
@@ -140,7 +140,7 @@ def _family(process: psutil.Process) -> Iterator[int]:
     try:
         for parent in process.parents():
             yield parent.pid
-            # A standby is started by the same keeper as the agent.
+            # A standby is started by the same supervisor as the agent.
             if _words(parent)[1:2] == ("run",):
                 yield from (each.pid for each in parent.children())
         yield from (each.pid for each in process.children(recursive=True))

@@ -34,7 +34,7 @@ LOOK_EVERY = 25
 """Readings from one look at the network to the next."""
 SETTLED_S = 3.0
 """Streams of one device appear together; what comes later gets what is left to compute."""
-RIVAL_S = 7.0
+DUPLICATE_S = 7.0
 """An outlet that has ended is found for some seconds more; after that two of them live."""
 _DESCRIPTION_S = 3.0
 _ASKING = 4
@@ -176,7 +176,7 @@ class Live:
         self._witnesses: Witnesses = {}
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
-        self._rivals: dict[str, float] = {}
+        self._duplicates: dict[str, float] = {}
         # Of those whose clocks are measured, in another thread.
         self._measured: list[Connection] = []
 
@@ -268,15 +268,15 @@ class Live:
         if info.uid() == stage.uid:
             return True
         if stage.uid in present:
-            self._note_rival(info)
+            self._note_duplicate(info)
             return True
         return False
 
-    def _note_rival(self, info: pylsl.StreamInfo) -> None:
+    def _note_duplicate(self, info: pylsl.StreamInfo) -> None:
         """Say it once of an outlet that stays: one that has ended is still found for a while."""
-        since_s = self._rivals.setdefault(info.uid(), self._clock())
-        if self._clock() - since_s > RIVAL_S:
-            self._rivals[info.uid()] = math.inf
+        since_s = self._duplicates.setdefault(info.uid(), self._clock())
+        if self._clock() - since_s > DUPLICATE_S:
+            self._duplicates[info.uid()] = math.inf
             why = (
                 f"two streams {info.name()!r} share the source_id {info.source_id()!r}; that on "
                 f"{info.hostname()} is left out, so give it one of its own"

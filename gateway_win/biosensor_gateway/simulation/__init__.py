@@ -1,1 +1,1 @@
-"""The world that virtual devices share: wearer, crystal, faults and links."""
+"""The world that virtual devices share: wearer, oscillator, faults and links."""

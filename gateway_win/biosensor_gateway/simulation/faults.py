@@ -48,7 +48,7 @@ class FaultKind(Enum):
     OFF_BODY = "off_body"
     """The wearer takes the sensor off for so long [s]."""
     DRIFT = "drift"
-    """The device's crystal runs fast by so much [ppm]."""
+    """The device's oscillator runs fast by so much [ppm]."""
 
 
 OF_A_KIND = frozenset({FaultKind.DENY, FaultKind.REPEAT, FaultKind.STEP_BACK})
@@ -117,7 +117,7 @@ _RANGES: dict[Kind, tuple[float, float]] = {
     Untidiness.BUNDLED: (0.0, 60.0),
     # In which a beat is one beat to every sensor.
     OfWearer.HEART_RATE: (30.0, 200.0),
-    # Far beyond any crystal, and far from one that stands still.
+    # Far beyond any oscillator, and far from one that stands still.
     FaultKind.DRIFT: (-100_000.0, 100_000.0),
 }
 _SECONDS = "s"

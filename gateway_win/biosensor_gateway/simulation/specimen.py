@@ -27,7 +27,7 @@ class Specimen:
     seed
         Of delays and garbage.
     drift_ppm
-        By how much its crystal runs too fast at first [ppm].
+        By how much its oscillator runs too fast at first [ppm].
     jitter_s
         What it sends leaves up to so much late [s].
     kept

@@ -1,8 +1,8 @@
 """Keeps a program running: starts it again whenever it dies, from a standby if there is one.
 
 What a start takes is Python and its imports. A standby has them behind it: it is started with
-`STANDBY` in its environment, and `await_turn` keeps it from going on until its keeper gives it
-the turn, as one line of JSON on its standard input. The end of that input says that the keeper
+`STANDBY` in its environment, and `await_turn` keeps it from going on until its supervisor gives it
+the turn, as one line of JSON on its standard input. The end of that input says that the supervisor
 has gone.
 """
 
@@ -255,7 +255,7 @@ def await_turn() -> None:
     Raises
     ------
     SystemExit
-        With code 0: the keeper has gone.
+        With code 0: the supervisor has gone.
     """
     del os.environ[STANDBY]
     line = first_line()
@@ -267,7 +267,7 @@ def await_turn() -> None:
 
 
 def _lead_stdin(path: str) -> None:
-    """Have standard input come from elsewhere than from the keeper."""
+    """Have standard input come from elsewhere than from the supervisor."""
     try:
         opened = os.open(path, os.O_RDWR)
     except OSError:

@@ -1,7 +1,7 @@
 """A file of the state folder says that a dead agent is started again in a while.
 
-The keeper (`keep_alive`) puts it up for as long as it waits. Whoever takes it down decides what
-comes next: the keeper, which then starts the agent, or ``stop``, after which the keeper ends.
+The supervisor (`keep_alive`) puts it up for as long as it waits. Whoever takes it down decides what
+comes next: the supervisor, which then starts the agent, or ``stop``, after which it ends.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class RestartNotice(NamedTuple):
     Attributes
     ----------
     process
-        Number of the keeper.
+        Number of the supervisor.
     at
         When the agent is started again (Unix time, in seconds).
     last_end
@@ -40,7 +40,7 @@ class RestartNotice(NamedTuple):
 
     @classmethod
     def of_this_process(cls, delay_s: float, last_end: str) -> Self:
-        """Return the notice of a keeper that begins to wait."""
+        """Return the notice of a supervisor that begins to wait."""
         return cls(os.getpid(), time.time() + delay_s, last_end)
 
     @property
@@ -91,7 +91,7 @@ def take_down(folder: Path) -> bool:
 
 
 def read(folder: Path) -> RestartNotice | None:
-    """Return what a keeper that lives has put up; None if there is none."""
+    """Return what a supervisor that lives has put up; None if there is none."""
     try:
         said = json.loads(state_file.read(folder / RESTARTING_FILE))
         notice = RestartNotice(int(said["process"]), float(said["at"]), str(said["last_end"]))

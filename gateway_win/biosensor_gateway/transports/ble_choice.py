@@ -15,7 +15,7 @@ from biosensor_gateway.transports.ble_scanner import Sighting, sightings
 from biosensor_gateway.transports.nearby import Advertisement
 
 SCAN_S = 10.0
-RIVALS_S = 3.0
+OTHERS_S = 3.0
 """Devices advertise at least once a second, but radios do not hear every one."""
 
 _log = structlog.get_logger("biosensor_gateway.transports.ble")
@@ -129,7 +129,7 @@ class Choice:
             except TimeoutError as error:
                 raise await self._absence() from error
             if not self._is_certain(found.advertisement):
-                found = await self._without_rivals(found, heard)
+                found = await self._without_others(found, heard)
             # Before the scan ends, which takes its time: others must not come to it meanwhile.
             self._found = found.advertisement.address
         return found
@@ -157,10 +157,10 @@ class Choice:
                 )
                 await bluez.disconnect(known.path)
 
-    async def _without_rivals(self, first: Sighting, heard: AsyncIterator[Sighting]) -> Sighting:
+    async def _without_others(self, first: Sighting, heard: AsyncIterator[Sighting]) -> Sighting:
         newest = {first.advertisement.address: first}
         try:
-            async with asyncio.timeout(RIVALS_S):
+            async with asyncio.timeout(OTHERS_S):
                 async for sighting in heard:
                     newest[sighting.advertisement.address] = sighting
         except TimeoutError:

@@ -12,12 +12,12 @@ from typing import Any, Unpack
 import numpy as np
 
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import NO_INTERVALS, ONE_RATE, Expected
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.glue import glued
 from biosensor_gateway.simulation.link import Link
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -49,7 +49,7 @@ class SimulatedAcmeBand(VirtualDevice):
     def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
         super().__init__(world, **specimen)
         self._rng = np.random.default_rng(self.specimen.seed)
-        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
+        self._oscillator = Oscillator(world.clock, self.specimen.drift_ppm)
         self._port: AsyncSerialPort | None = None
         self._measuring: asyncio.Task[None] | None = None
         self._sends, self._stalled, self._worn, self._battery = False, False, True, 80
@@ -64,7 +64,7 @@ class SimulatedAcmeBand(VirtualDevice):
     async def _start(self) -> None:
         self._port = serial_port(self._heard, self._left, buffer_bytes=4096)
         self._port.open()
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._measuring = asyncio.create_task(self._measure(self._port))
 
     async def _stop(self) -> None:
@@ -82,7 +82,7 @@ class SimulatedAcmeBand(VirtualDevice):
     async def _measure(self, port: AsyncSerialPort) -> None:
         number = 0
         while True:
-            time_s = await self._crystal.reach(number * _PERIOD_S)
+            time_s = await self._oscillator.reach(number * _PERIOD_S)
             (force,) = self.specimen.wearer.chest_force_n(np.array([time_s], np.float64))
             await asyncio.sleep(self.specimen.jitter_s * self._rng.random())
             counts = round(100 * force) if self._worn else -(2**15)
@@ -134,7 +134,7 @@ class SimulatedAcmeBand(VirtualDevice):
         self._worn = True
 
     def _drift(self, ppm: float) -> None:
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
 
     effects = MappingProxyType(
         {

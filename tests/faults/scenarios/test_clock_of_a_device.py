@@ -1,6 +1,6 @@
 """Clocks of devices drift, turn midnight, roll over and jump, while an agent streams.
 
-A BioHarness whose crystal is 200 ppm slow has its clock set; a Shimmer whose crystal is
+A BioHarness whose oscillator is 200 ppm slow has its clock set; a Shimmer whose oscillator is
 200 ppm fast rolls its 24 bits of ticks over. Both send over pseudo-terminals, with delays
 of a radio, and know when each of their samples was measured.
 """

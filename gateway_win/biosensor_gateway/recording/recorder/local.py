@@ -272,7 +272,7 @@ class LocalRecorder:
         if ended:
             # As its service did, or the computer.
             return "the recording was ended from outside; see its verdict: record stop"
-        return "the recording's keeper was killed, and the recording ended with it"
+        return "the recording's supervisor was killed, and the recording ended with it"
 
 
 class _Starter:
@@ -499,4 +499,4 @@ def _why_not_closed(saved: SavedRecording, seen: FileSummary) -> str:
 def _warnings(saved: SavedRecording) -> list[str]:
     if saved.problem:
         return [saved.problem]
-    return [] if saved.ended else ["the recording's keeper was killed, so it had ended before"]
+    return [] if saved.ended else ["the recording's supervisor was killed, so it had ended before"]

@@ -12,12 +12,12 @@ Verdict = tuple[Level, str, str]
 
 # The recorder takes the first offset after 5 s.
 OFFSETS_DUE_S = 6.0
-# What loaders complain about, and what no crystal explains.
+# What loaders complain about, and what no oscillator explains.
 WRONG_RATE, ODD_RATE = 0.1, 0.01
 MIN_SAMPLES_FOR_RATE = 20
 # Of fewer that are due, all may fall before the recording's first moment and after its last.
 FEWEST_DUE = 3
-# A good network keeps the offsets together; crystals differ by less.
+# A good network keeps the offsets together; oscillators differ by less.
 MAX_SCATTER_S, MAX_DRIFT_PPM, MIN_OFFSETS_FOR_DRIFT = 0.01, 500.0, 5
 # Streams start and stop this far apart in a recording that is all right.
 LATE_S = 5.0

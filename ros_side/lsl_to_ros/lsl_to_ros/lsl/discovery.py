@@ -25,8 +25,8 @@ from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from lsl_to_ros.lsl.duplicates import Duplicates, Swap
 from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState, about
-from lsl_to_ros.lsl.rivals import Rivals, Swap
 
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
@@ -99,7 +99,7 @@ class Discovery:
     source_id, never because the resolver stopped seeing it: a cut network heals
     by itself, with its backlog. Where it does not within some seconds after the
     resolver sees the stream again, a second inlet is opened, and the first that
-    brings something stays (:class:`~lsl_to_ros.lsl.rivals.Rivals`).
+    brings something stays (:class:`~lsl_to_ros.lsl.duplicates.Duplicates`).
 
     Several live senders of other programs that claim to be one stream all get an inlet, and
     their streams are numbered. Of ours the later one is taken: a device is in one place.
@@ -125,7 +125,7 @@ class Discovery:
         self._namesakes = Namesakes()
         self._twins: dict[str, pylsl.StreamInfo] = {}
         self._room = FileRoom(self.refusals)
-        self._rivals = Rivals(warn, self.refusals)
+        self._duplicates = Duplicates(warn, self.refusals)
 
     @property
     def inlets(self) -> list[Inlet]:
@@ -197,7 +197,7 @@ class Discovery:
 
     def stop(self) -> None:
         """End all inlets."""
-        self._rivals.stop()
+        self._duplicates.stop()
         closing = [inlet.stop() for inlet in self.inlets]
         deadline = monotonic() + STOP_TIMEOUT_S
         for thread in closing:
@@ -219,9 +219,9 @@ class Discovery:
 
     def _swaps(self, ended: list[Inlet], found: Mapping[str, pylsl.StreamInfo]) -> list[Swap]:
         """Return who takes the place of inlets that have ended or are given up."""
-        followed = [Swap(old, new) for old in ended if (new := self._rivals.successor(old))]
+        followed = [Swap(old, new) for old in ended if (new := self._duplicates.successor(old))]
         present = {uid: inlet for uid, inlet in self._inlets.items() if inlet not in ended}
-        return followed + self._rivals.look(present, found)
+        return followed + self._duplicates.look(present, found)
 
     def _is_served_otherwise(self, inlet: Inlet) -> bool:
         """Whether the predicate has changed for a stream since it was announced."""
@@ -305,7 +305,7 @@ class Discovery:
     def _close(self, gone: list[Inlet]) -> None:
         for inlet in gone:
             inlet.stop()
-            self._rivals.close(inlet.uid)
+            self._duplicates.close(inlet.uid)
             self._inlets.pop(inlet.uid, None)
             self._announced.discard(inlet.uid)
 

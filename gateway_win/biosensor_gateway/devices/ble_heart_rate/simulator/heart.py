@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import RR_TICKS_PER_S
-from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Wearer
 
 _AVERAGED_INTERVALS = 4
@@ -22,7 +22,7 @@ class Interval(NamedTuple):
     time
         LSL time of the second peak.
     rr
-        Length [1/1024 s of the device's crystal].
+        Length [1/1024 s of the device's oscillator].
     """
 
     time: float
@@ -37,7 +37,7 @@ class BeatDetector:
 
     Parameters
     ----------
-    crystal
+    oscillator
         Of the device since its power-on.
     origin_s
         LSL time at which the wearer's time is 0.
@@ -45,9 +45,11 @@ class BeatDetector:
         LSL time from which beats are looked for.
     """
 
-    def __init__(self, wearer: Wearer, crystal: Crystal, origin_s: float, begin_s: float) -> None:
+    def __init__(
+        self, wearer: Wearer, oscillator: Oscillator, origin_s: float, begin_s: float
+    ) -> None:
         self._wearer = wearer
-        self._crystal = crystal
+        self._oscillator = oscillator
         self._origin_s = origin_s
         self._searched_s = begin_s
         self._last_tick: int | None = None
@@ -67,7 +69,7 @@ class BeatDetector:
         intervals: list[Interval] = []
         for beat_s in self._wearer.beats_between(begin, end) + self._origin_s:
             time = float(beat_s)
-            tick = int(np.rint(self._crystal.at(time) * RR_TICKS_PER_S))
+            tick = int(np.rint(self._oscillator.at(time) * RR_TICKS_PER_S))
             if self._last_tick is not None:
                 intervals.append(Interval(time, tick - self._last_tick))
             self._last_tick = tick

@@ -27,9 +27,9 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
     HeartRateService,
     Identity,
 )
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, on_part, restart
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
@@ -113,7 +113,7 @@ class Strap:
     truth
         Takes what it measured.
     specimen
-        Who wears it, and what its crystal and its radio are like.
+        Who wears it, and what its oscillator and its radio are like.
     identity, location
         What its services say about it.
     tells_contact, sends_rr
@@ -125,7 +125,7 @@ class Strap:
     ----------
     services
         Its GATT table; may be extended until it is switched on.
-    crystal
+    oscillator
         Device time since power-on.
     origin_s
         LSL time at which the wearer's time is 0: when it was first switched on.
@@ -239,15 +239,15 @@ class Strap:
 
     def put_on(self) -> None:
         """Be put on again, which switches it on."""
-        self.worn, self.put_on_s = True, self.crystal.clock()
+        self.worn, self.put_on_s = True, self.oscillator.clock()
         if self._leaving is not None:
             self._leaving.cancel()
         self.power.release(FaultKind.OFF_BODY)
 
     def drift(self, ppm: float) -> None:
-        """Let the crystal run so much too fast."""
+        """Let the oscillator run so much too fast."""
         self._drift_ppm = ppm
-        self.crystal.set_drift(ppm)
+        self.oscillator.set_drift(ppm)
 
     def break_link(self) -> None:
         """Lose the host, and be there again at once."""
@@ -281,13 +281,15 @@ class Strap:
             task.cancel()
 
     def _reset(self) -> None:
-        self.crystal = Crystal(self.peripheral.clock, self._drift_ppm)
-        detector = BeatDetector(self.wearer, self.crystal, self.origin_s, self.peripheral.clock())
+        self.oscillator = Oscillator(self.peripheral.clock, self._drift_ppm)
+        detector = BeatDetector(
+            self.wearer, self.oscillator, self.origin_s, self.peripheral.clock()
+        )
         self.pulse = Pulse(detector, tells_contact=self._tells_contact, sends_rr=self._sends_rr)
 
     async def _measure(self) -> None:
         for second in count(1):
-            measured_s = await self.crystal.reach(second)
+            measured_s = await self.oscillator.reach(second)
             if self.pulse_every_s and second % self.pulse_every_s == 0:
                 await self._send_pulse(measured_s)
             _call(self.on_second)

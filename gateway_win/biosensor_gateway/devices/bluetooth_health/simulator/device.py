@@ -174,7 +174,7 @@ class SimulatedHealthDevice(StrapDevice):
 
     async def _measure(self) -> None:
         for second in count(1):
-            measured_s = await self._strap.crystal.reach(second)
+            measured_s = await self._strap.oscillator.reach(second)
             for value in self._values(second, measured_s):
                 # Each waits for the radio by itself.
                 self._strap.run(self._send(value, measured_s))

@@ -38,7 +38,7 @@ less certain than the next time of reading."""
 
 # Times of reading are the processor's, in whole milliseconds, and late by up to the 13 ms between
 # two looks at the sensor. The oscillator may be a percent off, which is beyond what a `DeviceClock`
-# takes for a crystal.
+# takes for an oscillator.
 POINT_EVERY_S = 0.5
 POINTS = 120
 """A minute: lateness of 13 ms is 200 ppm of that."""

@@ -19,11 +19,11 @@ from biosensor_gateway.devices.emotibit.simulator.rounds import (
     Rounds,
 )
 from biosensor_gateway.devices.emotibit.simulator.wire import Host
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.link import Link
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
@@ -262,7 +262,7 @@ class SimulatedEmotiBit(VirtualDevice):
         self._ppg_hz = self._rate_hz = ppg_hz
         self._rng = np.random.default_rng(self.specimen.seed)
         self._battery_percent = battery_percent
-        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
+        self._oscillator = Oscillator(world.clock, self.specimen.drift_ppm)
         self._worn_since_s = world.clock()
         self._rounds = self._switched_on()
         self._wifi = _Wifi(self._asked, host, port)
@@ -287,7 +287,7 @@ class SimulatedEmotiBit(VirtualDevice):
         self.world.call(lambda: setattr(self._wifi, "to_lose", count))
 
     async def _start(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._worn_since_s = self.world.clock()
         self._rounds = self._switched_on()
         await self._wifi.open()
@@ -300,12 +300,12 @@ class SimulatedEmotiBit(VirtualDevice):
         self._wifi.close()
 
     def _switched_on(self) -> Rounds:
-        return Rounds(self._crystal, self.specimen.wearer, self._worn_since_s, self._rate_hz)
+        return Rounds(self._oscillator, self.specimen.wearer, self._worn_since_s, self._rate_hz)
 
     async def _run(self) -> None:
         due_s = ROUND_S
         while True:
-            await self._crystal.reach(due_s)
+            await self._oscillator.reach(due_s)
             if self._host is not None and self.world.clock() - self._host.pinged_s > _FORGOTTEN_S:
                 self._leave()
             made = self._rounds.next(due_s, self._battery_percent)
@@ -369,7 +369,7 @@ class SimulatedEmotiBit(VirtualDevice):
 
     def _tell(self, tag: str, payload: list[str], address: tuple[str, int]) -> None:
         if not self._stalled:
-            self._wifi.tell(int(self._crystal.now() * 1000), tag, payload, address)
+            self._wifi.tell(int(self._oscillator.now() * 1000), tag, payload, address)
 
     def _obey(self, message: wire.Message) -> None:
         """Do what a host says on the control channel, or write down what it says of the time."""
@@ -403,7 +403,7 @@ class SimulatedEmotiBit(VirtualDevice):
         self._wifi.is_there = not _UNREACHABLE & self._lasting.keys()
 
     def _power_cycle(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._rounds = self._switched_on()
         self._sleeps = False
         if self._running is not None:
@@ -416,7 +416,7 @@ class SimulatedEmotiBit(VirtualDevice):
             self._host.send(self._rng.bytes(int(count)))
 
     def _drift(self, ppm: float) -> None:
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
 
     def _change_rate(self, hz: float) -> None:
         self._rate_hz = hz

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.devices.emotibit.simulator import wire
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effects, lasting
 from biosensor_gateway.simulation.faults import Untidiness
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Wearer
 
 ROUND_S = 0.1
@@ -166,7 +166,7 @@ class Rounds:
 
     Parameters
     ----------
-    crystal
+    oscillator
         Its processor's clock.
     worn_since_s
         LSL time at which the wearer's time is 0.
@@ -180,9 +180,9 @@ class Rounds:
     """
 
     def __init__(
-        self, crystal: Crystal, wearer: Wearer, worn_since_s: float, ppg_hz: float
+        self, oscillator: Oscillator, wearer: Wearer, worn_since_s: float, ppg_hz: float
     ) -> None:
-        self._crystal = crystal
+        self._oscillator = oscillator
         self._wearer = wearer
         self._worn_since_s = worn_since_s
         self._samplers = [_Sampler(part) for part in _parts(ppg_hz)]
@@ -209,7 +209,7 @@ class Rounds:
         packets += [self._packet(now_ms, *each) for each in beats]
         if self._count % BATTERY_EVERY_ROUNDS == 0:
             samples[len(packets)] = Measured(
-                "bat", [self._crystal.true_time(now_s)], [[battery_percent]]
+                "bat", [self._oscillator.true_time(now_s)], [[battery_percent]]
             )
             packets.append(self._packet(now_ms, "B%", [f"{battery_percent:.0f}"]))
         if self._count % SYNC_EVERY_ROUNDS == SYNC_EVERY_ROUNDS - 1:
@@ -242,7 +242,7 @@ class Rounds:
             yield self._packet(stamp_ms + late_ms, tag, channel)
 
     def _measured(self, part: Part, reading: Reading) -> tuple[Measured, list[list[str]]]:
-        times = [self._crystal.true_time(each) for each in reading.times_s]
+        times = [self._oscillator.true_time(each) for each in reading.times_s]
         since = np.array(times, np.float64) - self._worn_since_s
         values = part.measure(self._wearer, since)
         digits = _DIGITS[part.data_name]
@@ -254,7 +254,7 @@ class Rounds:
         self, now_s: float, samples: dict[int, Measured], at: int
     ) -> Iterator[tuple[str, list[str]]]:
         """Heart rate and interval at each beat that its firmware has found."""
-        now = self._crystal.true_time(now_s) - self._worn_since_s
+        now = self._oscillator.true_time(now_s) - self._worn_since_s
         beats = self._wearer.beats_between(self._last_beat_s - self._worn_since_s, now)
         self._last_beat_s = now + self._worn_since_s
         for beat in beats[-1:]:

@@ -42,7 +42,7 @@ _NEVER_NEGATIVE = frozenset({"Battery", "BatteryPercent"})
 _SET_FORWARD_S = 0.25
 """A sample that comes so much earlier than any before it is stamped by another clock."""
 _DELAY_LEAK = 1e-3
-"""How fast the least delay is forgotten [s/s]: far faster than any crystal drifts."""
+"""How fast the least delay is forgotten [s/s]: far faster than any oscillator drifts."""
 _MAX_BRIDGED_S = 86_400.0
 _SAME_MOMENT = 0.5
 """In sampling periods."""

@@ -58,7 +58,6 @@ from biosensor_gateway.devices.emotiv_insight.simulator.streams import (
     Stage,
     Stream,
 )
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import (
     NO_INTERVALS,
@@ -69,6 +68,7 @@ from biosensor_gateway.simulation.expected import (
 )
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.link import Link
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -261,7 +261,7 @@ class SimulatedCortex(VirtualDevice):
         self._listener.open()
         self._begin_s = self.world.clock()
         self._unix_begin_s = time.time()
-        self._crystal = Crystal(self.world.clock, self.specimen.drift_ppm, self._begin_s)
+        self._oscillator = Oscillator(self.world.clock, self.specimen.drift_ppm, self._begin_s)
         self._streams = self._make_streams()
         self._tasks = [self._loop.create_task(stream.run()) for stream in self._streams.values()]
 
@@ -277,7 +277,7 @@ class SimulatedCortex(VirtualDevice):
 
     def _make_streams(self) -> dict[str, Stream]:
         stage = Stage(
-            crystal=self._crystal,
+            oscillator=self._oscillator,
             begin_s=self._begin_s,
             jitter_s=self.specimen.jitter_s,
             rng=self._rng,
@@ -386,7 +386,7 @@ class SimulatedCortex(VirtualDevice):
         self._changes += 1
 
     def _drift(self, ppm: float) -> None:
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
         self._changes += 1
 
     effects = MappingProxyType(

@@ -17,7 +17,7 @@ from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator.account import Session
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Columns, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
-from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
@@ -298,7 +298,7 @@ class Stage:
 
     Attributes
     ----------
-    crystal
+    oscillator
         Gives sample ``k`` the device time ``k / rate``.
     begin_s
         LSL time at which the wearer's time is 0.
@@ -318,7 +318,7 @@ class Stage:
         Counts what makes samples that were computed ahead wrong.
     """
 
-    crystal: Crystal
+    oscillator: Oscillator
     begin_s: float
     jitter_s: float
     rng: np.random.Generator
@@ -371,7 +371,7 @@ class Stream:
         while True:
             await self._is_wanted.wait()
             self._is_wanted.clear()
-            number = floor(self._stage.crystal.now() * self._rate) + 1
+            number = floor(self._stage.oscillator.now() * self._rate) + 1
             while self._stage.subscribed(self._name):
                 number = await self._run_block(number)
 
@@ -380,12 +380,12 @@ class Stream:
         stage = self._stage
         changes = stage.changes()
         numbers = number + np.arange(max(1, round(_AHEAD_S * self._rate)))
-        true_times = [stage.crystal.true_time(k / self._rate) for k in numbers.tolist()]
+        true_times = [stage.oscillator.true_time(k / self._rate) for k in numbers.tolist()]
         samples = self._signal(numbers, np.array(true_times) - stage.begin_s)
         leaves_s = 0.0
         for k, true_s, sample in zip(numbers.tolist(), true_times, samples, strict=True):
             leaves_s = max(leaves_s, true_s + stage.rng.uniform(0, stage.jitter_s))
-            await asyncio.sleep(leaves_s - stage.crystal.clock())
+            await asyncio.sleep(leaves_s - stage.oscillator.clock())
             if stage.changes() != changes:
                 return k
             self._deliver(k, true_s, sample)

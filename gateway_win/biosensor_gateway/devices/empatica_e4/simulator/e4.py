@@ -67,7 +67,7 @@ class SimulatedE4(VirtualDevice):
     timing
         When samples leave the wristbands; their jitter is ``jitter_s``.
     **specimen
-        As for every virtual device: see `Specimen`. The drift is that of each wristband's crystal.
+        As for every virtual device: see `Specimen`. Each wristband's oscillator drifts so.
     """
 
     sensor = "empatica_e4"
@@ -225,7 +225,7 @@ class SimulatedE4(VirtualDevice):
         self._first.signals.battery = percent / 100
 
     def _drift(self, ppm: float) -> None:
-        self._first.crystal.set_drift(ppm)
+        self._first.oscillator.set_drift(ppm)
 
     effects = MappingProxyType(
         {

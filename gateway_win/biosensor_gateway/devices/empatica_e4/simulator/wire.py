@@ -115,7 +115,7 @@ class Sample(NamedTuple):
     measured_s
         True time [s, LSL clock].
     after_s
-        Seconds of the wristband's crystal since its radio link began.
+        Seconds of the wristband's oscillator since its radio link began.
     values
         Of the wire, as exact as it can say them.
     """

@@ -28,7 +28,7 @@ from biosensor_gateway.devices.empatica_e4.simulator.wire import (
     WallClock,
     as_sent,
 )
-from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import PULSE_TRANSIT_S, Floats, Wearer
@@ -130,19 +130,19 @@ class RadioLink:
     def __init__(
         self,
         signals: Signals,
-        crystal: Crystal,
+        oscillator: Oscillator,
         begin_s: float,
         timing: Timing,
         rng: np.random.Generator,
         arrive: Callable[[Packet], None],
     ) -> None:
         self._signals = signals
-        self._crystal = crystal
+        self._oscillator = oscillator
         self._begin_s = begin_s
         self._timing = timing
         self._rng = rng
         self._arrive = arrive
-        self._origin_s = crystal.now()
+        self._origin_s = oscillator.now()
         self._per_packet = {BVP: 1, ACC: 1, GSR: timing.burst, TEMPERATURE: timing.burst}
         self._gathered: dict[Stream, list[Sample]] = {stream: [] for stream in self._per_packet}
         self._last_arrival_s: dict[str, float] = {}
@@ -158,8 +158,8 @@ class RadioLink:
 
     def tag(self) -> None:
         """Send that the button was pressed."""
-        now = self._crystal.clock()
-        self._dispatch((Sample(TAG, now, self._crystal.at(now) - self._origin_s, ()),), 0.0)
+        now = self._oscillator.clock()
+        self._dispatch((Sample(TAG, now, self._oscillator.at(now) - self._origin_s, ()),), 0.0)
 
     async def _run(self) -> None:
         for block in count():
@@ -167,9 +167,11 @@ class RadioLink:
             end_s = self._true_time((block + 1) * _BLOCK_S)
             while self._on_its_way and self._on_its_way[0].arrives_s <= end_s:
                 # What arrives earlier may set out meanwhile: a tag.
-                await asyncio.sleep(max(0.0, self._on_its_way[0].arrives_s - self._crystal.clock()))
+                await asyncio.sleep(
+                    max(0.0, self._on_its_way[0].arrives_s - self._oscillator.clock())
+                )
                 self._arrive(heappop(self._on_its_way))
-            await asyncio.sleep(max(0.0, end_s - self._crystal.clock()))
+            await asyncio.sleep(max(0.0, end_s - self._oscillator.clock()))
 
     def _measure(self, from_s: float, to_s: float) -> None:
         """Measure a block of device time since the link began, a moment ahead of time."""
@@ -201,7 +203,7 @@ class RadioLink:
         if not self._signals.is_worn:
             self._beat_tick = None
         for beat_s in self._signals.beats_between(begin - self._begin_s, end - self._begin_s):
-            after_s = self._crystal.at(beat_s + self._begin_s) - self._origin_s
+            after_s = self._oscillator.at(beat_s + self._begin_s) - self._origin_s
             tick, before = round(after_s * _BEAT_TICKS_HZ), self._beat_tick
             self._beat_tick = tick
             if before is not None:
@@ -225,7 +227,7 @@ class RadioLink:
         heappush(self._on_its_way, Packet(arrives_s, next(self._order), samples))
 
     def _true_time(self, after_s: float) -> float:
-        return self._crystal.true_time(self._origin_s + after_s)
+        return self._oscillator.true_time(self._origin_s + after_s)
 
 
 Deliver = Callable[["Wristband", Packet], None]
@@ -239,7 +241,7 @@ class Wristband:
     device_id
         Six hexadecimal digits.
     specimen
-        Who wears it, and what its crystal is like.
+        Who wears it, and what its oscillator is like.
     is_allowed
         It is registered to the owner of the server's key.
     truth
@@ -249,7 +251,7 @@ class Wristband:
 
     Attributes
     ----------
-    crystal
+    oscillator
         From the wristband's first moment on.
     stamps
         Of the present or last radio link.
@@ -286,9 +288,9 @@ class Wristband:
         self._loses_until_s = 0.0
 
     def begin(self, clock: WallClock) -> None:
-        """Let time begin: for the wearer, the crystal and on the server's PC."""
+        """Let time begin: for the wearer, the oscillator and on the server's PC."""
         self._begin_s = clock.lsl()
-        self.crystal = Crystal(clock.lsl, self._drift_ppm, self._begin_s)
+        self.oscillator = Oscillator(clock.lsl, self._drift_ppm, self._begin_s)
         self._clock = clock
         self.stamps = Stamps(clock)
 
@@ -320,7 +322,7 @@ class Wristband:
         self._is_lost = self.is_left_alone = False
         self.stamps = Stamps(self._clock)
         self._link = RadioLink(
-            self.signals, self.crystal, self._begin_s, self._timing, self._rng, self._arrived
+            self.signals, self.oscillator, self._begin_s, self._timing, self._rng, self._arrived
         )
 
     def disconnect(self) -> None:

@@ -25,11 +25,11 @@ from biosensor_gateway.devices.line_sensor.simulator.ways import (
     Way,
     WebSocket,
 )
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting
 from biosensor_gateway.simulation.expected import NO_INTERVALS, Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.link import Link
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -131,7 +131,7 @@ class SimulatedLineSensor(VirtualDevice):
     def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
         super().__init__(world, **specimen)
         self._rng = np.random.default_rng(self.specimen.seed)
-        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
+        self._oscillator = Oscillator(world.clock, self.specimen.drift_ppm)
         self._way: Way | None = None
         self._measuring: asyncio.Task[None] | None = None
         self._opening: asyncio.Task[None] | None = None
@@ -171,7 +171,7 @@ class SimulatedLineSensor(VirtualDevice):
             self._way.dispose()
 
     def _switch_on(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._measuring = asyncio.create_task(self._measure())
 
     def _switch_off(self) -> None:
@@ -179,11 +179,11 @@ class SimulatedLineSensor(VirtualDevice):
             self._measuring.cancel()
 
     async def _measure(self) -> None:
-        """Look at the sensors at each tick of the crystal; what is delayed delays what follows."""
+        """Read the sensors at each tick of the oscillator; a late reading delays the next ones."""
         count, due_s = 0, 0.0
         while True:
             device_s = count / self._rate_hz
-            time_s = await self._crystal.reach(device_s)
+            time_s = await self._oscillator.reach(device_s)
             due_s = max(due_s, time_s + self.specimen.jitter_s * self._rng.random())
             left_s = due_s - self.world.clock()
             if left_s > 0:
@@ -234,7 +234,7 @@ class SimulatedLineSensor(VirtualDevice):
             self._way.write(b"E (4711) wifi:" + noise + b"\r\n")
 
     def _drift(self, ppm: float) -> None:
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
 
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
         """Begin or end what its way can do to its lines."""

@@ -55,11 +55,11 @@ class SampledStream:
 
     def __init__(self, strap: Strap, resource: Resource, send: Pipe, deviation: float) -> None:
         self._strap = strap
-        self._crystal = strap.crystal
+        self._oscillator = strap.oscillator
         self._resource = resource
         self._send = send
         self._rate_hz = resource.rate_hz * (1 + deviation)
-        self._begin_s = strap.crystal.now()
+        self._begin_s = strap.oscillator.now()
         self._next = 0
         is_ecg = resource.kind == "ecg"
         self._names = ("ecg",) if is_ecg else wire.VECTORS[resource.kind]
@@ -68,10 +68,10 @@ class SampledStream:
     async def run(self) -> None:
         """Measure and send for ever."""
         while True:
-            await self._crystal.reach(self._device_s(self._next + self._count - 1))
+            await self._oscillator.reach(self._device_s(self._next + self._count - 1))
             first_s = self._device_s(self._next)
             indices = range(self._next, self._next + self._count)
-            times = np.array([self._crystal.true_time(self._device_s(each)) for each in indices])
+            times = np.array([self._oscillator.true_time(self._device_s(each)) for each in indices])
             payload, values = self._packet(round(1000 * first_s), times)
             sent = await self._send(payload)
             self._next += self._count
@@ -80,7 +80,7 @@ class SampledStream:
 
     def end(self) -> None:
         """Account for the packet that was begun."""
-        measured = int((self._crystal.now() - self._begin_s) * self._rate_hz) + 1
+        measured = int((self._oscillator.now() - self._begin_s) * self._rate_hz) + 1
         for name in self._names:
             self._strap.truth.unsent(name, max(0, measured - self._next))
 
@@ -116,16 +116,16 @@ class HeartRateStream:
     def __init__(self, strap: Strap, send: Pipe) -> None:
         self._strap = strap
         self._send = send
-        now_s = strap.crystal.clock()
-        self._detector = BeatDetector(strap.wearer, strap.crystal, strap.origin_s, now_s)
+        now_s = strap.oscillator.clock()
+        self._detector = BeatDetector(strap.wearer, strap.oscillator, strap.origin_s, now_s)
 
     async def run(self) -> None:
         """Look for beats and send them for ever."""
-        crystal = self._strap.crystal
-        device_s = crystal.now()
+        oscillator = self._strap.oscillator
+        device_s = oscillator.now()
         while True:
             device_s += _DETECTION_PERIOD_S
-            until_s = await crystal.reach(device_s)
+            until_s = await oscillator.reach(device_s)
             if not self._strap.worn:
                 self._detector.lose(until_s)
                 continue
@@ -149,11 +149,11 @@ class TemperatureStream:
 
     async def run(self) -> None:
         """Measure and send for ever."""
-        crystal = self._strap.crystal
-        device_s = crystal.now()
+        oscillator = self._strap.oscillator
+        device_s = oscillator.now()
         while True:
             device_s += _TEMPERATURE_PERIOD_S
-            measured_s = await crystal.reach(device_s)
+            measured_s = await oscillator.reach(device_s)
             t = np.array([measured_s - self._strap.origin_s])
             celsius = self._strap.wearer.skin_temperature_c(t)[0]
             kelvin = np.float32(celsius - _ABSOLUTE_ZERO_C)

@@ -2,7 +2,7 @@
 
 Samples wait before they are handed on: a headband collects them for up to 130 ms, and the radio
 makes them later still. So a `DeviceClock` keeps to the earliest ones. Their rate is only about
-the nominal one, by more than what that takes for a crystal: in recordings of an Athena, light
+the nominal one, by more than what that takes for an oscillator: in recordings of an Athena, light
 came 0.3 % too fast. So it is corrected as soon as it is known to be another one.
 """
 

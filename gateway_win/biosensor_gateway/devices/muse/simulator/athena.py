@@ -116,12 +116,12 @@ class SimulatedAthena(Headband):
             _Source(wire.REFERENCE, 32.0, 13),
             _Source(wire.BATTERY, 1.0, 100),
         ]
-        begin_s, left_s = self._crystal.now(), 0.0
+        begin_s, left_s = self._oscillator.now(), 0.0
         numbers: Counter[int] = Counter()
         waiting: list[_Waiting] = []
         counter = 0
         for tick in count(1):
-            now_s = await self._crystal.reach(begin_s + tick * _TICK_S)
+            now_s = await self._oscillator.reach(begin_s + tick * _TICK_S)
             for each in self._handed_on(sources, tick, begin_s, numbers):
                 length = sum(other.block.length for other in waiting)
                 if wire.HEADER_BYTES + length + each.block.length > wire.LONGEST_FRAME:
@@ -142,7 +142,7 @@ class SimulatedAthena(Headband):
                 device_s = begin_s + (first + 1 + np.arange(samples)) / source.rate_hz
                 if device_s[-1] > begin_s + tick * _TICK_S:
                     break
-                times = np.array([self._crystal.true_time(float(each)) for each in device_s])
+                times = np.array([self._oscillator.true_time(float(each)) for each in device_s])
                 payload, rows = self._measure(source.tag, times)
                 block = wire.Block(source.tag, numbers[source.tag], stamp_us, payload)
                 numbers[source.tag] += 1

@@ -168,12 +168,12 @@ class SimulatedMuse(Headband):
         yield self._tell_battery()
 
     async def _send_all(self, source: _Source) -> None:
-        begin_s, left_s = self._crystal.now(), 0.0
+        begin_s, left_s = self._oscillator.now(), 0.0
         for number in count():
             indices = number * source.samples + np.arange(source.samples)
             device_s = begin_s + indices / source.rate_hz
-            measured_s = await self._crystal.reach(float(device_s[-1]))
-            times = np.array([self._crystal.true_time(float(each)) for each in device_s])
+            measured_s = await self._oscillator.reach(float(device_s[-1]))
+            times = np.array([self._oscillator.true_time(float(each)) for each in device_s])
             left_s = await self._leave(measured_s, left_s)
             values, rows = source.measure(number, times)
             heard = {uuid for uuid, _ in values if self._is_heard(uuid)}
@@ -218,9 +218,9 @@ class SimulatedMuse(Headband):
         return [(GYRO_UUID, data)], {"gyro": held}
 
     async def _tell_battery(self) -> None:
-        device_s = self._crystal.now()
+        device_s = self._oscillator.now()
         for number in count():
-            measured_s = await self._crystal.reach(device_s + number * _TELEMETRY_S)
+            measured_s = await self._oscillator.reach(device_s + number * _TELEMETRY_S)
             value, percent = _telemetry_packet(number, self._percent)
             sent = await self._notify(TELEMETRY_UUID, value)
             self._note("bat", [measured_s], [(percent,)], sent=sent)

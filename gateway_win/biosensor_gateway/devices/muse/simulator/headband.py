@@ -16,9 +16,9 @@ from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
 from biosensor_gateway.devices.muse.simulator import wire
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
@@ -125,7 +125,7 @@ class Headband(VirtualDevice):
         self._answer_delay_s = 0.0
         self._to_deny = cycle(self.deniable)
         self._refuses = self._is_unreadable = self._glues = False
-        self._crystal = Crystal(world.clock, self._drift_ppm)
+        self._oscillator = Oscillator(world.clock, self._drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._measuring: set[asyncio.Task[None]] = set()
@@ -172,7 +172,7 @@ class Headband(VirtualDevice):
         await self._power.want(False)
 
     async def _power_on(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._drift_ppm)
         service = UUID.from_16_bits(int(wire.SERVICE, 16))
         offered = [self._control, *self._characteristics.values()]
         await self._peripheral.power_on([Service(service, offered)])
@@ -318,7 +318,7 @@ class Headband(VirtualDevice):
 
     def _drift(self, ppm: float) -> None:
         self._drift_ppm = ppm
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
 
     def _glue(self) -> None:
         self._glues = True

@@ -269,7 +269,7 @@ class _WaveformStream:
         begin_s: float,
     ) -> None:
         self._strap = strap
-        self._crystal = strap.crystal
+        self._oscillator = strap.oscillator
         self._data = data
         self._waveform = waveform
         self._rate_hz = rate_hz
@@ -280,17 +280,19 @@ class _WaveformStream:
         """Measure and send for ever."""
         while True:
             count = self._waveform.planned(_room(self._strap))
-            await self._crystal.reach(self._device_s(self._next + count - 1))
+            await self._oscillator.reach(self._device_s(self._next + count - 1))
             await self._send(count)
 
     def end(self) -> None:
         """Account for the frame that was begun."""
-        measured = int((self._crystal.now() - self._begin_s) * self._rate_hz) + 1
+        measured = int((self._oscillator.now() - self._begin_s) * self._rate_hz) + 1
         self._strap.truth.unsent(self._waveform.data_name, max(0, measured - self._next))
 
     async def _send(self, count: int) -> None:
         indices = np.arange(self._next, self._next + count)
-        begin_s, end_s = (self._crystal.true_time(self._device_s(int(i))) for i in indices[[0, -1]])
+        begin_s, end_s = (
+            self._oscillator.true_time(self._device_s(int(i))) for i in indices[[0, -1]]
+        )
         times = np.linspace(begin_s, end_s, count)
         stamps = [POWER_ON_NS + round(1e9 * self._device_s(int(index))) for index in indices]
         counts = self._waveform.counts(times - self._strap.origin_s, self._strap.worn)
@@ -328,13 +330,13 @@ class _IntervalStream:
         self._strap = strap
         self._data = data
         self._next_s = first_s
-        now_s = strap.crystal.clock()
-        self._detector = BeatDetector(strap.wearer, strap.crystal, strap.origin_s, now_s)
+        now_s = strap.oscillator.clock()
+        self._detector = BeatDetector(strap.wearer, strap.oscillator, strap.origin_s, now_s)
 
     async def run(self) -> None:
         """Measure and send for ever."""
         while True:
-            await self._send(await self._strap.crystal.reach(self._next_s))
+            await self._send(await self._strap.oscillator.reach(self._next_s))
             self._next_s += _INTERVAL_PERIOD_S
 
     def end(self) -> None:
@@ -485,7 +487,7 @@ class PmdService:
                 self._streams[measurement] = stream, self._strap.run(stream.run())
 
     def _stream(self, measurement: Measurement) -> _MeasurementStream:
-        now_s = self._strap.crystal.now()
+        now_s = self._strap.oscillator.now()
         if measurement is Measurement.PPI:
             first_s = now_s + self._quirks.first_intervals_s
             return _IntervalStream(self._strap, self._data, first_s)

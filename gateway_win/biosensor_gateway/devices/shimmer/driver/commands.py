@@ -9,7 +9,7 @@ from binascii import crc_hqx
 from enum import IntEnum
 
 TICKS_PER_S = 32768
-"""Frequency of the crystal that all rates are divided from."""
+"""Frequency of the oscillator that all rates are divided from."""
 GSR_AND_PPG = 0x000104
 """Sensor mask: skin conductance and internal ADC A13."""
 AUTO_RANGE = 4

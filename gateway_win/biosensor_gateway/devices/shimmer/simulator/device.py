@@ -33,11 +33,11 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     in_unknown_kind,
     sealed,
 )
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.glue import glued
 from biosensor_gateway.simulation.link import Link
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
@@ -208,7 +208,7 @@ class SimulatedShimmer(VirtualDevice):
         self._battery_percent = battery_percent
         self._first_tick = first_tick
         self._tcp = tcp
-        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
+        self._oscillator = Oscillator(world.clock, self.specimen.drift_ppm)
         self._started_s = self.world.clock()
         self._port: PatientPort | None = None
         self._notes = _Notes(self.truth)
@@ -245,14 +245,14 @@ class SimulatedShimmer(VirtualDevice):
 
     def ticks(self) -> int:
         """Ticks of 1/32768 s since power-on."""
-        return int(self._crystal.now() * TICKS_PER_S) + self._first_tick
+        return int(self._oscillator.now() * TICKS_PER_S) + self._first_tick
 
     def battery_counts(self) -> int:
         """Read the battery's voltage, in counts of the converter."""
         return battery.counts_at(self._battery_percent)
 
     async def _start(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._started_s = self.world.clock()
         self._port = PatientPort(
             self._heard, self._link_lost, buffer_bytes=_TX_QUEUE_BYTES, tcp=self._tcp
@@ -312,7 +312,7 @@ class SimulatedShimmer(VirtualDevice):
             self._flash.divider,
             self._meter(channels),
             self._started_s,
-            self._crystal,
+            self._oscillator,
             self._first_tick,
             self._rng,
             self.specimen.jitter_s,
@@ -377,7 +377,7 @@ class SimulatedShimmer(VirtualDevice):
         self._is_unreadable = False
 
     def _power_cycle(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._first_tick = 0
         self._interpreter.power_on()
         self._reopen()
@@ -392,7 +392,7 @@ class SimulatedShimmer(VirtualDevice):
         self._worn = True
 
     def _drift(self, ppm: float) -> None:
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
 
     effects = MappingProxyType(
         {

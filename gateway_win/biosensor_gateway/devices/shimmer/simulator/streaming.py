@@ -1,4 +1,4 @@
-"""A virtual Shimmer while it streams: samples on the crystal's beat, sent in order."""
+"""A virtual Shimmer while it streams: samples on the oscillator's beat, sent in order."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator.packets import SHIMMER3, Model, data_packet
 from biosensor_gateway.devices.shimmer.simulator.wire import TICKS_PER_S
-from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.system.clock import Clock
 
@@ -76,7 +76,7 @@ class Sampling(NamedTuple):
         Asked once a block, ten times a second.
     wearer_born_s
         LSL time at which the wearer's time is 0.
-    crystal, first_tick
+    oscillator, first_tick
         And the count of ticks at its power-on.
     rng, jitter_s
         Of the radio's delay, uniform from 0 on.
@@ -86,7 +86,7 @@ class Sampling(NamedTuple):
     divider: int
     meter: Meter
     wearer_born_s: float
-    crystal: Crystal
+    oscillator: Oscillator
     first_tick: int
     rng: np.random.Generator
     jitter_s: float
@@ -95,12 +95,12 @@ class Sampling(NamedTuple):
 
 def samples(sampling: Sampling) -> Iterator[Sample]:
     """Return the samples of a stream that starts now, without end."""
-    start = int(sampling.crystal.now() * TICKS_PER_S)
+    start = int(sampling.oscillator.now() * TICKS_PER_S)
     size = max(1, round(_BLOCK_S * TICKS_PER_S / sampling.divider))
     leaves_s = -inf
     for first in _multiples(size):
         ticks = start + sampling.divider * np.arange(first + 1, first + size + 1)
-        measured = [sampling.crystal.true_time(tick / TICKS_PER_S) for tick in ticks.tolist()]
+        measured = [sampling.oscillator.true_time(tick / TICKS_PER_S) for tick in ticks.tolist()]
         block = sampling.meter.measure(np.array(measured, np.float64) - sampling.wearer_born_s)
         delays = sampling.rng.uniform(0, sampling.jitter_s, size).tolist()
         for at, tick in enumerate(ticks.tolist()):

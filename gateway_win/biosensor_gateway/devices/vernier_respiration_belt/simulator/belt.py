@@ -15,7 +15,6 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 from numpy.typing import NDArray
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part, restart
 from biosensor_gateway.simulation.expected import (
     NO_INTERVALS,
@@ -25,6 +24,7 @@ from biosensor_gateway.simulation.expected import (
     LossTolerance,
 )
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
@@ -189,7 +189,7 @@ class SimulatedBelt(VirtualDevice):
         self._rng = np.random.default_rng(self.specimen.seed)
         self._drift_ppm = self.specimen.drift_ppm
         self._answer_delay_s = 0.0
-        self._crystal = Crystal(world.clock, self._drift_ppm)
+        self._oscillator = Oscillator(world.clock, self._drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._measuring: asyncio.Task[None] | None = None
@@ -222,7 +222,7 @@ class SimulatedBelt(VirtualDevice):
         await self._power.want(False)
 
     async def _power_on(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._drift_ppm)
+        self._oscillator = Oscillator(self.world.clock, self._drift_ppm)
         # Only a writing host is told apart; the vendor's services are not advertised.
         commands = Characteristic[bytes](
             COMMAND_UUID,
@@ -259,13 +259,13 @@ class SimulatedBelt(VirtualDevice):
         """Send packets of samples; the first sample is taken at the start itself."""
         period_s = self._firmware.period_us / 1e6
         count = max(1, round(PACKET_S / period_s))
-        begin_s = self._crystal.now()
+        begin_s = self._oscillator.now()
         started_s = self.world.clock()
         first = 0
         while True:
             device_times = begin_s + (first + np.arange(count)) * period_s
-            await self._crystal.reach(float(device_times[-1]))
-            times = np.array([self._crystal.true_time(float(time)) for time in device_times])
+            await self._oscillator.reach(float(device_times[-1]))
+            times = np.array([self._oscillator.true_time(float(time)) for time in device_times])
             if self.specimen.jitter_s:
                 await asyncio.sleep(self._rng.uniform(0, self.specimen.jitter_s))
             rows = self._signals.rows(times, started_s)
@@ -327,7 +327,7 @@ class SimulatedBelt(VirtualDevice):
 
     def _drift(self, ppm: float) -> None:
         self._drift_ppm = ppm
-        self._crystal.set_drift(ppm)
+        self._oscillator.set_drift(ppm)
 
     effects = MappingProxyType(
         {

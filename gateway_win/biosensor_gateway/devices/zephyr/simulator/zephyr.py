@@ -27,10 +27,10 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     general,
     summary_v2,
 )
-from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting, level
 from biosensor_gateway.simulation.expected import ONE_RATE, Expected, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
@@ -192,17 +192,17 @@ class SyntheticSource:
 
     def power_on(self, clock: Clock) -> None:
         """Set device time 0 to the clock's now."""
-        self._crystal = Crystal(clock, self._crystal_ppm(self._drift_ppm))
+        self._oscillator = Oscillator(clock, self._oscillator_ppm(self._drift_ppm))
 
     def power_cycle(self) -> None:
         """Begin again with every number at 0; the clock has gone on."""
-        self.step_clock(round(1000 * self._crystal.now()))
-        self.power_on(self._crystal.clock)
+        self.step_clock(round(1000 * self._oscillator.now()))
+        self.power_on(self._oscillator.clock)
         self._begin_measuring()
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
         """Return events, then the enabled packets whose last sample is measured."""
-        device_ms = 1000 * self._crystal.at(now)
+        device_ms = 1000 * self._oscillator.at(now)
         frames = [self._event(code, data, device_ms) for code, data in self._events]
         self._events.clear()
         while self._queue[0][0] <= device_ms:
@@ -235,9 +235,9 @@ class SyntheticSource:
         self._worn = worn
 
     def set_drift(self, ppm: float) -> None:
-        """Run the crystal so much too fast from now on."""
+        """Run the oscillator so much too fast from now on."""
         self._drift_ppm = ppm
-        self._crystal.set_drift(self._crystal_ppm(ppm))
+        self._oscillator.set_drift(self._oscillator_ppm(ppm))
 
     def step_clock(self, milliseconds: int) -> None:
         """Set the device's clock forward (or back); measuring is not disturbed."""
@@ -245,7 +245,7 @@ class SyntheticSource:
 
     def midnight_in(self, milliseconds: int) -> None:
         """Set the clock forward so that it turns midnight in so many device milliseconds."""
-        ms_of_day = self._clock.plus(round(1000 * self._crystal.now())).ms_of_day
+        ms_of_day = self._clock.plus(round(1000 * self._oscillator.now())).ms_of_day
         self.step_clock(MS_PER_DAY - milliseconds - ms_of_day)
 
     def add_event(self, code: int, data: bytes) -> None:
@@ -284,7 +284,7 @@ class SyntheticSource:
         data = wire.waveform(packet, index, stamp, [int(value) for value in samples.flat])
         layout = WAVEFORMS[packet]
         first = index * layout.samples
-        period_s = layout.period_ms / 1000 / (1 + self._crystal.drift_ppm * 1e-6)
+        period_s = layout.period_ms / 1000 / (1 + self._oscillator.drift_ppm * 1e-6)
         return Outgoing(data, packet, index, stamp, measured_at, period_s, first, samples)
 
     def _vitals(self, packet: Packet, t: float) -> Values:
@@ -324,9 +324,9 @@ class SyntheticSource:
         }
 
     def _true_s(self, device_ms: float) -> float:
-        return self._crystal.true_time(device_ms / 1000)
+        return self._oscillator.true_time(device_ms / 1000)
 
-    def _crystal_ppm(self, drift_ppm: float) -> float:
+    def _oscillator_ppm(self, drift_ppm: float) -> float:
         return 1e6 * (self._speed * (1 + drift_ppm * 1e-6) - 1)
 
     def _rng(self, packet: Packet, index: int, purpose: int) -> np.random.Generator:

@@ -26,7 +26,7 @@ from biosensor_gateway.recording.export.bids.subjects import (
 )
 from biosensor_gateway.recording.export.bids.tables import write_json, write_rows, write_text
 from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
-from biosensor_gateway.recording.export.happenings import Happening, happenings, is_left_out
+from biosensor_gateway.recording.export.marker_events import MarkerEvent, is_left_out, marker_events
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.timeline import timeline
 from biosensor_gateway.recording.participants import entities_of
@@ -142,7 +142,7 @@ class _Dataset:
         events = Events(paths, participants)
         events.kept = {self._subjects.of(each.stream): [] for each in eeg}
         holds = {each.number: self._subjects.of_markers(each) for each in self._markers}
-        events.write(self._happenings(), holds)
+        events.write(self._marker_events(), holds)
         for label, happened in events.kept.items():
             own = [each for each in eeg if self._subjects.of(each.stream) == label]
             write_eeg_events(self._root, own, happened)
@@ -155,13 +155,13 @@ class _Dataset:
             write_json(self._root / entities[key].path(BEHAVIOUR, "events.json"), content)
         return set(events.counts)
 
-    def _happenings(self) -> Iterator[tuple[Stream, Happening]]:
+    def _marker_events(self) -> Iterator[tuple[Stream, MarkerEvent]]:
         span = (self._chosen.begin_s, self._chosen.end_s)
         for stream, samples in merged(self._markers, *span):
-            for happening in happenings(stream, samples, self._timeline):
+            for event in marker_events(stream, samples, self._timeline):
                 if self._order.participant:
-                    happening.participant = ""
-                yield stream, happening
+                    event.participant = ""
+                yield stream, event
             self._count.add(len(samples))
 
 

@@ -18,7 +18,7 @@ from biosensor_gateway.recording.export.bids.eeg import (
     runs_by_start,
 )
 from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
-from biosensor_gateway.recording.export.happenings import Happening, in_order
+from biosensor_gateway.recording.export.marker_events import MarkerEvent, in_order
 
 COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "note", "value")
 COLUMN_DESCRIPTIONS: Mapping[str, object] = {
@@ -52,15 +52,15 @@ class Events:
         self._files: dict[str, TextIO] = {}
         self.counts: Counter[str] = Counter()
         """Rows by label."""
-        self.kept: dict[str, list[tuple[Stream, Happening]]] = {}
+        self.kept: dict[str, list[tuple[Stream, MarkerEvent]]] = {}
         """What happened to those who are in it, by label."""
 
-    def write(self, happenings: Iterable[tuple[Stream, Happening]], holds: Holds) -> None:
+    def write(self, events: Iterable[tuple[Stream, MarkerEvent]], holds: Holds) -> None:
         """Write all, in the order of time.
 
         Parameters
         ----------
-        happenings
+        events
             Roughly in the order of time.
         holds
             Labels of those for whom a stream of markers holds, by its number.
@@ -71,13 +71,13 @@ class Events:
             If a table cannot be written.
         """
         with self._stack:
-            for stream, happening in in_order(happenings):
+            for stream, event in in_order(events):
                 for label in holds[stream.number]:
-                    if happening.participant in ("", self._participants[label]):
-                        self._file(label).write(_row(stream, happening))
+                    if event.participant in ("", self._participants[label]):
+                        self._file(label).write(_row(stream, event))
                         self.counts[label] += 1
                         if label in self.kept:
-                            self.kept[label].append((stream, happening))
+                            self.kept[label].append((stream, event))
 
     def _file(self, label: str) -> TextIO:
         if label not in self._files:
@@ -89,15 +89,15 @@ class Events:
         return self._files[label]
 
 
-def _row(stream: Stream, happening: Happening, start_s: float = 0.0) -> str:
-    undone = "yes" if happening.undone else "no"
-    onset = f"{happening.onset_s - start_s:.6f}"
-    told = (happening.name, undone, stream.header.name, happening.note, happening.text)
+def _row(stream: Stream, event: MarkerEvent, start_s: float = 0.0) -> str:
+    undone = "yes" if event.undone else "no"
+    onset = f"{event.onset_s - start_s:.6f}"
+    told = (event.name, undone, stream.header.name, event.note, event.text)
     return line((onset, NOTHING, *told))
 
 
 def write_eeg_events(
-    root: Path, files: Iterable[EegFile], happened: Sequence[tuple[Stream, Happening]]
+    root: Path, files: Iterable[EegFile], happened: Sequence[tuple[Stream, MarkerEvent]]
 ) -> None:
     """Write the tables of events of runs of EEG, and the same as BrainVision has them.
 
@@ -117,14 +117,14 @@ def write_eeg_events(
     """
     for runs in runs_by_start(tuple(files)).values():
         starts = [each.start_s for each in runs]
-        dealt: list[list[tuple[Stream, Happening]]] = [[] for _ in runs]
-        for stream, happening in happened:
-            dealt[max(0, bisect_right(starts, happening.onset_s) - 1)].append((stream, happening))
+        dealt: list[list[tuple[Stream, MarkerEvent]]] = [[] for _ in runs]
+        for stream, event in happened:
+            dealt[max(0, bisect_right(starts, event.onset_s) - 1)].append((stream, event))
         for file, own in zip(runs, dealt, strict=True):
             _write_eeg_events(root, file, own)
 
 
-def _write_eeg_events(root: Path, file: EegFile, own: Sequence[tuple[Stream, Happening]]) -> None:
+def _write_eeg_events(root: Path, file: EegFile, own: Sequence[tuple[Stream, MarkerEvent]]) -> None:
     rows = [(each.onset_s - file.start_s, _row(of, each, file.start_s)) for of, each in own]
     marks = [
         (round((each.onset_s - file.start_s) * file.rate_hz), 1, each.name or each.text)

@@ -23,11 +23,11 @@ from biosensor_gateway.recording.export.exporter import (
     SampleCount,
     on_clock,
 )
-from biosensor_gateway.recording.export.happenings import (
-    Happening,
-    happenings,
+from biosensor_gateway.recording.export.marker_events import (
+    MarkerEvent,
     in_order,
     is_left_out,
+    marker_events,
 )
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.names import file_names
@@ -116,9 +116,9 @@ def _write_markers(chosen: Chosen, order: Order, path: Path) -> None:
     line = timeline(chosen, order.clock)
     streams = [each for each in chosen.streams if is_markers(each) and not is_left_out(each)]
 
-    def all_of_them() -> Iterator[tuple[Stream, Happening]]:
+    def all_of_them() -> Iterator[tuple[Stream, MarkerEvent]]:
         for stream, samples in merged(streams, chosen.begin_s, chosen.end_s):
-            for each in happenings(stream, samples, line):
+            for each in marker_events(stream, samples, line):
                 yield stream, each
 
     begin_s = _begin_s(order.clock, line)

@@ -35,7 +35,7 @@ class Swap(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Rival:
+class _Duplicate:
     inlet: Inlet
     opened_s: float = field(default_factory=monotonic)
     filled_s: float | None = None
@@ -53,7 +53,7 @@ class _Rival:
         return not is_well or old.heard_s > self.opened_s
 
 
-class Rivals:
+class Duplicates:
     """Keeps the second inlets.
 
     Parameters
@@ -68,7 +68,7 @@ class Rivals:
         self._warn, self._refusals = warn, refusals
         self._unseen: set[str] = set()
         self._seen_again: dict[str, float] = {}
-        self._rivals: dict[str, _Rival] = {}
+        self._duplicates: dict[str, _Duplicate] = {}
 
     def look(
         self, inlets: Mapping[str, Inlet], found: Mapping[str, pylsl.StreamInfo]
@@ -82,29 +82,29 @@ class Rivals:
         """
         self._note_seen(inlets, found)
         for inlet in self._stranded(inlets):
-            if inlet.uid not in self._rivals:
+            if inlet.uid not in self._duplicates:
                 self._open(found[inlet.uid], inlet.number)
-        return [swap for uid in list(self._rivals) if (swap := self._settle(inlets[uid]))]
+        return [swap for uid in list(self._duplicates) if (swap := self._settle(inlets[uid]))]
 
     def successor(self, ended: Inlet) -> Inlet | None:
         """Return the second inlet of a stream whose first one has ended, if it has one."""
-        rival = self._rivals.get(ended.uid)
-        if rival is None:
+        duplicate = self._duplicates.get(ended.uid)
+        if duplicate is None:
             return None  # nothing is dropped: it has none
-        if rival.is_behind(ended):
+        if duplicate.is_behind(ended):
             self.close(ended.uid)
             return None  # nothing is dropped: the first inlet was heard
         return self._swapped(ended).new
 
     def close(self, uid: str) -> None:
         """Close the second inlet of a stream, if it has one."""
-        rival = self._rivals.pop(uid, None)
-        if rival is not None:
-            rival.inlet.stop()
+        duplicate = self._duplicates.pop(uid, None)
+        if duplicate is not None:
+            duplicate.inlet.stop()
 
     def stop(self) -> None:
         """Close all."""
-        for uid in list(self._rivals):
+        for uid in list(self._duplicates):
             self.close(uid)
 
     def _note_seen(
@@ -140,23 +140,23 @@ class Rivals:
         except SpecError:
             # nothing is dropped: it was fit to be used before, and the first inlet is still there
             return
-        self._rivals[inlet.uid] = _Rival(inlet)
+        self._duplicates[inlet.uid] = _Duplicate(inlet)
         # nothing is dropped: a second connection is tried
         self._warn(
             f"{inlet.core}: seen again after a cut, but not heard; a second connection is tried"
         )
 
     def _settle(self, old: Inlet) -> Swap | None:
-        rival = self._rivals[old.uid]
-        if rival.is_behind(old):
+        duplicate = self._duplicates[old.uid]
+        if duplicate.is_behind(old):
             self.close(old.uid)
-        elif rival.has_won and old.give_up(rival.opened_s):
+        elif duplicate.has_won and old.give_up(duplicate.opened_s):
             return self._swapped(old)
         return None  # nothing is dropped: both stay open
 
     def _swapped(self, old: Inlet) -> Swap:
         self._seen_again.pop(old.uid, None)
-        new = self._rivals.pop(old.uid).inlet
+        new = self._duplicates.pop(old.uid).inlet
         if old.correction is not None:
             new.take_correction(old.correction)
         return Swap(old, new)

@@ -7,7 +7,7 @@ import asyncio
 from biosensor_gateway.system.clock import Clock
 
 
-class Crystal:
+class Oscillator:
     """Device time since power-on, running fast by some ppm.
 
     Parameters
@@ -28,7 +28,7 @@ class Crystal:
 
     @property
     def drift_ppm(self) -> float:
-        """How fast the crystal runs now."""
+        """How fast the oscillator runs now."""
         return (self._rate - 1) * 1e6
 
     def now(self) -> float:
@@ -49,7 +49,7 @@ class Crystal:
         if left <= 0:
             return self.true_time(device_s)
         await asyncio.sleep(left)
-        # The crystal may have changed its speed meanwhile.
+        # The oscillator may have changed its speed meanwhile.
         return await self.reach(device_s)
 
     def set_drift(self, ppm: float) -> None:

@@ -39,7 +39,7 @@ _OF_DEVICES = frozenset(
 
 
 @dataclass(slots=True)
-class Happening:
+class MarkerEvent:
     """Something that happened at one moment.
 
     Attributes
@@ -78,7 +78,7 @@ def is_left_out(stream: Stream) -> bool:
     return identity.sensor == NODE or stream.header.data_name not in (EVENTS, MARKERS)
 
 
-def happenings(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator[Happening]:
+def marker_events(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator[MarkerEvent]:
     """Give what the samples of a stream of markers say."""
     identity = stream.header.identity
     kind = stream.header.data_name if identity is not None and identity.sensor == AGENT else ""
@@ -86,24 +86,24 @@ def happenings(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator
     for place, onset_s in enumerate(onsets):
         told = texts(samples.values[place])
         whole = told[0] if len(told) == 1 else json.dumps(told, ensure_ascii=False)
-        happening = Happening(onset_s, "", whole)
+        event = MarkerEvent(onset_s, "", whole)
         if kind:
-            content = _content(happening.text)
+            content = _content(event.text)
             if kind == EVENTS and content.get("event") not in _OF_DEVICES:
                 continue
-            _tell(happening, content)
-            happening.onset_s = _told_onset(samples, place, content, timeline, onset_s)
+            _tell(event, content)
+            event.onset_s = _told_onset(samples, place, content, timeline, onset_s)
         elif len(whole) <= _LONGEST_NAME:
-            happening.name = ", ".join(told)
-        yield happening
+            event.name = ", ".join(told)
+        yield event
 
 
-def _tell(happening: Happening, content: Mapping[str, Any]) -> None:
-    happening.name = str(content.get("marker") or content.get("event") or "")
-    happening.participant = str(content.get("participant") or "")
-    happening.note = str(content.get("note") or "")
-    happening.id = _whole(content.get("id"))
-    happening.undoes = _whole(content.get("of"))
+def _tell(event: MarkerEvent, content: Mapping[str, Any]) -> None:
+    event.name = str(content.get("marker") or content.get("event") or "")
+    event.participant = str(content.get("participant") or "")
+    event.note = str(content.get("note") or "")
+    event.id = _whole(content.get("id"))
+    event.undoes = _whole(content.get("of"))
 
 
 def _told_onset(
@@ -132,35 +132,35 @@ def _whole(value: object) -> int | None:
 
 
 def in_order(
-    happenings: Iterable[tuple[Stream, Happening]],
-) -> Iterator[tuple[Stream, Happening]]:
+    events: Iterable[tuple[Stream, MarkerEvent]],
+) -> Iterator[tuple[Stream, MarkerEvent]]:
     """Sort by time, and undo what is undone, as far as it is held back."""
     kept: list[_Kept] = []
-    newest: dict[tuple[int, int], Happening] = {}
-    for order, (stream, happening) in enumerate(happenings):
-        if happening.undoes is not None:
-            if undone := newest.get((stream.number, happening.undoes)):
+    newest: dict[tuple[int, int], MarkerEvent] = {}
+    for order, (stream, event) in enumerate(events):
+        if event.undoes is not None:
+            if undone := newest.get((stream.number, event.undoes)):
                 undone.undone = True
-        elif happening.id is not None:
-            newest[stream.number, happening.id] = happening
-        heapq.heappush(kept, _Kept(happening.onset_s, order, stream, happening))
+        elif event.id is not None:
+            newest[stream.number, event.id] = event
+        heapq.heappush(kept, _Kept(event.onset_s, order, stream, event))
         if len(kept) > _KEPT:
             first = heapq.heappop(kept)
             _forget(newest, first)
-            yield first.stream, first.happening
+            yield first.stream, first.event
     while kept:
         first = heapq.heappop(kept)
-        yield first.stream, first.happening
+        yield first.stream, first.event
 
 
 class _Kept(NamedTuple):
     onset_s: float
     order: int
     stream: Stream
-    happening: Happening
+    event: MarkerEvent
 
 
-def _forget(newest: dict[tuple[int, int], Happening], kept: _Kept) -> None:
-    number = kept.happening.id
-    if number is not None and newest.get((kept.stream.number, number)) is kept.happening:
+def _forget(newest: dict[tuple[int, int], MarkerEvent], kept: _Kept) -> None:
+    number = kept.event.id
+    if number is not None and newest.get((kept.stream.number, number)) is kept.event:
         del newest[kept.stream.number, number]
