@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.contents.choice import Wish
-from biosensor_gateway.recording.export.exporter import Clock
+from biosensor_gateway.recording.export.exporter import Clock, Times
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 
@@ -34,11 +34,11 @@ def exported(tmp_path: Path) -> Exporting:
         wish: Wish = Wish(),  # noqa: B008 - it cannot be changed
         clock: Clock = Clock.LSL,
         output: Path | None = None,
+        times: Times = Times.RECORDED,
     ) -> Outcome:
         path = tmp_path / "study.xdf"
         path.write_bytes(content)
-        return export(
-            path, Task(formats, wish, clock, output), lambda _name, _s: lambda _done: None
-        )
+        task = Task(formats, wish, clock, output, times=times)
+        return export(path, task, lambda _name, _s: lambda _done: None)
 
     return run

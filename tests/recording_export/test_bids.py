@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -252,9 +253,8 @@ def test_a_name_in_the_manner_of_bids_is_kept(
     path.write_bytes(SHAPES["irregular only"])
     with open_contents(path) as contents:
         chosen = choose(contents, Wish())
-        BidsDataset().write(
-            chosen, Order(Clock.LSL, name, **order), tmp_path / "out", lambda _: None
-        )
+        wanted = replace(Order(Clock.LSL, name), **order)
+        BidsDataset().write(chosen, wanted, tmp_path / "out", lambda _: None)
     assert find(tmp_path / "out", "*_physioevents.json").name.startswith(expected)
 
 

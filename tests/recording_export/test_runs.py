@@ -142,7 +142,7 @@ def test_what_is_stamped_in_bursts_is_one_run_at_its_real_rate(exported: Exporti
     outcome = exported(_in_bursts(is_lost=False), "edf", "kubios", "bids")
     values = np.arange(BURST * BURSTS, dtype=float).tolist()
     assert _kubios(outcome) == {"strap.txt": values}
-    (told,) = (note for each in outcome.written for note in each.notes if "its rate" in note)
+    (told,) = (note for each in outcome.written for note in each.notes if "tell Kubios" in note)
     assert "129.8 Hz" in told
     (edf,) = (each.path for each in outcome.written if each.format == "edf")
     (signal,) = read_bdf(edf / "strap.bdf").signals

@@ -69,6 +69,13 @@ def export_recording(
     clock: Annotated[
         exporter.Clock, typer.Option(help="LSL time, or unix time where the recording tells it.")
     ] = exporter.Clock.LSL,
+    times: Annotated[
+        exporter.Times,
+        typer.Option(
+            help="Of streams with a rate: as recorded, or on a straight line between two gaps, "
+            "where a gap is an event and ends no file."
+        ),
+    ] = exporter.Times.RECORDED,
     task: Annotated[
         str, typer.Option(help="For bids; else from the recording's name, or study.")
     ] = "",
@@ -97,8 +104,8 @@ def export_recording(
     Exit code 1 also if its name says another participant than its sensors, until --whose says
     who is right.
 
-    Times are as recorded, with the clock offsets applied, and never made
-    regular. What can be read of a damaged recording is exported. No file
+    Times are as recorded, with the clock offsets applied, and not made
+    regular without --times even. What can be read of a damaged recording is exported. No file
     is overwritten. With --to bids, --output and several recordings, or a data set
     that is there, they are added to it; what was added before is not written again.
     """
@@ -112,7 +119,7 @@ def export_recording(
     from biosensor_gateway.recording.export.bids.study import is_dataset
     from biosensor_gateway.recording.export.several import recordings_in
 
-    wanted = Task(to, wish, clock, output, task, session, whose)
+    wanted = Task(to, wish, clock, output, task, session, whose, times)
     if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
         with wrong_recording(), _bars() as watch:
             outcome = export(files[0], wanted, watch)

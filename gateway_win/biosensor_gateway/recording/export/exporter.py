@@ -28,6 +28,16 @@ class Clock(StrEnum):
     """Unix time; only of a recording whose `wall` is known."""
 
 
+@unique
+class Times(StrEnum):
+    """Which times samples of a regular stream have, and what a gap does."""
+
+    RECORDED = "recorded"
+    """Those of the stamps; in a format that knows no gaps, one ends a file."""
+    EVEN = "even"
+    """Those of a straight line between two gaps; a gap is an event, and the file goes on."""
+
+
 @dataclass(frozen=True, slots=True)
 class Order:
     """How to write it.
@@ -42,6 +52,8 @@ class Order:
         What was recorded, for formats that tell it; empty for what `name` says.
     participant
         Whose all of it is, whatever the recorded events say; empty for what these say.
+    times
+        Of regular streams.
     """
 
     clock: Clock
@@ -49,6 +61,7 @@ class Order:
     task: str = ""
     session: str = ""
     participant: str = ""
+    times: Times = Times.RECORDED
 
 
 class Missing(str):

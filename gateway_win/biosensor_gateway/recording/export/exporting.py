@@ -13,7 +13,7 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.contents.choice import Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
-from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress
+from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress, Times
 from biosensor_gateway.recording.export.formats import FORMATS, GROWTH, USUAL_GROWTH
 from biosensor_gateway.recording.export.outcome import NothingForIt, Outcome, Written
 from biosensor_gateway.recording.participants import (
@@ -46,6 +46,8 @@ class Task:
         What was recorded, for formats that tell it; empty for what the recording's name says.
     whose
         Who is right about the participant, its name or its sensors; None if nobody has said it.
+    times
+        Of regular streams.
     """
 
     formats: Sequence[str]
@@ -55,6 +57,7 @@ class Task:
     task: str = ""
     session: str = ""
     whose: Whose | None = None
+    times: Times = Times.RECORDED
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
@@ -78,7 +81,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         chosen = choose(contents, task.wish)
         _require_samples(chosen)
         _require_clock(contents, task.clock)
-        order = Order(task.clock, bare_name(path), task.task, task.session, participant)
+        order = Order(task.clock, bare_name(path), task.task, task.session, participant, task.times)
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
         _require_space(chosen, targets)
@@ -89,7 +92,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
             tuple((s.header.name, s.header.source_id, s.sample_count) for s in chosen.streams),
             written,
             contents.damages,
-            tuple(_clock_notes(chosen, task.clock)),
+            tuple(_clock_notes(chosen, task)),
             without,
             _mismatch(path, chosen) if task.whose is None else None,
         )
@@ -136,8 +139,13 @@ def _require_clock(contents: Contents, clock: Clock) -> None:
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
-def _clock_notes(chosen: Chosen, clock: Clock) -> Iterator[str]:
-    wall = chosen.contents.wall
+def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
+    wall, clock = chosen.contents.wall, task.clock
+    if task.times is Times.EVEN:
+        yield (
+            "times of streams with a rate are those of a straight line between two gaps; leave "
+            "out --times even for the recorded ones"
+        )
     if clock is Clock.WALL and wall is not None and wall.resolution_s:
         yield (
             f"the time of day is only good to {wall.resolution_s:g} s: "

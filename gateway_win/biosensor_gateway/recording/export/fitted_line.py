@@ -40,3 +40,14 @@ class FittedLine:
         self.mean_number += away * count / total
         self.mean_s += away_s * count / total
         self.count = total
+
+    def slope_s(self, usual_s: float) -> float:
+        """Return the time from sample to sample; the usual one if no line can be seen."""
+        slope_s = self.product / self.spread if self.spread else usual_s
+        # A few samples that came at once tell nothing.
+        return slope_s if 0.5 < slope_s / usual_s < 2 else usual_s
+
+    def times(self, first: int, count: int, usual_s: float) -> NDArray[np.float64]:
+        """Return the times that samples of these numbers have on the line."""
+        number = np.arange(first, first + count, dtype=np.float64)
+        return self.mean_s + self.slope_s(usual_s) * (number - self.mean_number)

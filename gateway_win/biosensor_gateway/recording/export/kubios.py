@@ -8,7 +8,7 @@ formats").
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, repeat
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.csv.tables import quoted
 from biosensor_gateway.recording.export.exporter import (
     Missing,
     Order,
@@ -26,12 +27,20 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.numbers import numbers
-from biosensor_gateway.recording.export.runs import MOST_RUNS, Runs
+from biosensor_gateway.recording.export.runs import (
+    BAD_GAP,
+    MOST_RUNS,
+    Runs,
+    Stretch,
+    stretches,
+)
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}
 # Intervals that differ more from their stamps have a hole between them.
 _HOLE_S = 1.0
+_GAPS = "_gaps.csv"
+_MOST_NAMED = 3
 
 
 class Kubios:
@@ -52,7 +61,7 @@ class Kubios:
                 (name,) = names.of(stream)
                 notes += _write_intervals(chosen, stream, target / f"{name}.txt")
             elif _is_of(stream, ContentType.ECG) and stream.header.is_regular:
-                notes += _write_ecg(chosen, stream, target, names)
+                notes += _write_ecg(chosen, order, stream, target, names)
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
@@ -97,30 +106,57 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
         yield f"{name}: beats of {missing_s:.0f} s in all are missing between the intervals"
 
 
-def _write_ecg(chosen: Chosen, stream: Stream, folder: Path, names: FileNames) -> Iterator[str]:
+def _write_ecg(
+    chosen: Chosen, order: Order, stream: Stream, folder: Path, names: FileNames
+) -> Iterator[str]:
     name = stream.header.name
-    cut = Runs(chosen, stream)
+    cut = Runs(chosen, stream, order.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
         yield Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
         return
-    files = [folder / f"{each}.txt" for each in names.of(stream, len(runs))]
+    if not runs:
+        return
+    every = stretches(runs, stream.header.rate, order.times)
+    files = [folder / f"{each}.txt" for each in names.of(stream, len(every))]
+    file_of = [path for path, each in zip(files, every, strict=True) for _ in each.runs]
+    empty = [rows for each in every for rows in each.empty]
     without = 0
     for number, parts in groupby(cut.pieces(), key=lambda each: each[0]):
-        with files[number].open("xb") as file:
+        # A file that goes on behind a gap was made for the run before.
+        goes_on = number > 0 and file_of[number] == file_of[number - 1]
+        with file_of[number].open("ab" if goes_on else "xb") as file:
+            file.writelines(repeat(b"NaN\n", empty[number]))
             for _, samples in parts:
                 values = np.asarray(samples.values)[:, 0]
                 without += int(np.count_nonzero(np.isnan(values)))
                 file.writelines(each + b"\n" for each in numbers(values))
-    rates = [run.rate_hz(stream.header.rate) for run in runs]
-    if rates:
-        told = ", ".join(f"{rate:.6g}" for rate in dict.fromkeys(rates[:3]))
-        more = ", ..." if len(rates) > 3 else ""
-        yield f"{name}: tell Kubios its rate, {told}{more} Hz, and its unit, {_unit(stream)}"
+    rates = [each.rate_hz for each in every]
+    told = ", ".join(f"{rate:.6g}" for rate in dict.fromkeys(rates[:3]))
+    more = ", ..." if len(rates) > 3 else ""
+    yield f"{name}: tell Kubios its rate, {told}{more} Hz, and its unit, {_unit(stream)}"
     if without:
         yield f"{name}: {without} samples have no value and are NaN"
-    if len(runs) > 1:
-        yield f"{name}: its gaps cut it into {len(runs)} files"
+    for remark in cut.remarks(every, "NaN stands"):
+        yield f"{name}: {remark}"
+    if any(empty):
+        yield f"{name}: {_write_gaps(every, files)}"
+
+
+def _write_gaps(every: Sequence[Stretch], files: Sequence[Path]) -> str:
+    """Write where gaps are beside the files that have some; say so."""
+    made: list[str] = []
+    for stretch, path in zip(every, files, strict=True):
+        gaps = [
+            (row + 1, row / stretch.rate_hz, rows / stretch.rate_hz, BAD_GAP)
+            for row, rows in stretch.gaps
+        ]
+        if gaps:
+            table = path.with_name(f"{path.stem}{_GAPS}")
+            heads = ("first_line", "seconds", "duration", "event")
+            table.write_bytes(quoted([heads, *gaps]))
+            made.append(table.name)
+    return f"its gaps are listed in {', '.join(made[:_MOST_NAMED])}"
 
 
 def _unit(stream: Stream) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
-from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv.tables import quoted
 from biosensor_gateway.recording.export.exporter import (
@@ -29,6 +29,7 @@ from biosensor_gateway.recording.export.exporter import (
 from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import numbers
+from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, gap_text, has_even_times
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 
@@ -53,7 +54,7 @@ class Ledalab:
         for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
             if _is_conductance(stream):
                 path = target / f"{name}.txt"
-                notes += _write_stream(chosen, order, stream, happened, path)
+                notes += _write_stream(chosen, order, stream, happened, codes, path)
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
@@ -82,14 +83,26 @@ def _numbered(chosen: Chosen) -> tuple[NDArray[np.float64], dict[str, int]]:
 
 
 def _write_stream(
-    chosen: Chosen, order: Order, stream: Stream, happened: NDArray[np.float64], path: Path
+    chosen: Chosen,
+    order: Order,
+    stream: Stream,
+    happened: NDArray[np.float64],
+    codes: dict[str, int],
+    path: Path,
 ) -> Iterator[str]:
     unit = stream.meaning.units[0]
     told_of = _Told()
     place, begin_s = 0, None
-    behind_holes = _behind_holes(chosen, stream)
+    runs = behind_holes = None
+    given: Iterator[Samples] = batches(chosen, stream)
+    if has_even_times(stream, order.times):
+        runs = Runs(chosen, stream, order.times)
+        given = runs.samples()
+        happened = _with_gaps(happened, runs, stream, codes)
+    else:
+        behind_holes = _behind_holes(chosen, stream)
     with path.open("xb") as file:
-        for samples in batches(chosen, stream):
+        for samples in given:
             values = np.asarray(samples.values)[:, 0]
             has_value = np.isfinite(values)
             told_of.without += int(np.count_nonzero(~has_value))
@@ -101,13 +114,13 @@ def _write_stream(
                 place = int(np.searchsorted(happened[:, 0], begin_s))
             end = int(np.searchsorted(happened[:, 0], float(times[-1]), side="right"))
             here = happened[place : max(place, end)]
-            codes, lost = _at_samples(here, times)
+            here_codes, lost = _at_samples(here, times)
             told_of.together += lost
             told_of.late += _late(here, times, stream, behind_holes)
             told_of.inside += len(here)
             place = max(place, end)
             told = on_clock(chosen, order.clock, times)
-            rows = zip(numbers(told), numbers(values), numbers(codes), strict=True)
+            rows = zip(numbers(told), numbers(values), numbers(here_codes), strict=True)
             file.writelines(b"%b\t%b\t%b\n" % row for row in rows)
     if begin_s is None:
         path.unlink()
@@ -117,6 +130,26 @@ def _write_stream(
         yield f"{stream.header.name}: its unit is {unit!r}, and Ledalab takes it for microsiemens"
     for what in told_of.sentences(len(happened)):
         yield f"{stream.header.name}: {what}"
+    if runs is not None:
+        for what in runs.remarks_on_times():
+            yield f"{stream.header.name}: {what}"
+        if gaps := runs.gaps():
+            told = gap_text([each.lost for each in gaps])
+            yield f"{stream.header.name}: {told}; before each stands the marker {BAD_GAP}"
+
+
+def _with_gaps(
+    happened: NDArray[np.float64], runs: Runs, stream: Stream, codes: dict[str, int]
+) -> NDArray[np.float64]:
+    """Return what happened with the gaps of a stream, at the last sample before each."""
+    gaps = runs.gaps()
+    if not gaps:
+        return happened
+    code = codes.setdefault(BAD_GAP, len(codes) + 1)
+    # Between the last sample but one and the last one, so that it falls on that.
+    own = [(each.begin_s - 1.5 / stream.header.rate, code) for each in gaps]
+    together = np.concatenate((happened, np.array(own, np.float64)))
+    return together[np.argsort(together[:, 0], kind="stable")]
 
 
 @dataclass(slots=True)

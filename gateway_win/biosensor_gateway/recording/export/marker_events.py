@@ -15,6 +15,7 @@ from biosensor_common.naming import AGENT, NODE
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import EVENTS
 from biosensor_gateway.recording.export.markers import MARKERS, texts
+from biosensor_gateway.recording.export.runs import BAD_GAP, Gap
 from biosensor_gateway.recording.export.timeline import Timeline
 
 _KEPT = 10_000
@@ -58,6 +59,8 @@ class MarkerEvent:
         Whether it was taken back.
     note
         Free text of a marker of the agent.
+    duration_s
+        None of a moment.
     """
 
     onset_s: float
@@ -68,6 +71,18 @@ class MarkerEvent:
     undoes: int | None = None
     undone: bool = False
     note: str = ""
+    duration_s: float | None = None
+
+
+def gap_event(stream: Stream, gap: Gap, timeline: Timeline) -> MarkerEvent:
+    """Return a gap as something that happened to whoever wears the sensor."""
+    begin_s, end_s = timeline.since_zero(
+        np.array([gap.begin_s, gap.begin_s + gap.length_s])
+    ).tolist()
+    identity = stream.header.identity
+    whose = identity.participant if identity else ""
+    length_s = end_s - begin_s
+    return MarkerEvent(begin_s, BAD_GAP, gap.text, whose, note=gap.text, duration_s=length_s)
 
 
 def is_left_out(stream: Stream) -> bool:
@@ -133,8 +148,14 @@ def _whole(value: object) -> int | None:
 
 def in_order(
     events: Iterable[tuple[Stream, MarkerEvent]],
+    gaps: Iterable[tuple[Stream, MarkerEvent]] = (),
 ) -> Iterator[tuple[Stream, MarkerEvent]]:
     """Sort by time, and undo what is undone, as far as it is held back."""
+    events = heapq.merge(
+        events,
+        sorted(gaps, key=lambda each: each[1].onset_s),
+        key=lambda each: each[1].onset_s,
+    )
     kept: list[_Kept] = []
     newest: dict[tuple[int, int], MarkerEvent] = {}
     for order, (stream, event) in enumerate(events):

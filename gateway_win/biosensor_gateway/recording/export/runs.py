@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,20 @@ from numpy.typing import NDArray
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.exporter import Times
+from biosensor_gateway.recording.export.fitted_line import FittedLine
+from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
+from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S
 
 MOST_RUNS = 999
 """A stream that has more is not cut by gaps; its stamps make no sense."""
+BAD_GAP = "BAD_gap"
+"""What an event is called that stands for a gap; MNE leaves out what such a one covers."""
+LONGEST_JOINED_S = 3600.0
+"""Behind a longer gap another file begins, whatever is wanted."""
+_MOST_RATES = 3
+_TOLD_AWAY_S = 1e-3
 
 
 @dataclass(slots=True)
@@ -33,6 +44,8 @@ class Run:
         Of the finite values; infinite where there are none.
     period_s
         Between two samples, where that is not to be taken from their times; else 0.
+    lost
+        How many samples are missing before it, an estimate; 0 also where time steps back.
     """
 
     count: int
@@ -41,49 +54,97 @@ class Run:
     least: NDArray[np.float64]
     greatest: NDArray[np.float64]
     period_s: float = 0.0
+    lost: int = 0
+
+    @property
+    def length_s(self) -> float:
+        """Time from the first to the last sample."""
+        return (self.count - 1) * self.period_s if self.period_s else self.end_s - self.begin_s
 
     def rate_hz(self, nominal_hz: float) -> float:
         """Return the nominal rate if it fits the times to half a sample, else the measured one."""
-        length_s = self.end_s - self.begin_s
-        steps = self.count - 1
-        if self.period_s:
-            length_s = steps * self.period_s
+        length_s, steps = self.length_s, self.count - 1
         if not steps or length_s <= 0 or abs(length_s * nominal_hz - steps) < 0.5:
             return nominal_hz
         return steps / length_s
 
 
+def has_even_times(stream: Stream, times: Times) -> bool:
+    """Whether the samples of a stream get even times."""
+    return times is Times.EVEN and stream.header.is_regular and not is_markers(stream)
+
+
+class Gap(NamedTuple):
+    """A span in which samples are missing, and how many, an estimate; in s."""
+
+    begin_s: float
+    length_s: float
+    lost: int
+
+    @property
+    def text(self) -> str:
+        """What it is, in words."""
+        samples = "1 sample is" if self.lost == 1 else f"{self.lost} samples are"
+        return f"about {samples} missing for {self.length_s:.6g} s"
+
+
 class Runs:
-    """The runs of one regular stream of numbers.
+    """The runs of one regular stream.
 
     In our own streams, and in others whose header says that samples may be missing, a run ends
     where the next stamp is later than it may be, or earlier than the last one. Elsewhere it ends
     where the line through the stamps jumps (`recording.xdf.pace`).
+
+    Parameters
+    ----------
+    times
+        Even ones are those of one straight line for each run, by least squares.
+
+    Attributes
+    ----------
+    cuts
+        Where they begin; None if each step tells by itself.
+    moved_s
+        How far even times are from the recorded ones at most, but for stray ones, of the pieces
+        that were given.
+    stray
+        How many stamps are far away from those before and behind them.
     """
 
-    def __init__(self, chosen: Chosen, stream: Stream) -> None:
+    def __init__(self, chosen: Chosen, stream: Stream, times: Times = Times.RECORDED) -> None:
         self._chosen, self._stream = chosen, stream
-        self._cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
+        self._is_even = times is Times.EVEN
+        self.cuts = cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
+        self._usual_s = cuts.period_s if cuts else 1.0 / stream.header.rate
+        self._lost_at = {each.at: each.lost for each in cuts.holes} if cuts else {}
+        self._stray = np.array(cuts.stray if cuts else [], np.int64)
+        self._lost: dict[int, int] = {}
+        self._lines: list[FittedLine] = []
+        self.stray, self.moved_s = len(self._stray), 0.0
+        if self._is_even:
+            self._fit()
 
     def pieces(self) -> Iterator[tuple[int, Samples]]:
         """Give the samples, each piece with the number of its run."""
-        run = count = 0
-        last_s: float | None = None
-        for samples in batches(self._chosen, self._stream):
-            cuts = self._in_batch(samples.times, last_s, count)
-            last_s, count = float(samples.times[-1]), count + len(samples)
-            for begin, end in pairwise([0, *cuts, len(samples)]):
-                # Nothing is before a cut at the first sample of a batch.
-                if begin == end:
-                    continue
-                if begin in cuts:
-                    run += 1
-                yield run, _part(samples, begin, end)
+        done = 0
+        for number, first, samples in self._recorded():
+            if not self._is_even:
+                yield number, samples
+                continue
+            times = self._lines[number].times(first, len(samples), self._usual_s)
+            away = np.abs(times - self._in_line(samples.times, done))
+            self.moved_s = max(self.moved_s, float(away.max()))
+            done += len(samples)
+            yield number, replace(samples, times=times)
+
+    def samples(self) -> Iterator[Samples]:
+        """Give the samples in their order."""
+        for _, samples in self.pieces():
+            yield samples
 
     def found(self) -> list[Run]:
-        """Return all runs; at most one more than `MOST_RUNS`."""
+        """Return all runs, of a stream of numbers; at most one more than `MOST_RUNS`."""
         found: list[Run] = []
-        period_s = self._cuts.period_s if self._cuts else 0.0
         for number, samples in self.pieces():
             values = np.asarray(samples.values, np.float64)
             is_finite = np.isfinite(values)
@@ -93,7 +154,8 @@ class Runs:
             if number == len(found):
                 if number > MOST_RUNS:
                     break
-                found.append(Run(len(samples), begin_s, end_s, least, greatest, period_s))
+                period_s, lost = self._period_s(number), self._lost.get(number, 0)
+                found.append(Run(len(samples), begin_s, end_s, least, greatest, period_s, lost))
                 continue
             run = found[-1]
             run.count += len(samples)
@@ -102,17 +164,217 @@ class Runs:
             run.greatest = np.maximum(run.greatest, greatest)
         return found
 
-    def _in_batch(self, times: NDArray[np.float64], last_s: float | None, before: int) -> list[int]:
-        """Return at which samples of a batch runs begin; `before` is how many came before it."""
-        if self._cuts is not None:
-            numbers = self._cuts.numbers
+    def gaps(self) -> list[Gap]:
+        """Return the gaps between even times, where samples are missing."""
+        gaps: list[Gap] = []
+        for number, (before, behind) in enumerate(pairwise(self._lines), 1):
+            if lost := self._lost.get(number, 0):
+                begin_s = float(before.times(before.count, 1, self._usual_s)[0])
+                end_s = float(behind.times(0, 1, self._usual_s)[0])
+                gaps.append(Gap(begin_s, max(0.0, end_s - begin_s), lost))
+        return gaps
+
+    def remarks(self, files: Sequence[Stretch], instead: str) -> Iterator[str]:
+        """Say what was done about stamps and gaps.
+
+        Parameters
+        ----------
+        files
+            Of the runs that were found.
+        instead
+            What stands where nothing was measured, in words.
+        """
+        yield from self.remarks_on_times()
+        nominal_hz = self._stream.header.rate
+        rates = dict.fromkeys(f"{each.rate_hz:.6g}" for each in files if each.rate_hz != nominal_hz)
+        if self.cuts and rates:
+            told = ", ".join(list(rates)[:_MOST_RATES]) + (
+                ", ..." if len(rates) > _MOST_RATES else ""
+            )
+            yield f"its rate is {told} Hz, that of a line through its stamps"
+        lost = [run.lost for each in files for run in each.runs if run.lost]
+        inside = sum(rows > 0 for each in files for rows in each.empty)
+        if lost:
+            yield gap_text(lost)
+        if inside:
+            yield f"events {BAD_GAP} tell where it goes on behind a gap; {instead} there"
+        if len(files) > 1:
+            steps = sum(not run.lost for each in files for run in each.runs) - 1
+            why = "gaps and steps back in time" if steps else "gaps"
+            yield f"{why} cut it into {len(files)} files"
+        if inside and (away_s := max(each.away_s for each in files)) > max(
+            _TOLD_AWAY_S, 1.0 / nominal_hz
+        ):
+            yield f"a file has one rate, so samples are up to {away_s * 1e3:.3g} ms off"
+
+    def remarks_on_times(self) -> Iterator[str]:
+        """Say how far even times are from the recorded ones."""
+        if self._is_even:
+            yield f"even times are at most {self.moved_s * 1e3:.3g} ms from the recorded ones"
+        if self.stray:
+            stamps = "1 stamp is" if self.stray == 1 else f"{self.stray} stamps are"
+            yield f"{stamps} far away from those before and behind"
+
+    def _period_s(self, number: int) -> float:
+        if self._is_even:
+            return self._lines[number].slope_s(self._usual_s)
+        return self.cuts.period_s if self.cuts else 0.0
+
+    def _fit(self) -> None:
+        done = 0
+        for number, _, samples in self._recorded():
+            if number == len(self._lines):
+                self._lines.append(FittedLine())
+            self._lines[number].add(self._in_line(samples.times, done))
+            done += len(samples)
+
+    def _in_line(self, times: NDArray[np.float64], before: int) -> NDArray[np.float64]:
+        """Return times with those of neighbours in place of stray ones."""
+        is_here = (self._stray >= before) & (self._stray < before + len(times))
+        if not is_here.any() or is_here.sum() == len(times):
+            return times
+        is_good = np.ones(len(times), bool)
+        is_good[self._stray[is_here] - before] = False
+        place = np.arange(len(times))
+        return np.interp(place, place[is_good], times[is_good])
+
+    def _recorded(self) -> Iterator[tuple[int, int, Samples]]:
+        """Give the samples as recorded, with their run and how many of it came before."""
+        run = count = first = 0
+        last_s: float | None = None
+        for samples in batches(self._chosen, self._stream):
+            cuts = self._in_batch(samples.times, last_s, count)
+            last_s, count = float(samples.times[-1]), count + len(samples)
+            for begin, end in pairwise([0, *cuts, len(samples)]):
+                # Nothing is before a cut at the first sample of a batch.
+                if begin == end:
+                    continue
+                if begin in cuts:
+                    run, first = run + 1, 0
+                    self._lost[run] = cuts[begin]
+                yield run, first, _part(samples, begin, end)
+                first += end - begin
+
+    def _in_batch(
+        self, times: NDArray[np.float64], last_s: float | None, before: int
+    ) -> dict[int, int]:
+        """Return at which samples of a batch runs begin, and how many are missing before each.
+
+        Parameters
+        ----------
+        before
+            How many samples came before the batch.
+        """
+        if self.cuts is not None:
+            numbers = self.cuts.numbers
             places = slice(bisect_left(numbers, before), bisect_left(numbers, before + len(times)))
-            return [each - before for each in numbers[places]]
+            return {each - before: self._lost_at.get(each, 0) for each in numbers[places]}
+        header = self._stream.header
         steps = np.diff(times, prepend=times[0] if last_s is None else last_s)
-        is_cut = (steps > longest_step_s(self._stream.header)) | (steps < 0)
-        return np.flatnonzero(is_cut).tolist()
+        # Where times are made even, a small step back ends nothing.
+        is_back = steps < (-STEP_BACK_S if self._is_even else 0)
+        places_of_cuts = np.flatnonzero((steps > longest_step_s(header)) | is_back)
+        lost = np.rint(np.minimum(steps[places_of_cuts] * header.rate, MOST_LOST)) - 1
+        return dict(
+            zip(places_of_cuts.tolist(), np.maximum(lost, 0).astype(int).tolist(), strict=True)
+        )
 
 
 def _part(samples: Samples, begin: int, end: int) -> Samples:
     part = slice(begin, end)
     return Samples(samples.times[part], samples.stamps[part], samples.values[part])
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """What one file holds: a run, or several with rows that stand for what is missing between.
+
+    Attributes
+    ----------
+    first
+        Number of its first run.
+    empty
+        How many rows are before each run; none before the first.
+    """
+
+    first: int
+    runs: tuple[Run, ...]
+    empty: tuple[int, ...]
+    rate_hz: float
+
+    @property
+    def begin_s(self) -> float:
+        """Time of the first row."""
+        return self.runs[0].begin_s
+
+    @property
+    def rows(self) -> int:
+        """How many it has, those without samples included."""
+        return sum(self.empty) + sum(each.count for each in self.runs)
+
+    @property
+    def gaps(self) -> Iterator[tuple[int, int]]:
+        """First row and number of the rows of each gap."""
+        for (begin, _), rows in zip(self.begins, self.empty, strict=True):
+            if rows:
+                yield begin - rows, rows
+
+    @property
+    def begins(self) -> Iterator[tuple[int, Run]]:
+        """First row of each run."""
+        row = 0
+        for run, empty in zip(self.runs, self.empty, strict=True):
+            row += empty
+            yield row, run
+            row += run.count
+
+    @property
+    def away_s(self) -> float:
+        """How far a row is from the time of its sample at most, for a file has one rate."""
+        ends = ((row, run.begin_s) for row, run in self.begins)
+        lasts = ((row + run.count - 1, run.begin_s + run.length_s) for row, run in self.begins)
+        told = [*ends, *lasts]
+        return max(abs(self.begin_s + row / self.rate_hz - time_s) for row, time_s in told)
+
+
+def stretches(runs: Sequence[Run], nominal_hz: float, times: Times) -> list[Stretch]:
+    """Return what each file holds: of recorded times a run, of even ones all up to a long gap."""
+    joined: list[list[Run]] = []
+    for run in runs:
+        gap_s = run.begin_s - joined[-1][-1].end_s if joined else 0.0
+        if times is Times.EVEN and joined and 0 < gap_s <= LONGEST_JOINED_S:
+            joined[-1].append(run)
+        else:
+            joined.append([run])
+    first, found = 0, list[Stretch]()
+    for some in joined:
+        rate_hz = _common_rate(some, nominal_hz)
+        found.append(Stretch(first, tuple(some), _rows_before(some, rate_hz), rate_hz))
+        first += len(some)
+    return found
+
+
+def _common_rate(runs: Sequence[Run], nominal_hz: float) -> float:
+    rates = [each.rate_hz(nominal_hz) for each in runs]
+    steps = sum(each.count - 1 for each in runs)
+    length_s = sum(each.length_s for each in runs)
+    if len(set(rates)) == 1 or not steps or length_s <= 0:
+        return rates[0]
+    return steps / length_s
+
+
+def _rows_before(runs: Sequence[Run], rate_hz: float) -> tuple[int, ...]:
+    found: list[int] = []
+    row = 0
+    for run in runs:
+        wanted = round((run.begin_s - runs[0].begin_s) * rate_hz)
+        found.append(max(0, wanted - row))
+        row += found[-1] + run.count
+    return tuple(found)
+
+
+def gap_text(lost: Sequence[int]) -> str:
+    """Return in words how many gaps there are, and how much is missing in them."""
+    gaps = "1 gap" if len(lost) == 1 else f"{len(lost)} gaps"
+    samples = "1 sample" if sum(lost) == 1 else f"{sum(lost)} samples"
+    return f"{gaps}, about {samples} missing"

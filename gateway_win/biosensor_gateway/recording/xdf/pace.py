@@ -162,8 +162,8 @@ class Cuts:
     ----------
     numbers
         Those of the samples with which a run begins, but for the first one, as far as known.
-    holes
-        As far as known.
+    holes, stray
+        As far as known; see `Pace`.
     period_s
         Between two samples, by the longest section; nominal before there is one.
     """
@@ -173,6 +173,7 @@ class Cuts:
         self.period_s = 1.0 / nominal_hz
         self.numbers: list[int] = []
         self.holes: list[Hole] = []
+        self.stray: list[int] = []
         self._blocks: list[Array] = []
         self._begin = self._held = self._longest = 0
 
@@ -202,6 +203,8 @@ class Cuts:
         self.holes += [
             replace(hole, at=at) for hole in pace.holes if (at := self._begin + hole.at) > last
         ]
+        last = self.stray[-1] if self.stray else -1
+        self.stray += [each for at in pace.stray if (each := self._begin + at) > last]
         if len(section) > self._longest:
             self._longest, self.period_s = len(section), pace.period_s
         return section

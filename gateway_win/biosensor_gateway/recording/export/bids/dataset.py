@@ -10,7 +10,7 @@ from pathlib import Path
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.bids.eeg import EegFile, is_eeg
+from biosensor_gateway.recording.export.bids.eeg import is_eeg
 from biosensor_gateway.recording.export.bids.events import (
     COLUMN_DESCRIPTIONS,
     Events,
@@ -26,7 +26,12 @@ from biosensor_gateway.recording.export.bids.subjects import (
 )
 from biosensor_gateway.recording.export.bids.tables import write_json, write_rows, write_text
 from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
-from biosensor_gateway.recording.export.marker_events import MarkerEvent, is_left_out, marker_events
+from biosensor_gateway.recording.export.marker_events import (
+    MarkerEvent,
+    gap_event,
+    is_left_out,
+    marker_events,
+)
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.timeline import timeline
 from biosensor_gateway.recording.participants import entities_of
@@ -105,14 +110,16 @@ class _Dataset:
         self._subjects = find_subjects(chosen, streams, told.get("sub", ""))
 
     def write(self) -> list[str]:
-        writer = SignalWriter(self._chosen, self._timeline, self._root, self._count)
+        writer = SignalWriter(
+            self._chosen, self._timeline, self._root, self._count, self._order.times
+        )
         places = self._places()
         written = {
             self._subjects.of(each)
             for each in self._signals
             if writer.write(each, places[each.number])
         }
-        written |= self._write_events(writer.eeg)
+        written |= self._write_events(writer)
         if not written:
             path = self._chosen.contents.path
             message = f"{path} holds nothing that BIDS has a place for"
@@ -134,15 +141,21 @@ class _Dataset:
             found |= {number: Place(entities, name, several) for number, name in named.items()}
         return found
 
-    def _write_events(self, eeg: Sequence[EegFile]) -> set[str]:
+    def _write_events(self, writer: SignalWriter) -> set[str]:
         """Write the events of everybody; return the labels of those who have some."""
+        eeg = writer.eeg
         participants = self._subjects.participants
         entities = {each: replace(self._entities, subject=each) for each in participants}
         paths = {key: self._root / of.path(BEHAVIOUR, "events.tsv") for key, of in entities.items()}
         events = Events(paths, participants)
         events.kept = {self._subjects.of(each.stream): [] for each in eeg}
         holds = {each.number: self._subjects.of_markers(each) for each in self._markers}
-        events.write(self._marker_events(), holds)
+        holds |= {each.number: (self._subjects.of(each),) for each in self._signals}
+        gaps = [(stream, gap_event(stream, gap, self._timeline)) for stream, gap in writer.gaps]
+        for _, each in gaps:
+            # It is said whose folder it goes to; names may be those of the file.
+            each.participant = ""
+        events.write(self._marker_events(), gaps, holds)
         for label, happened in events.kept.items():
             own = [each for each in eeg if self._subjects.of(each.stream) == label]
             write_eeg_events(self._root, own, happened)
@@ -225,6 +238,7 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
             "cut into several tables, where a gap is longer than an hour or time steps back: "
             f"{_listed(remarks.cut)}"
         )
+    yield from remarks.even
     if remarks.runs:
         yield f"gaps of more than 10 s begin another run: {_listed(remarks.runs)}"
     if remarks.rounded:

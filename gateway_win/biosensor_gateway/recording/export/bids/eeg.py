@@ -24,7 +24,6 @@ from biosensor_gateway.recording.export.bids.timing import Part, Timing
 from biosensor_gateway.recording.export.timeline import Timeline
 
 EEG = "eeg"
-BAD_GAP = "BAD_gap"
 LONGEST_FILLED_S = 10.0
 """Behind a longer gap another run begins."""
 _HEAD = ("name", "type", "units", "sampling_frequency", "description")

@@ -12,18 +12,18 @@ from typing import TextIO
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.brain_vision import write_markers
 from biosensor_gateway.recording.export.bids.eeg import (
-    BAD_GAP,
     EegFile,
     gap_events,
     runs_by_start,
 )
 from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
 from biosensor_gateway.recording.export.marker_events import MarkerEvent, in_order
+from biosensor_gateway.recording.export.runs import BAD_GAP
 
 COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "note", "value")
 COLUMN_DESCRIPTIONS: Mapping[str, object] = {
     "onset": {"Description": "time since TimeZero", "Units": "s"},
-    "duration": {"Description": "not known, as markers are moments", "Units": "s"},
+    "duration": {"Description": "of a gap; not known else, as markers are moments", "Units": "s"},
     "trial_type": {"Description": "name of the marker or of a device's event, or a short text"},
     "undone": {"Description": "yes where the experimenter took the marker back later, else no"},
     "stream": {"Description": "name of the LSL stream"},
@@ -55,15 +55,22 @@ class Events:
         self.kept: dict[str, list[tuple[Stream, MarkerEvent]]] = {}
         """What happened to those who are in it, by label."""
 
-    def write(self, events: Iterable[tuple[Stream, MarkerEvent]], holds: Holds) -> None:
+    def write(
+        self,
+        events: Iterable[tuple[Stream, MarkerEvent]],
+        gaps: Iterable[tuple[Stream, MarkerEvent]],
+        holds: Holds,
+    ) -> None:
         """Write all, in the order of time.
 
         Parameters
         ----------
         events
             Roughly in the order of time.
+        gaps
+            Where samples of tables are missing; EEG has its own.
         holds
-            Labels of those for whom a stream of markers holds, by its number.
+            Labels of those for whom a stream holds, by its number.
 
         Raises
         ------
@@ -71,12 +78,12 @@ class Events:
             If a table cannot be written.
         """
         with self._stack:
-            for stream, event in in_order(events):
+            for stream, event in in_order(events, gaps):
                 for label in holds[stream.number]:
                     if event.participant in ("", self._participants[label]):
                         self._file(label).write(_row(stream, event))
                         self.counts[label] += 1
-                        if label in self.kept:
+                        if label in self.kept and event.duration_s is None:
                             self.kept[label].append((stream, event))
 
     def _file(self, label: str) -> TextIO:
@@ -93,7 +100,9 @@ def _row(stream: Stream, event: MarkerEvent, start_s: float = 0.0) -> str:
     undone = "yes" if event.undone else "no"
     onset = f"{event.onset_s - start_s:.6f}"
     told = (event.name, undone, stream.header.name, event.note, event.text)
-    return line((onset, NOTHING, *told))
+    length_s = event.duration_s
+    duration = NOTHING if length_s is None else f"{length_s:.6f}"
+    return line((onset, duration, *told))
 
 
 def write_eeg_events(

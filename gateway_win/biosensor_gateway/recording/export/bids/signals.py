@@ -17,7 +17,7 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.bids import eeg, sidecars
-from biosensor_gateway.recording.export.bids.brain_vision import is_exact
+from biosensor_gateway.recording.export.bids.brain_vision import is_exact as has_exact_numbers
 from biosensor_gateway.recording.export.bids.file_names import Entities
 from biosensor_gateway.recording.export.bids.regular import (
     RegularTable,
@@ -35,11 +35,17 @@ from biosensor_gateway.recording.export.bids.sidecars import (
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
 from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
 from biosensor_gateway.recording.export.csv.tables import table_file
-from biosensor_gateway.recording.export.evening import Evened
-from biosensor_gateway.recording.export.exporter import SampleCount
+from biosensor_gateway.recording.export.exporter import SampleCount, Times
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.export.runs import (
+    BAD_GAP,
+    LONGEST_JOINED_S,
+    Gap,
+    Runs,
+    gap_text,
+)
 from biosensor_gateway.recording.export.timeline import Timeline
-from biosensor_gateway.recording.xdf.measuring import cuts_of
+from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact
 from biosensor_gateway.recording.xdf.pace import Cuts
 
 # Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
@@ -171,6 +177,8 @@ class Remarks:
     runs: list[str] = field(default_factory=list[str])
     rounded: list[str] = field(default_factory=list[str])
     moved: list[str] = field(default_factory=list[str])
+    even: list[str] = field(default_factory=list[str])
+    """Whole sentences."""
     unplaced: int = 0
     """Samples whose times are of no clock."""
 
@@ -186,14 +194,18 @@ class SignalWriter:
         Is told what is written.
     """
 
-    def __init__(self, chosen: Chosen, timeline: Timeline, root: Path, count: SampleCount) -> None:
-        self._chosen = chosen
+    def __init__(
+        self, chosen: Chosen, timeline: Timeline, root: Path, count: SampleCount, times: Times
+    ) -> None:
+        self._chosen, self._times = chosen, times
         self._timeline = timeline
         self._root = root
         self._count = count
         self.remarks = Remarks()
         self.eeg: list[eeg.EegFile] = []
         """What was written of EEG."""
+        self.gaps: list[tuple[Stream, Gap]] = []
+        """Of tables with even times."""
 
     def write(self, stream: Stream, place: Place) -> bool:
         """Write a stream; return whether it has a table now.
@@ -211,9 +223,11 @@ class SignalWriter:
         self._write_irregular(stream, place)
         return True
 
-    def _batches(self, stream: Stream, *, is_first: bool = False) -> Iterator[Samples]:
+    def _batches(
+        self, stream: Stream, runs: Runs | None = None, *, is_first: bool = False
+    ) -> Iterator[Samples]:
         """Give the samples with seconds since zero; for the first time, count what is left out."""
-        for samples in batches(self._chosen, stream):
+        for samples in batches(self._chosen, stream) if runs is None else runs.samples():
             near = samples.picked(np.abs(samples.times - self._timeline.zero_s) < _FURTHEST_S)
             if is_first:
                 self.remarks.unplaced += len(samples) - len(near)
@@ -246,17 +260,13 @@ class SignalWriter:
         path = self._root / entities.path(BEHAVIOUR, "physioevents.json", **recording)
         write_json(path, content)
 
-    def _write_eeg(self, stream: Stream, place: Place, cuts: Cuts | None) -> bool:
+    def _write_eeg(
+        self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None
+    ) -> bool:
         """Write a stream of EEG; return whether it could be, else it becomes a table."""
-
-        def told() -> Iterator[Samples]:
-            if cuts is None:
-                return self._batches(stream)
-            evened = Evened((each.times for each in self._batches(stream)), cuts)
-            return evened.applied(self._batches(stream))
-
+        longest_s = LONGEST_JOINED_S if self._times is Times.EVEN else eeg.LONGEST_FILLED_S
         timing = find_timing(
-            (each.times for each in told()), stream.header, cuts, eeg.LONGEST_FILLED_S
+            (each.times for each in self._batches(stream, runs)), stream.header, cuts, longest_s
         )
         if timing is None or len(timing.parts) > _MOST_PARTS:
             return False
@@ -264,7 +274,7 @@ class SignalWriter:
         label = place.label if place.is_one_of_several else ""
         acquisition = f"{place.entities.acquisition}{label}"
         entities = replace(place.entities, acquisition=acquisition)
-        parts = parts_of(told(), timing.parts)
+        parts = parts_of(self._batches(stream, runs), timing.parts)
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
             run = eeg.run_of(entities, number, len(timing.parts))
             file, table = eeg.write_eeg(
@@ -277,16 +287,26 @@ class SignalWriter:
             self.remarks.runs.append(stream.header.name)
         if moved:
             self.remarks.moved.append(stream.header.name)
-        if not is_exact(stream):
+        if not has_exact_numbers(stream):
             self.remarks.rounded.append(stream.header.name)
         return True
 
     def _write_regular(self, stream: Stream, place: Place) -> bool:
         name = stream.header.name
-        first = self._batches(stream, is_first=True)
-        cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
-        if eeg.is_eeg(stream) and self._write_eeg(stream, place, cuts):
+        runs = None
+        if self._times is Times.EVEN or (eeg.is_eeg(stream) and not is_exact(stream.header)):
+            runs = Runs(self._chosen, stream, Times.EVEN)
+        if runs is None:
+            cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
+        else:
+            cuts = runs.cuts
+        if eeg.is_eeg(stream) and self._write_eeg(stream, place, cuts, runs):
+            self._remark(stream, runs)
             return True
+        if runs is not None and self._times is not Times.EVEN:
+            runs = None
+            cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
+        first = self._batches(stream, runs, is_first=True)
         timing = find_timing((each.times for each in first), stream.header, cuts)
         if timing is None:
             self.remarks.without_samples.append(name)
@@ -297,7 +317,7 @@ class SignalWriter:
             self.remarks.without_table.append(name)
             return False
         moved = 0
-        parts = parts_of(self._batches(stream), timing.parts)
+        parts = parts_of(self._batches(stream, runs), timing.parts)
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
             # No other stream's label has a plus.
             label = f"{place.label}+part{number}" if len(timing.parts) > 1 else place.label
@@ -310,7 +330,20 @@ class SignalWriter:
             self.remarks.cut.append(name)
         if moved:
             self.remarks.moved.append(name)
+        if runs is not None:
+            self.gaps += [(stream, each) for each in runs.gaps()]
+            self._remark(stream, runs)
         return True
+
+    def _remark(self, stream: Stream, runs: Runs | None) -> None:
+        """Say what was done about stamps, where they were made even."""
+        if runs is None:
+            return
+        name = stream.header.name
+        self.remarks.even += [f"{name}: {told}" for told in runs.remarks_on_times()]
+        if gaps := runs.gaps():
+            told = gap_text([each.lost for each in gaps])
+            self.remarks.even.append(f"{name}: {told}, each an event {BAD_GAP} or the end of a run")
 
 
 class _Files:

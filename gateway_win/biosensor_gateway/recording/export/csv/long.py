@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
@@ -17,6 +19,7 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.names import unique
 from biosensor_gateway.recording.export.numbers import numbers
+from biosensor_gateway.recording.export.runs import BAD_GAP, Gap, Runs, gap_text, has_even_times
 
 COLUMNS = ("participant", "stream", "channel", "unit", "value", "text")
 """Behind the time; a number stands in `value`, a text in `text`, and the other one is empty."""
@@ -41,15 +44,41 @@ class LongCsv:
         """See :class:`.Exporter`."""
         count = SampleCount(chosen, progress)
         names = unique(each.header.name for each in chosen.streams)
+        notes: list[str] = []
         with tables.table_file(target, is_packed=self._is_packed) as file:
             file.write(tables.quoted([[tables.time_column(order.clock), *COLUMNS]]))
             for stream, name in zip(chosen.streams, names, strict=True):
                 channels = _channels(stream, name)
-                for samples in batches(chosen, stream):
+                given: Iterator[Samples] = batches(chosen, stream)
+                runs = None
+                if has_even_times(stream, order.times):
+                    runs = Runs(chosen, stream, order.times)
+                    given = runs.samples()
+                for samples in given:
                     times = numbers(on_clock(chosen, order.clock, samples.times))
                     file.write(_rows(times, channels, samples))
                     count.add(len(samples))
-        return ()
+                if runs is None:
+                    continue
+                gaps = runs.gaps()
+                begins = np.array([each.begin_s for each in gaps])
+                times = numbers(on_clock(chosen, order.clock, begins))
+                file.write(_gap_rows(times, stream, name, gaps))
+                notes += [f"{name}: {told}" for told in runs.remarks_on_times()]
+                if gaps:
+                    told = gap_text([each.lost for each in gaps])
+                    notes.append(f"{name}: {told}, each a line with the text {BAD_GAP}")
+        return notes
+
+
+def _gap_rows(times: Sequence[bytes], stream: Stream, name: str, gaps: Sequence[Gap]) -> bytes:
+    """Return a line for each gap: its length is the value."""
+    identity = stream.header.identity
+    who = identity.participant if identity else ""
+    return b"".join(
+        time_s + b"," + tables.quoted([[who, name, "", "s", each.length_s, BAD_GAP]])
+        for time_s, each in zip(times, gaps, strict=True)
+    )
 
 
 def _channels(stream: Stream, name: str) -> list[bytes]:

@@ -25,6 +25,7 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.marker_events import (
     MarkerEvent,
+    gap_event,
     in_order,
     is_left_out,
     marker_events,
@@ -32,6 +33,7 @@ from biosensor_gateway.recording.export.marker_events import (
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, gap_text, has_even_times
 from biosensor_gateway.recording.export.timeline import Timeline, timeline
 
 _MICROSECONDS = 6
@@ -80,10 +82,15 @@ class WideCsv:
         suffix = ".csv.gz" if self._is_packed else ".csv"
         count = SampleCount(chosen, progress)
         described: list[dict[str, Any]] = []
+        even: list[tuple[Stream, Runs]] = []
         names = file_names(chosen.streams, [Path(MARKERS).stem])
         for stream, name in zip(chosen.streams, names, strict=True):
             path = target / f"{name}{suffix}"
-            samples = self._write_stream(chosen, stream, order.clock, path, count)
+            given: Iterator[Samples] = batches(chosen, stream)
+            if has_even_times(stream, order.times):
+                even.append((stream, Runs(chosen, stream, order.times)))
+                given = even[-1][1].samples()
+            samples = self._write_stream(chosen, stream, given, order.clock, path, count)
             described.append(_described(stream, order.clock, samples, path.name))
         content = {
             "recording": chosen.contents.path.name,
@@ -93,26 +100,41 @@ class WideCsv:
         }
         text = json.dumps(content, indent=2, ensure_ascii=False)
         (target / CONTENTS).write_text(text + "\n", "utf-8", newline="\n")
-        _write_markers(chosen, order, target / MARKERS)
+        _write_markers(chosen, order, even, target / MARKERS)
         _write_readme(chosen, order, target / "README.txt")
-        return ()
+        return [f"{stream.header.name}: {told}" for stream, runs in even for told in _told(runs)]
 
     def _write_stream(
-        self, chosen: Chosen, stream: Stream, clock: Clock, path: Path, count: SampleCount
+        self,
+        chosen: Chosen,
+        stream: Stream,
+        given: Iterator[Samples],
+        clock: Clock,
+        path: Path,
+        count: SampleCount,
     ) -> int:
         written = 0
         with tables.table_file(path, is_packed=self._is_packed) as file:
             heads = [tables.time_column(clock), tables.SECONDS, *tables.own_columns(stream)]
             file.write(tables.quoted([heads]))
             line = timeline(chosen, clock)
-            for samples in batches(chosen, stream):
+            for samples in given:
                 file.write(_rows(chosen, clock, line, samples))
                 written += len(samples)
                 count.add(len(samples))
         return written
 
 
-def _write_markers(chosen: Chosen, order: Order, path: Path) -> None:
+def _told(runs: Runs) -> Iterator[str]:
+    yield from runs.remarks_on_times()
+    if gaps := runs.gaps():
+        text = gap_text([each.lost for each in gaps])
+        yield f"{text}, each an event {BAD_GAP} in {MARKERS}; no row stands there"
+
+
+def _write_markers(
+    chosen: Chosen, order: Order, even: Sequence[tuple[Stream, Runs]], path: Path
+) -> None:
     line = timeline(chosen, order.clock)
     streams = [each for each in chosen.streams if is_markers(each) and not is_left_out(each)]
 
@@ -126,7 +148,10 @@ def _write_markers(chosen: Chosen, order: Order, path: Path) -> None:
         heads = ["seconds", tables.time_column(order.clock)]
         heads += ["marker", "note", "undone", "participant", "stream"]
         file.write(tables.quoted([heads]))
-        for stream, each in in_order(all_of_them()):
+        gaps = (
+            (stream, gap_event(stream, gap, line)) for stream, runs in even for gap in runs.gaps()
+        )
+        for stream, each in in_order(all_of_them(), gaps):
             told = (each.name or each.text, each.note, "yes" if each.undone else "no")
             times = (round(each.onset_s, 6), begin_s + each.onset_s)
             row = (*times, *told, each.participant, stream.header.name)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.batches import BATCH
 from biosensor_gateway.recording.export.edf.header import Facts, header
 from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
 from biosensor_gateway.recording.export.edf.records import (
@@ -27,11 +28,18 @@ from biosensor_gateway.recording.export.exporter import (
     Order,
     Progress,
     SampleCount,
+    Times,
     with_reasons,
 )
 from biosensor_gateway.recording.export.markers import is_markers, markers
 from biosensor_gateway.recording.export.names import FileNames, unique
-from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, Runs
+from biosensor_gateway.recording.export.runs import (
+    BAD_GAP,
+    MOST_RUNS,
+    Runs,
+    Stretch,
+    stretches,
+)
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _LABEL = 16
@@ -40,6 +48,7 @@ _MOST_CHANNELS = 4000
 Happened = tuple[float, str]
 """Time on the recorder's clock, in s, and text."""
 _MOST_TOLD = 1000
+_INSTEAD = "the least value that the file can hold stands"
 
 
 @dataclass(slots=True)
@@ -48,6 +57,7 @@ class _Job:
 
     chosen: Chosen
     clock: Clock
+    times: Times
     count: SampleCount
     happened: list[tuple[float, str]]
     notes: list[str] = field(default_factory=list[str])
@@ -63,7 +73,8 @@ class Edf:
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         target.mkdir()
-        job = _Job(chosen, order.clock, SampleCount(chosen, progress), sorted(markers(chosen)))
+        count, happened = SampleCount(chosen, progress), sorted(markers(chosen))
+        job = _Job(chosen, order.clock, order.times, count, happened)
         irregular, names = 0, FileNames()
         for stream in chosen.streams:
             if is_markers(stream):
@@ -85,52 +96,54 @@ class Edf:
 
 
 def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> None:
-    name, cut = stream.header.name, Runs(job.chosen, stream)
+    name, cut = stream.header.name, Runs(job.chosen, stream, job.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
         job.notes.append(Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps"))
         return
-    if len(runs) > 1:
-        job.notes.append(f"{name}: its gaps cut it into {len(runs)} files")
     if not runs:
         return
-    holes = Holes(stream, len(runs))
+    every = stretches(runs, stream.header.rate, job.times)
+    job.notes += [f"{name}: {told}" for told in cut.remarks(every, _INSTEAD)]
+    begins = [each.begin_s for each in every for _ in each.runs]
+    holes = Holes(stream, begins)
     for number, samples in cut.pieces():
         holes.take(number, samples)
     job.notes += holes.notes()
-    files = [folder / f"{each}.bdf" for each in names.of(stream, len(runs))]
+    files = [folder / f"{each}.bdf" for each in names.of(stream, len(every))]
     left_out: set[str] = set()
     given = _Given(cut)
-    kept: list[tuple[int, Run, list[Channel]]] = []
-    for number, run in enumerate(runs):
-        channels, without = _channels(stream, run)
+    kept: list[tuple[Stretch, Path, list[Channel]]] = []
+    for stretch, path in zip(every, files, strict=True):
+        channels, without = _channels(stream, stretch)
         left_out |= set(without)
-        if channels and _has_rate(job, stream, run):
-            kept.append((number, run, channels))
-    happened = _dealt(job, stream, [run for _, run, _ in kept])
-    for (number, run, channels), dealt_out in zip(kept, happened, strict=True):
-        told = sorted([*dealt_out, *holes.found[number]])
-        _write_run(job, stream, run, channels, told, given.of(number), files[number])
-        job.count.add(run.count)
+        if channels and _has_rate(job, stream, stretch):
+            kept.append((stretch, path, channels))
+    happened = _dealt(job, stream, [each for each, _, _ in kept])
+    for (stretch, path, channels), dealt_out in zip(kept, happened, strict=True):
+        numbers = range(stretch.first, stretch.first + len(stretch.runs))
+        missing = [each for number in numbers for each in holes.found[number]]
+        told = sorted([*dealt_out, *missing])
+        _write_stretch(job, stream, stretch, channels, told, given, path)
+        job.count.add(sum(run.count for run in stretch.runs))
     if left_out:
         labels = ", ".join(sorted(left_out))
         job.notes.append(f"{name}: without {labels}, whose values are beyond what EDF can hold")
 
 
-def _has_rate(job: _Job, stream: Stream, run: Run) -> bool:
-    """Whether EDF can hold the rate of a run."""
-    rate_hz = run.rate_hz(stream.header.rate)
-    if RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+def _has_rate(job: _Job, stream: Stream, stretch: Stretch) -> bool:
+    """Whether EDF can hold the rate of a file."""
+    if RATES_HZ[0] <= stretch.rate_hz <= RATES_HZ[1]:
         return True
-    job.notes.append(f"{stream.header.name}: a run of {rate_hz:g} Hz left out")
+    job.notes.append(f"{stream.header.name}: a run of {stretch.rate_hz:g} Hz left out")
     return False
 
 
-def _dealt(job: _Job, stream: Stream, runs: Sequence[Run]) -> list[list[Annotation]]:
-    """Return what happened, as it stands in the file of each run."""
-    if not runs:
+def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Annotation]]:
+    """Return what happened, as it stands in each file."""
+    if not kept:
         return []
-    spans = [Span(run.begin_s, run.begin_s + _length_s(stream, run)) for run in runs]
+    spans = [Span(each.begin_s, each.begin_s + _length_s(each)) for each in kept]
     found, outside = dealt_to_spans(job.happened, spans)
     if outside:
         job.notes.append(
@@ -138,16 +151,15 @@ def _dealt(job: _Job, stream: Stream, runs: Sequence[Run]) -> list[list[Annotati
             "are annotations of the file before, or of the first, at times that it does not cover"
         )
     return [
-        [Annotation(time_s - run.begin_s, 0.0, text) for time_s, text in each]
-        for each, run in zip(found, runs, strict=True)
+        [Annotation(time_s - stretch.begin_s, 0.0, text) for time_s, text in each]
+        for each, stretch in zip(found, kept, strict=True)
     ]
 
 
-def _length_s(stream: Stream, run: Run) -> float:
-    """Return how long the file of a run is, with what fills it up."""
-    rate_hz = run.rate_hz(stream.header.rate)
-    plan = layout(run.count, rate_hz)
-    return plan.samples * plan.records / rate_hz
+def _length_s(stretch: Stretch) -> float:
+    """Return how long a file is, with what fills it up."""
+    plan = layout(stretch.rows, stretch.rate_hz)
+    return plan.samples * plan.records / stretch.rate_hz
 
 
 class _Given:
@@ -164,8 +176,15 @@ class _Given:
                 yield np.asarray(samples.values)
             self._next = next(self._pieces, None)
 
+    def of_stretch(self, stretch: Stretch) -> Iterator[NDArray[np.generic]]:
+        """Give the values of its runs, and nothing (NaN) for the rows between them."""
+        for number, empty in enumerate(stretch.empty, stretch.first):
+            for begin in range(0, empty, BATCH):
+                yield np.full((min(BATCH, empty - begin), len(stretch.runs[0].least)), np.nan)
+            yield from self.of(number)
 
-def _channels(stream: Stream, run: Run) -> tuple[list[Channel], list[str]]:
+
+def _channels(stream: Stream, stretch: Stretch) -> tuple[list[Channel], list[str]]:
     """Return how the channels are written, and the labels of those that cannot be."""
     labels = stream.header.labels
     plain = ["".join(c if " " <= c <= "~" else "_" for c in each) for each in labels]
@@ -173,7 +192,9 @@ def _channels(stream: Stream, run: Run) -> tuple[list[Channel], list[str]]:
     if len(set(short)) < len(short):
         # Room for what tells them apart.
         short = unique(each[: _LABEL - 5] for each in plain)
-    named = zip(short, stream.meaning.units, run.least, run.greatest, strict=True)
+    lowest = np.min([each.least for each in stretch.runs], axis=0)
+    highest = np.max([each.greatest for each in stretch.runs], axis=0)
+    named = zip(short, stream.meaning.units, lowest, highest, strict=True)
     found = [
         channel(place, label, unit, float(least), float(greatest))
         for place, (label, unit, least, greatest) in enumerate(named)
@@ -183,46 +204,49 @@ def _channels(stream: Stream, run: Run) -> tuple[list[Channel], list[str]]:
     return kept, [label for place, label in enumerate(labels) if place not in places]
 
 
-def _write_run(
+def _write_stretch(
     job: _Job,
     stream: Stream,
-    run: Run,
+    stretch: Stretch,
     channels: Sequence[Channel],
     happened: Sequence[Annotation],
-    values: Iterator[NDArray[np.generic]],
+    given: _Given,
     path: Path,
 ) -> None:
-    rate_hz = run.rate_hz(stream.header.rate)
-    plan = layout(run.count, rate_hz)
-    facts = _facts(job, stream, run)
-    told = sorted([*_of_file(run, _length_s(stream, run), rate_hz), *happened])
+    plan = layout(stretch.rows, stretch.rate_hz)
+    facts = _facts(job, stream, stretch)
+    told = sorted([*_of_file(stretch), *happened])
     texts, room = annotation_records(told, plan.records, plan.record_s, facts.start_s)
     with path.open("xb") as file:
         file.write(header(channels, plan, facts, room))
-        steps = (digital(each, channels) for each in values)
+        steps = (digital(each, channels) for each in given.of_stretch(stretch))
         file.writelines(records(steps, plan.samples, texts, room))
 
 
-def _facts(job: _Job, stream: Stream, run: Run) -> Facts:
+def _facts(job: _Job, stream: Stream, stretch: Stretch) -> Facts:
     identity, wall = stream.header.identity, job.chosen.contents.wall
     begun_ns = None
     if job.clock is Clock.WALL and wall is not None:
-        begun_ns = int(wall.to_unix_ns(np.array([run.begin_s]))[0])
+        begun_ns = int(wall.to_unix_ns(np.array([stretch.begin_s]))[0])
     participant = identity.participant if identity else ""
     equipment = f"{identity.sensor}/{identity.unit}" if identity else stream.header.name
     return Facts(participant, equipment, begun_ns)
 
 
-def _of_file(run: Run, length_s: float, rate_hz: float) -> Iterator[Annotation]:
-    """Give what must be known of the file of a run."""
-    yield Annotation(0.0, 0.0, f"LSL time {run.begin_s:.6f} s")
-    end_s = run.count / rate_hz
+def _of_file(stretch: Stretch) -> Iterator[Annotation]:
+    """Give what must be known of a file."""
+    rate_hz = stretch.rate_hz
+    for row, run in stretch.begins:
+        yield Annotation(row / rate_hz, 0.0, f"LSL time {run.begin_s:.6f} s")
+    for row, rows in stretch.gaps:
+        yield Annotation(row / rate_hz, rows / rate_hz, BAD_GAP)
+    length_s, end_s = _length_s(stretch), stretch.rows / rate_hz
     if length_s - end_s > 0.5 / rate_hz:
         yield Annotation(end_s, length_s - end_s, "end of data, the rest is filled up")
 
 
 class Span(NamedTuple):
-    """Of the file of one run, in s on the recorder's clock; the end is excluded."""
+    """Of one file, in s on the recorder's clock; the end is excluded."""
 
     begin_s: float
     end_s: float
@@ -262,16 +286,20 @@ def dealt_to_spans(
 class Holes:
     """Takes the samples of a stream in, and tells where values are missing.
 
+    Parameters
+    ----------
+    begins
+        When the file of each run begins.
+
     Attributes
     ----------
     found
         For each run what to annotate.
     """
 
-    def __init__(self, stream: Stream, runs: int) -> None:
-        self._stream = stream
-        self.found: list[list[Annotation]] = [[] for _ in range(runs)]
-        self._begins = [0.0] * runs
+    def __init__(self, stream: Stream, begins: Sequence[float]) -> None:
+        self._stream, self._begins = stream, begins
+        self.found: list[list[Annotation]] = [[] for _ in begins]
         # When the hole of a channel began; NaN outside of one.
         self._open = np.full(stream.header.channel_count, np.nan)
         self._number = -1
@@ -282,7 +310,7 @@ class Holes:
         """Take in some more samples of a run."""
         if number != self._number:
             self._close_all()
-            self._number, self._begins[number] = number, float(samples.times[0])
+            self._number = number
         values = np.asarray(samples.values)
         if values.dtype.kind != "f":
             return

@@ -19,7 +19,7 @@ from biosensor_gateway.recording.bag.recorded_streams import (
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock
-from biosensor_gateway.recording.export.exporter import Missing, Order, Progress
+from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, Times
 from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
 from biosensor_gateway.recording.export.mcap.stream_topics import StreamTopics, names_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -36,11 +36,13 @@ class McapExporter:
         self, chosen: Chosen, order: Order, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :meth:`.exporter.Exporter.write`; times are those of day, whatever is ordered."""
-        del order
         with new_bag(target) as bag:
             conversion = _Conversion(bag, chosen)
             conversion.run(progress)
-        return list(conversion.sentences())
+        notes = list(conversion.sentences())
+        if order.times is Times.EVEN:
+            notes.append("a bag has the recorded times, for the way back needs them")
+        return notes
 
 
 class _Conversion:
