@@ -16,8 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, unique
 
-from biosensor_common.late_run import LateRun, Patience
-from biosensor_common.lower_envelope import LowerEnvelope
+from biosensor_common.lower_envelope import LateRun, LowerEnvelope, Patience
 
 READING_LIMIT_S = 1e11
 """64 bits of nanoseconds end at 1.8e10 s: a larger number is not a time."""

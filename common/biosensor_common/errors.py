@@ -15,6 +15,8 @@ sentence for a person: what, where, what to do.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from enum import Enum, unique
 from typing import Generic, TypeVar
 
@@ -138,3 +140,10 @@ class ConfigError(_ReasonedError[ConfigReason]):
 
 class CredentialError(_ReasonedError[CredentialReason]):
     """A secret is missing or was refused."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return `` (did you mean 'NAME'?)``, to go behind a name; empty if none is like it."""
+    by_lower = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1)
+    return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""

@@ -1,4 +1,4 @@
-"""Writes and reads a stream's declaration as LSL description XML.
+"""Writes and reads a stream's declaration and its channels as LSL description XML.
 
 Beside the XDF fields that LabRecorder users, MNE-LSL and EEGLAB read, the
 description carries one versioned block, from which any node knows where the
@@ -25,17 +25,17 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from biosensor_common import naming
-from biosensor_common.derived import read_derived
 from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.header_channels import Channels, read_channels
 from biosensor_common.quantities import (
     Category,
     ChannelFormat,
+    ChannelRole,
     ContentType,
     MessageType,
 )
@@ -46,7 +46,50 @@ from biosensor_common.stream_header import (
     CoreFields,
     StreamHeader,
     foreign_header,
+    read_derived,
 )
+
+
+class Channels(NamedTuple):
+    """What a description says of the channels, in channel order.
+
+    Attributes
+    ----------
+    labels, units
+        Empty text where it says nothing.
+    roles
+        None where it says none, none that is known, or one in another unit.
+    """
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    roles: tuple[ChannelRole | None, ...]
+
+
+def read_channels(root: ET.Element, count: int) -> Channels:
+    """Return what is said; nothing where the description has another number of channels."""
+    nodes = root.findall("desc/channels/channel")
+    if len(nodes) != count:
+        blank = ("",) * count
+        return Channels(blank, blank, (None,) * count)
+    units = _texts(nodes, "unit")
+    pairs = zip(_texts(nodes, "role"), units, strict=True)
+    roles = tuple(_role(text, unit) for text, unit in pairs)
+    return Channels(_texts(nodes, "label"), units, roles)
+
+
+def _texts(nodes: Sequence[ET.Element], field: str) -> tuple[str, ...]:
+    return tuple((node.findtext(field) or "")[:MAX_FIELD_CHARACTERS] for node in nodes)
+
+
+def _role(text: str, unit: str) -> ChannelRole | None:
+    try:
+        role = ChannelRole(text)
+    except ValueError:
+        # None, or one of a later version.
+        return None
+    return role if role.unit == unit else None
+
 
 VERSION = "1"
 MAX_XML_CHARACTERS = 1_000_000

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_common.clock_pair import ClockPair, measure_clock_pair, read_clock_pair
+from biosensor_common.ros_clock import ClockPair, measure_clock_pair, read_clock_pair
 
 
 @given(st.floats(0, 1e8), st.integers(0, 2**63 - 1))

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from biosensor_common.heap import ARENAS
+from biosensor_common.process_limits import ARENAS
 from tests.rigs.arenas import count_arenas
 
 pytestmark = [
@@ -20,7 +20,7 @@ THREADS = 6
 # Threads that each take memory, hold it, and wait until all have.
 PROGRAM = f"""
 import ctypes, os, sys, threading
-from biosensor_common.heap import limit_arenas
+from biosensor_common.process_limits import limit_arenas
 if sys.argv[1] == "limited":
     print(limit_arenas(os.environ), flush=True)
 libc = ctypes.CDLL(None)

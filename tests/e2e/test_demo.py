@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.demo.demonstration import CHUNK_LENGTH
-from biosensor_gateway.demo.expectation import demo_devices, expected_topics
+from biosensor_gateway.demo.demonstration import CHUNK_LENGTH, demo_devices, expected_topics
 
 pytestmark = pytest.mark.nightly
 

@@ -15,9 +15,8 @@ import pyxdf
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from biosensor_common.clock_pair import read_clock_pair
 from biosensor_common.naming import NODE
-from biosensor_common.ros_clock import NS_PER_S
+from biosensor_common.ros_clock import NS_PER_S, read_clock_pair
 from tests.faults.scenarios.length import is_long
 from tests.rigs.lab_client import LabProcess, settings_toml
 from tests.rigs.lab_recorder import LabRecorder

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 QUESTIONS = """
 import contextlib, io, json, pathlib, sys
 from biosensor_gateway import cli
-from biosensor_gateway.demo.expectation import expected_topics
+from biosensor_gateway.demo.demonstration import expected_topics
 from biosensor_gateway.devices.registry import sensor, sensor_names
 from tests.faults.expectations import CELLS
 

@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_common.derived import Derived
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.replay import Replay
-from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
+from biosensor_common.stream_header import CoreFields, Derived, StreamHeader, foreign_header
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import TYPES

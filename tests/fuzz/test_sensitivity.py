@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.header_channels import Channels
+from biosensor_common.lsl_header import Channels
 from biosensor_gateway.recording.xdf.container import Damage
 from tests.fuzz.breaking import Fault, always, instead
 from tests.fuzz.contract import NAMES, SENSORS, corpus_of, inputs, load, module_of, strictly

@@ -19,8 +19,8 @@ from pylsl.util import LostError
 from structlog.testing import capture_logs
 
 from biosensor_common import naming
-from biosensor_common.clock_pair import measure_clock_pair, read_clock_pair
 from biosensor_common.errors import ConfigError
+from biosensor_common.ros_clock import measure_clock_pair, read_clock_pair
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.file import load_settings

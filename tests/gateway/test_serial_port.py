@@ -18,7 +18,7 @@ import serial
 from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_common.open_files import raise_limit
+from biosensor_common.process_limits import raise_limit
 from biosensor_gateway.transports import serial_port as module
 from biosensor_gateway.transports.serial_port import SerialLink
 

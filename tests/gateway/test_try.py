@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.cli.trial import expected_streams, print_verdict
-from biosensor_gateway.demo.expectation import first_devices
+from biosensor_gateway.demo.demonstration import first_devices
 from biosensor_gateway.recording.xdf.expectation import by_name
 from biosensor_gateway.recording.xdf.verdict import Colour, check
 from tests.xdf import xdf_file as x

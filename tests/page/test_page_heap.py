@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page
 
-from biosensor_common.heap import ARENAS
+from biosensor_common.process_limits import ARENAS
 from tests.page.conftest import Server
 from tests.rigs.arenas import count_arenas
 

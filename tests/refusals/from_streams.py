@@ -17,7 +17,7 @@ import pytest
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
-from biosensor_common import open_files
+from biosensor_common import process_limits
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
@@ -209,14 +209,14 @@ def unusable(patch: pytest.MonkeyPatch) -> Shown:
 
 @provokes(Refusal.NO_FILES)
 def no_files(patch: pytest.MonkeyPatch) -> Shown:
-    patch.setattr(open_files, "has_room", lambda _: False)
+    patch.setattr(process_limits, "has_room", lambda _: False)
     refusals = Refusals()
     room = FileRoom(refusals)
     assert not room.has_room(pylsl.StreamInfo("crowd", "EEG", 1, 1.0, "float32", "c"), 0)
     (told,) = refusals.present
     shown = at_node(refusals, crowded_out=room.crowded_out)
     # It is named together with others, by the same reason.
-    assert open_files.no_room() in told.sentence
+    assert process_limits.no_room() in told.sentence
     text = shown.text.replace("1 streams are left out (crowd)", "it is left out")
     return shown._replace(text=text)
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pylsl
 import pytest
 
-from biosensor_common.clock_pair import read_clock_pair
 from biosensor_common.lsl_header import read_header
 from biosensor_common.naming import NODE
-from biosensor_common.ros_clock import NS_PER_S, measure_offset_ns
+from biosensor_common.ros_clock import NS_PER_S, measure_offset_ns, read_clock_pair
 from lsl_to_ros.reports.clock_pairs import unit_of
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pylsl
 import pytest
 
-from biosensor_common.heap import ARENAS
+from biosensor_common.process_limits import ARENAS
 from tests.faults.agent import AgentProcess
 from tests.rigs.arenas import count_arenas
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from biosensor_common import liblsl, system_programs
-from biosensor_common import open_files as files
+from biosensor_common import process_limits as files
 from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
 
 _OLDEST_LIBLSL = 117

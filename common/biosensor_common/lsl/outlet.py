@@ -11,7 +11,7 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
-from biosensor_common.open_files import OUTLET, require
+from biosensor_common.process_limits import OUTLET, require
 
 REST_S = 0.02
 """From the last push to the end of an outlet. LSL's own thread has begun to send by then; liblsl

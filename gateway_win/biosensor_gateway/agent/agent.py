@@ -16,8 +16,8 @@ from pydantic import BaseModel, Field, TypeAdapter
 from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
-from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl.network import configure_lsl
+from biosensor_common.process_limits import limit_arenas
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import ConfigError, ConfigReason, did_you_mean
 from biosensor_common.spec import DeviceIdentity
 
 

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TextIO
 
 from biosensor_common import liblsl
-from biosensor_common.open_files import raise_limit
+from biosensor_common.process_limits import raise_limit
 
 __all__ = ["main"]
 

@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from biosensor_common import liblsl, open_files
+from biosensor_common import liblsl, process_limits
 from biosensor_common.errors import ConfigError, GatewayError, SpecError, SpecReason
 from biosensor_gateway.cli.lazy_group import Deferred, LazyGroup
 
@@ -104,7 +104,7 @@ def main() -> None:
 def refusal(error: OSError) -> str:
     """Say what the system refuses; empty if it is something that should not happen."""
     if error.errno in (errno.EMFILE, errno.ENFILE):
-        return f"no more files can be opened: {open_files.reason()}; {open_files.fix()}"
+        return f"no more files can be opened: {process_limits.reason()}; {process_limits.fix()}"
     if error.errno not in _REFUSED or error.filename is None:
         return ""
     from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE  # only then

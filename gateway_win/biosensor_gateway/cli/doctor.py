@@ -12,7 +12,7 @@ from biosensor_common.doctor.check import AGENT, Check, checks_of
 from biosensor_common.doctor.network_check import command
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import did_you_mean
 from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context

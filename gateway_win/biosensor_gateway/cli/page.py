@@ -13,7 +13,7 @@ from typing import Annotated, Self
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_common.heap import limit_arenas
+from biosensor_common.process_limits import limit_arenas
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.page.instance import (
     ADDRESS,

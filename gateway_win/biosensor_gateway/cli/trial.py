@@ -26,15 +26,13 @@ from biosensor_gateway.demo.demonstration import (
     CHUNK_LENGTH,
     Programs,
     agent_command,
+    expected_topics,
+    first_devices,
+    fitting_devices,
     has_ros,
     node_command,
     show_topics,
     state_of,
-)
-from biosensor_gateway.demo.expectation import (
-    expected_topics,
-    first_devices,
-    fitting_devices,
     unfilled_streams,
 )
 from biosensor_gateway.devices.registry import declaration, sensor_title

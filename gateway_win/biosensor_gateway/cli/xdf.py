@@ -12,8 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import ConfigError, ConfigReason, did_you_mean
 from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.cli.options import (
     FromOption,

@@ -17,8 +17,7 @@ from itertools import chain
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason, did_you_mean
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings

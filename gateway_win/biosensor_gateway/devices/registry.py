@@ -13,8 +13,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules, resolve_name
 
-from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import SpecError, SpecReason, did_you_mean
 from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.sensor import Sensor

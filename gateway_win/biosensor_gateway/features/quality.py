@@ -23,8 +23,7 @@ from biosensor_gateway.features.likeness import (
 from biosensor_gateway.features.runs import Array, Event, Hops
 from biosensor_gateway.features.skin import least_response
 from biosensor_gateway.pulses import thresholds as pulses
-from biosensor_gateway.pulses.filters import between_samples
-from biosensor_gateway.pulses.moments import moment
+from biosensor_gateway.pulses.filters import between_samples, moment
 
 REASONS = ("flat", "clipped", "noisy", "baseline", "out_of_range")
 """What a window may suffer from, in the order of the channels."""

@@ -17,7 +17,7 @@ from biosensor_gateway.features.outputs import feature_streams
 from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.models import Problem, SeenStreamView
 from biosensor_gateway.page.network.source import Reader
-from biosensor_gateway.page.routes.agent import add_agent, add_quit
+from biosensor_gateway.page.routes.agent import Access, add_agent, add_quit, add_secrets
 from biosensor_gateway.page.routes.api import new_app
 from biosensor_gateway.page.routes.devices import add_devices, worn_by
 from biosensor_gateway.page.routes.doctor import NetworkAnswer, add_doctor
@@ -26,7 +26,6 @@ from biosensor_gateway.page.routes.markers import Marking, add_markers
 from biosensor_gateway.page.routes.recording import Recorder, add_recording
 from biosensor_gateway.page.routes.replay import Replaying, add_replay
 from biosensor_gateway.page.routes.search import add_search
-from biosensor_gateway.page.routes.secrets import Access, add_secrets
 from biosensor_gateway.page.session import Session, Shutdown
 from biosensor_gateway.page.static_files import PREFIX
 

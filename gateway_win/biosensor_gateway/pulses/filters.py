@@ -1,9 +1,13 @@
-"""Filters with state, one sample at a time, and what is between samples."""
+"""Filters with state, one sample at a time; interpolation, skewness and kurtosis."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 def between_samples(before: float, apex: float, after: float) -> float:
@@ -69,3 +73,15 @@ class MovingMean:
         if self._count % (16 * self._length) == 0:
             self._sum = math.fsum(self._values)
         return self._sum / len(self._values)
+
+
+def moment(values: NDArray[np.float64], order: Literal[3, 4]) -> float:
+    """Return skewness or kurtosis; 0 where nothing moves."""
+    centred = values - values.mean()
+    spread = float(np.sqrt(np.square(centred).mean()))
+    if spread <= 0:
+        return 0.0
+    scaled: NDArray[np.float64] = centred / spread
+    squares = np.square(scaled)
+    # np.power takes twenty times as long.
+    return float((squares * (scaled if order == 3 else squares)).mean())

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_gateway.pulses import thresholds as at
-from biosensor_gateway.pulses.filters import Biquad, MovingMean, between_samples
-from biosensor_gateway.pulses.moments import moment
+from biosensor_gateway.pulses.filters import Biquad, MovingMean, between_samples, moment
 
 # How far the filter's group delay moves an apex, at most.
 _APEX_S = 0.12

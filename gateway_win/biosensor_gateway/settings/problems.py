@@ -16,8 +16,7 @@ from typing import NamedTuple, cast
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import ConfigError, ConfigReason, did_you_mean
 from biosensor_gateway.settings.models import (
     OVERRIDE_DELIMITER,
     OVERRIDE_PREFIX,

@@ -13,8 +13,7 @@ import re
 from dataclasses import dataclass
 from enum import Enum, unique
 
-from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.misspelt import did_you_mean
+from biosensor_common.errors import ConfigError, ConfigReason, did_you_mean
 
 
 @unique

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from biosensor_common import open_files
+from biosensor_common import process_limits
 from biosensor_common.errors import TransportError
 
 _OWN_STREAMS = 3
@@ -28,7 +28,7 @@ class Room:
 
         Some more streams are `kept` out of it, in place of other files that will be opened.
         """
-        fits = open_files.room(open_files.OUTLET)
+        fits = process_limits.room(process_limits.OUTLET)
         return cls(None if fits is None else max(0, fits - _OWN_STREAMS - kept))
 
     def take(self, device: str, streams: int) -> None:
@@ -41,7 +41,7 @@ class Room:
         """
         others = sum(self._taken.values()) - self._taken.get(device, 0)
         if self._fits is not None and others + streams > self._fits:
-            raise open_files.exhausted(f"its {streams} streams are left out")
+            raise process_limits.exhausted(f"its {streams} streams are left out")
         self._taken[device] = streams
 
     def has(self, device: str) -> bool:
@@ -70,5 +70,5 @@ class Room:
             return ""
         return (
             f"{self._fits} streams fit, and {sum(devices.values())} are wanted; left out are "
-            f"{', '.join(left_out)}: {open_files.reason()}; {open_files.fix()}"
+            f"{', '.join(left_out)}: {process_limits.reason()}; {process_limits.fix()}"
         )

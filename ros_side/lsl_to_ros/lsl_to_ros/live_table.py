@@ -33,7 +33,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from biosensor_common.open_files import raise_limit
+from biosensor_common.process_limits import raise_limit
 from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns, shortened
 from lsl_to_ros.reports.reporting import COMPUTER_BUSY

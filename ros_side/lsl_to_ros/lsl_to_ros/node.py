@@ -7,8 +7,7 @@ import sys
 from importlib import import_module
 
 from biosensor_common import liblsl
-from biosensor_common.heap import limit_arenas
-from biosensor_common.open_files import raise_limit
+from biosensor_common.process_limits import limit_arenas, raise_limit
 from lsl_to_ros.command_line import settle
 
 

@@ -11,9 +11,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from biosensor_common.clock_pair import ClockPair
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.ros_clock import NS_PER_S
+from biosensor_common.ros_clock import NS_PER_S, ClockPair
 from biosensor_gateway.recording.bag.errors import (
     BagError,
     BagReason,

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.clock_pair import ClockPair, read_clock_pair
 from biosensor_common.naming import AGENT, NODE
-from biosensor_common.ros_clock import NS_PER_S, STEP_NS
+from biosensor_common.ros_clock import NS_PER_S, STEP_NS, ClockPair, read_clock_pair
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.xdf.header import FileClock
 

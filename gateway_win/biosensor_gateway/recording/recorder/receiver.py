@@ -30,7 +30,6 @@ from pylsl.lib import lib
 
 from biosensor_common.ending import end_within
 from biosensor_common.errors import SpecError
-from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl.header import read_core
 from biosensor_common.lsl.inlet import (
     LAST_ENTRY_S,
@@ -42,6 +41,7 @@ from biosensor_common.lsl.inlet import (
 )
 from biosensor_common.lsl.network import Network, Streams, search
 from biosensor_common.lsl.sender_clocks import LIMIT_S, STEP_S, SenderClocks
+from biosensor_common.process_limits import limit_arenas
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.recorder.program import NOTE
 from biosensor_gateway.recording.xdf import writing

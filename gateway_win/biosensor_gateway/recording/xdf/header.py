@@ -8,14 +8,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from biosensor_common.clock_pair import KEY, ClockPair, read_clock_pair
 from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError
-from biosensor_common.header_channels import read_channels
-from biosensor_common.lsl_header import MAX_CHANNELS, read_header
+from biosensor_common.lsl_header import MAX_CHANNELS, read_channels, read_header
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
 from biosensor_common.replay import Replay
+from biosensor_common.ros_clock import KEY, ClockPair, read_clock_pair
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.recording.xdf.container import ChunkError

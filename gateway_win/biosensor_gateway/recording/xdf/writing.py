@@ -13,8 +13,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.clock_pair import ClockPair
 from biosensor_common.quantities import ChannelFormat
+from biosensor_common.ros_clock import ClockPair
 from biosensor_gateway.recording.xdf.framing import (
     BOUNDARY,
     MAGIC,

@@ -18,7 +18,7 @@ Besides these:
 
 =================== =========================================================================
 ``agent_started``   ``version``; ``clock``: ``lsl_s`` and ``unix_ns``, this computer's clocks at
-                    one moment (:mod:`biosensor_common.clock_pair`); ``restarts`` and
+                    one moment (:mod:`biosensor_common.ros_clock`); ``restarts`` and
                     ``last_end``, in words, if it had died and was started again
                     (``run --keep-alive``), as in each heartbeat
 ``agent_stopped``   Comes when the agent is asked to end; a killed one says nothing.

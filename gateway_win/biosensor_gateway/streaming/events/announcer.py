@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
-from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros_clock import measure_clock_pair
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.own_outlets import log_errors, spare_outlet

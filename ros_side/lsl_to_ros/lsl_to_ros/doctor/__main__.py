@@ -11,7 +11,7 @@ from biosensor_common.doctor.check import NODE, Context, checks_of
 from biosensor_common.doctor.network_check import command
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
-from biosensor_common.open_files import raise_limit
+from biosensor_common.process_limits import raise_limit
 from biosensor_common.terminal import columns
 from lsl_to_ros.doctor import GUIDE
 

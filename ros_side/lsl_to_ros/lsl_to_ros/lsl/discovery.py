@@ -8,7 +8,7 @@ from time import monotonic
 
 import pylsl
 
-from biosensor_common import open_files
+from biosensor_common import process_limits
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.namesakes import Namesakes
 from biosensor_common.lsl.network import FORGET_AFTER_S, Network
@@ -69,12 +69,12 @@ class FileRoom:
 
     def has_room(self, info: pylsl.StreamInfo, opening: int) -> bool:
         """Whether a stream fits beside so many that are being opened."""
-        if open_files.has_room((1 + opening) * open_files.INLET):
+        if process_limits.has_room((1 + opening) * process_limits.INLET):
             self._forget(info.uid())
             return True
         if not opening:
             self._names[info.uid()] = info.name(), about(info)
-            why = open_files.no_room()
+            why = process_limits.no_room()
             self._refusals.refuse(Refusal.NO_FILES, about=about(info), why=why)
         return False
 

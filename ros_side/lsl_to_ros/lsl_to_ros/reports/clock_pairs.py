@@ -3,7 +3,7 @@
 Stamps of topics are system time, those of streams LSL time. With the pairs of both that a
 recording has from here, it and a bag of the same session fall onto one axis. Each sample is a
 JSON object like those of the agent's events: ``event`` (``heartbeat``), ``lsl_time``, ``node``,
-``use_sim_time``, and ``clock`` as in :mod:`biosensor_common.clock_pair`. Under ``use_sim_time``
+``use_sim_time``, and ``clock`` as in :mod:`biosensor_common.ros_clock`. Under ``use_sim_time``
 the pairs are still of the system clock, to which the stamps of the topics then have no relation.
 """
 
@@ -18,14 +18,13 @@ from collections.abc import Callable
 import pylsl
 from rclpy.node import Node
 
-from biosensor_common.clock_pair import ClockPair, measure_clock_pair
 from biosensor_common.description_xml import append_children
 from biosensor_common.errors import TransportError
 from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl_header import describe
 from biosensor_common.naming import NODE, lsl_name, source_id
 from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
-from biosensor_common.ros_clock import NS_PER_S, STEP_NS
+from biosensor_common.ros_clock import NS_PER_S, STEP_NS, ClockPair, measure_clock_pair
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.table import channels, hardware
 

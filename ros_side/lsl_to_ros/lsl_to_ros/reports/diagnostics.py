@@ -21,7 +21,7 @@ from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from biosensor_common import open_files
+from biosensor_common import process_limits
 from biosensor_common.naming import AGENT, TopicName
 from biosensor_common.refusal import Level, Refusal
 from biosensor_common.refusals import Refusals, Refused
@@ -57,7 +57,7 @@ def crowded_out(streams: Sequence[str]) -> str:
     if not streams:
         return ""
     named = ", ".join(streams[:_MOST_NAMED]) + ", ..." * (len(streams) > _MOST_NAMED)
-    return str(open_files.exhausted(f"{len(streams)} streams are left out ({named})"))
+    return str(process_limits.exhausted(f"{len(streams)} streams are left out ({named})"))
 
 
 def too_fast(rate: float, topics: Sequence[str], best_effort: Sequence[str]) -> str:

@@ -22,14 +22,13 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
-from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from biosensor_common.ros_clock import NS_PER_S
+from biosensor_common.ros_clock import NS_PER_S, measure_clock_pair
 from lsl_to_ros import program
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID, peers_of

@@ -6,8 +6,7 @@ import math
 from enum import StrEnum, unique
 from typing import NamedTuple
 
-from biosensor_common.late_run import LateRun, Patience
-from biosensor_common.lower_envelope import LowerEnvelope
+from biosensor_common.lower_envelope import LateRun, LowerEnvelope, Patience
 from biosensor_common.ros_clock import NS_PER_S
 
 AHEAD_S = 0.002

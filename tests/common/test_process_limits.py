@@ -9,9 +9,9 @@ from typing import NoReturn
 
 import pytest
 
-from biosensor_common import open_files
+from biosensor_common import process_limits
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_common.open_files import INLET, MOST, OUTLET, RESERVE, fitting, wanted_limits
+from biosensor_common.process_limits import INLET, MOST, OUTLET, RESERVE, fitting, wanted_limits
 
 if sys.platform != "win32":
     import resource
@@ -46,14 +46,14 @@ def test_streams_fit_beside_what_the_program_itself_opens() -> None:
 def test_what_does_not_fit_is_an_error_with_the_command_that_makes_room(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(open_files, "limit", lambda: 200)
-    monkeypatch.setattr(open_files, "opened", lambda: 200 - RESERVE // 2 - OUTLET)
-    open_files.require(OUTLET, "the stream Polar-ECG")
-    monkeypatch.setattr(open_files, "opened", lambda: 200 - RESERVE // 2 - OUTLET + 1)
+    monkeypatch.setattr(process_limits, "limit", lambda: 200)
+    monkeypatch.setattr(process_limits, "opened", lambda: 200 - RESERVE // 2 - OUTLET)
+    process_limits.require(OUTLET, "the stream Polar-ECG")
+    monkeypatch.setattr(process_limits, "opened", lambda: 200 - RESERVE // 2 - OUTLET + 1)
     with pytest.raises(
         TransportError, match=r"Polar-ECG is left out.* 200 files.*run in"
     ) as caught:
-        open_files.require(OUTLET, "the stream Polar-ECG")
+        process_limits.require(OUTLET, "the stream Polar-ECG")
     assert caught.value.reason is TransportReason.EXHAUSTED
 
 
@@ -62,8 +62,8 @@ def test_a_program_may_open_as_many_files_as_the_system_allows() -> None:
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (100, before[1]))
-        open_files.raise_limit()
-        assert open_files.limit() == wanted_limits(100, before[1])[0]
+        process_limits.raise_limit()
+        assert process_limits.limit() == wanted_limits(100, before[1])[0]
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
@@ -79,4 +79,4 @@ def test_a_system_that_does_not_list_open_files_refuses_no_stream(
         raise OSError(number, "refused")
 
     monkeypatch.setattr(Path, "iterdir", refused)
-    assert open_files.has_room(OUTLET) is not is_full
+    assert process_limits.has_room(OUTLET) is not is_full

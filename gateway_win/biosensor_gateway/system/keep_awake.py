@@ -22,20 +22,189 @@ systemd-inhibit(1).
 
 from __future__ import annotations
 
+import ctypes
 import os
+import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from ctypes import wintypes
 from pathlib import Path
 from typing import Protocol
 
 import structlog
 
+from biosensor_common import child
 from biosensor_common.system_programs import full_path
-from biosensor_gateway.system.keep_awake.program import ProgramInhibitor
+
+
+class ProgramInhibitor:
+    """A program that holds off sleep for as long as it runs.
+
+    Parameters
+    ----------
+    command
+        The program and its arguments. It must end when its standard input or this
+        process does.
+    echoes
+        Whether it gives back what it reads as soon as it holds off sleep. Of a
+        program that does not, it is believed as long as it runs.
+    """
+
+    def __init__(self, command: Sequence[str], *, echoes: bool) -> None:
+        self._command = command
+        self._echoes = echoes
+        self._answered = False
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def way(self) -> str:
+        """Name of the program."""
+        return Path(self._command[0]).name
+
+    def begin(self) -> None:
+        """Start the program; raises ``OSError`` if it cannot be."""
+        self._answered = not self._echoes
+        pipe = subprocess.PIPE
+        self._process = process = child.start(
+            self._command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0
+        )
+        assert process.stdout is not None
+        assert process.stderr is not None
+        if sys.platform != "win32":  # which has no such program
+            os.set_blocking(process.stdout.fileno(), False)
+            os.set_blocking(process.stderr.fileno(), False)
+        # If it has ended already, held() knows why.
+        child.send(process, b"\n")
+
+    def held(self) -> bool:
+        """Whether the program holds off sleep; raises ``OSError`` if it has ended."""
+        process = self._process
+        if process is None:
+            return False
+        assert process.stdout is not None
+        assert process.stderr is not None
+        if process.poll() is not None:
+            said = (process.stderr.read() or b"").decode(errors="replace").split("\n")
+            last = next((line for line in reversed(said) if line.strip()), "it ended by itself")
+            raise OSError(last.strip())
+        if not self._answered:
+            self._answered = bool(process.stdout.read(1))
+        return self._answered
+
+    def end(self) -> None:
+        """End the program."""
+        if self._process is not None:
+            with self._process as process:
+                self._process = None
+                process.kill()
+
 
 if sys.platform == "win32":
-    from biosensor_gateway.system.keep_awake.windows import WindowsInhibitor
+    _ES_SYSTEM_REQUIRED = 0x00000001
+    _ES_CONTINUOUS = 0x80000000
+    _POWER_REQUEST_CONTEXT_VERSION = 0
+    _POWER_REQUEST_CONTEXT_SIMPLE_STRING = 0x1
+    _POWER_REQUEST_SYSTEM_REQUIRED = 1
+    _INVALID_HANDLE = ctypes.c_void_p(-1).value
+
+    class _DetailedReason(ctypes.Structure):
+        _fields_ = (
+            ("module", wintypes.HMODULE),
+            ("reason_id", wintypes.ULONG),
+            ("count", wintypes.ULONG),
+            ("strings", ctypes.POINTER(wintypes.LPWSTR)),
+        )
+
+    class _Reason(ctypes.Union):
+        _fields_ = (("detailed", _DetailedReason), ("text", wintypes.LPWSTR))
+
+    class _ReasonContext(ctypes.Structure):
+        _fields_ = (
+            ("version", wintypes.ULONG),
+            ("flags", wintypes.DWORD),
+            ("reason", _Reason),
+        )
+
+    class WindowsInhibitor:
+        """A power request, or the execution state of the calling thread where there is none.
+
+        Parameters
+        ----------
+        reason
+            Who asks and why, as ``powercfg /requests`` shows it.
+        """
+
+        def __init__(self, reason: str) -> None:
+            self._reason = reason
+            self._kernel = ctypes.WinDLL("kernel32", use_last_error=True)
+            self._request: int | None = None
+
+        @property
+        def way(self) -> str:
+            """Which of the two it is."""
+            return "execution state" if self._request is None else "power request"
+
+        def begin(self) -> None:
+            """Ask Windows; raises ``OSError`` if it refuses both."""
+            try:
+                self._request = self._new_request()
+            except (AttributeError, OSError) as error:
+                # Wine has the functions and implements none.
+                _log.debug("no power request", error=str(error))
+                self._set_execution_state(_ES_CONTINUOUS | _ES_SYSTEM_REQUIRED)
+
+        def held(self) -> bool:
+            """Windows has answered at once."""
+            return True
+
+        def end(self) -> None:
+            """Take back the request or the state."""
+            if self._request is None:
+                self._set_execution_state(_ES_CONTINUOUS)
+            else:
+                request, self._request = self._request, None
+                # Closed, it requests nothing any more.
+                self._close(request)
+
+        def _new_request(self) -> int:
+            create = self._kernel.PowerCreateRequest
+            create.argtypes = [ctypes.POINTER(_ReasonContext)]
+            create.restype = wintypes.HANDLE
+            require = self._kernel.PowerSetRequest
+            require.argtypes = [wintypes.HANDLE, ctypes.c_int]
+            require.restype = wintypes.BOOL
+            context = _ReasonContext(
+                _POWER_REQUEST_CONTEXT_VERSION,
+                _POWER_REQUEST_CONTEXT_SIMPLE_STRING,
+                _Reason(text=self._reason),
+            )
+            request: int | None = create(ctypes.byref(context))
+            if request is None or request == _INVALID_HANDLE:
+                raise ctypes.WinError(ctypes.get_last_error())
+            if not require(request, _POWER_REQUEST_SYSTEM_REQUIRED):
+                error = ctypes.WinError(ctypes.get_last_error())
+                self._close(request)
+                raise error
+            return request
+
+        def _close(self, request: int) -> None:
+            close = self._kernel.CloseHandle
+            close.argtypes = [wintypes.HANDLE]
+            close.restype = wintypes.BOOL
+            close(request)
+
+        def _set_execution_state(self, state: int) -> None:
+            set_state = self._kernel.SetThreadExecutionState
+            set_state.argtypes = [wintypes.DWORD]
+            set_state.restype = wintypes.DWORD
+            # It returns the state before, which is never zero.
+            if not set_state(state):
+                raise OSError("SetThreadExecutionState refuses")
+
+
+if sys.platform == "win32":
+    from biosensor_gateway.system.keep_awake import WindowsInhibitor
 
 GRACE_S = 60.0
 """How long the computer is kept awake without a stream: devices drop out for seconds."""
