@@ -161,6 +161,11 @@ def test_the_folder_is_opened_and_nothing_else(
         ("DELETE", "recordings/export"),
         ("GET", "recordings/export"),
         ("GET", "recordings"),
+        ("GET", "capture"),
+        ("GET", "capture/whole"),
+        ("POST", "capture"),
+        ("POST", "capture/save"),
+        ("DELETE", "capture"),
     ],
 )
 async def test_who_only_looks_on_has_none_of_it(page: Page, method: str, path: str) -> None:

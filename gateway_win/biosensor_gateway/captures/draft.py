@@ -236,6 +236,11 @@ class CaptureDesk:
         self._begun = Progress(Phase.CONNECTING, settings.sensor, seconds=seconds)
         self._task = asyncio.create_task(self._take(settings, seconds, source))
 
+    async def ended(self) -> None:
+        """Wait until nothing is being captured any more."""
+        if self._task is not None:
+            await asyncio.wait([self._task])
+
     async def discard(self) -> None:
         """Throw away what was captured, also in the midst of it; without effect if nothing was."""
         if self._task is not None:

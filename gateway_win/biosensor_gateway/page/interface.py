@@ -19,6 +19,7 @@ from biosensor_gateway.page.models import Problem, SeenStreamView
 from biosensor_gateway.page.network.source import Reader
 from biosensor_gateway.page.routes.agent import Access, add_agent, add_quit, add_secrets
 from biosensor_gateway.page.routes.api import new_app
+from biosensor_gateway.page.routes.capture import Capturing, add_capture
 from biosensor_gateway.page.routes.devices import add_devices, worn_by
 from biosensor_gateway.page.routes.doctor import NetworkAnswer, add_doctor
 from biosensor_gateway.page.routes.files import add_files
@@ -47,6 +48,7 @@ class Interface:
         self._marking = Marking(session)
         self._answer = NetworkAnswer(session.settings, session.folder)
         self._replaying = Replaying(session)
+        self._capturing = Capturing(session)
         router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
         add_agent(router, session)
         add_quit(router, session, recorder, shutdown)
@@ -58,6 +60,7 @@ class Interface:
         add_doctor(router, session, self._answer)
         add_replay(router, recorder, self._replaying)
         add_files(router, session)
+        add_capture(router, self._capturing)
         self.app = new_app()
         self.app.include_router(router)
 
@@ -68,6 +71,7 @@ class Interface:
             self._marking.run(),
             self._answer.run(),
             self._replaying.run(),
+            self._capturing.run(),
             ExperimentServer(self._session).run(),
             Features(self._session).run(),
         )

@@ -140,7 +140,7 @@ class DeviceTester:
         SpecError
             No sensor is called so.
         """
-        settings = _settings(candidate)
+        settings = settings_of(candidate.sensor, candidate.settings)
         if (settings.sensor_name, settings.unit) in self._streamed():
             message = "the agent has this device; its card shows what it sends"
             raise TransportError(TransportReason.BUSY, message)
@@ -148,12 +148,19 @@ class DeviceTester:
             return described(await run_device_test(settings, TRIAL_S))
 
 
-def _settings(candidate: Candidate) -> DeviceSettings:
-    fields: Mapping[str, object] = {"unit": "trial", **candidate.settings}
+def settings_of(sensor: str, given: Mapping[str, object]) -> DeviceSettings:
+    """Return the settings of a device that was found.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``: no device can be made of this.
+    SpecError
+        No sensor is called so.
+    """
+    fields: Mapping[str, object] = {"unit": "trial", **given}
     try:
-        return driver(candidate.sensor).settings.model_validate(
-            {**fields, "sensor": candidate.sensor}
-        )
+        return driver(sensor).settings.model_validate({**fields, "sensor": sensor})
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the settings"

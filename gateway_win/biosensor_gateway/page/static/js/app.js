@@ -3,6 +3,7 @@
 import { html, render, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
 import { Bar, useScrolledPast } from "./bar.js";
+import { Capture } from "./capture.js";
 import { Cards } from "./cards.js";
 import { Detail } from "./detail.js";
 import { Doctor } from "./doctor.js";
@@ -70,6 +71,8 @@ function App() {
   const [isReplay, setReplay] = useState(false);
   const [isFiles, setFiles] = useState(false);
   const [isExamined, setExamined] = useState(false);
+  // A device that was chosen for it, or none yet.
+  const [capture, setCapture] = useState(null);
   const [told, setTold] = useState(null);
   const [question, setQuestion] = useState(null);
   const live = useRef(null);
@@ -112,9 +115,14 @@ function App() {
   useMarkerKeys(status?.agent === "running" ? status.markers.buttons : [], act);
   const session = useRef(null);
   // Then the recording has no panel on the screen, or one that is somewhere below.
-  const isElsewhere = Boolean(device) || isSetup || isReplay || isFiles || isExamined;
+  const isElsewhere = Boolean(device) || isSetup || isReplay || isFiles || isExamined || Boolean(capture);
   const isPast = useScrolledPast(session, Boolean(status) && !isElsewhere);
 
+  const choose = (chosen) => {
+    setOpen(null);
+    setCapture({ device: chosen, key: chosen ? `${chosen.sensor}/${chosen.unit ?? chosen.name}` : "" });
+    window.scrollTo(0, 0);
+  };
   if (status?.ended) return html`<${Ended} told=${told} />`;
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting" && !status.experiments && !status.replay.is_running;
@@ -126,7 +134,8 @@ function App() {
       ${status && html`<${ReplayNotice} replay=${status.replay} act=${act} />`}
       ${status?.share && html`<${Share} share=${status.share} />`}
       ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page.</p>`}
-      ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onClose=${() => setSetup(false)} />`}
+      ${capture && html`<${Capture} key=${capture.key} act=${act} chosen=${capture.device} onSetup=${() => setSetup(true)} onClose=${() => setCapture(null)} />`}
+      ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onCapture=${choose} onClose=${() => setSetup(false)} />`}
       ${isReplay && status && html`<${Replay} act=${act} isRunning=${status.replay.is_running} onClose=${() => setReplay(false)} />`}
       ${isFiles && html`<${Files} act=${act} onClose=${() => setFiles(false)} />`}
       ${isExamined && html`<${Doctor} onClose=${() => setExamined(false)} />`}
@@ -138,10 +147,13 @@ function App() {
         </div>`}
       ${status && !status.replay.is_running && html`<${Over} replay=${status.replay} />`}
       ${device
-        ? html`<${Detail} live=${live.current} device=${device} isVirtual=${status.virtual} act=${device.replay ? undefined : act} onClose=${() => setOpen(null)} />`
+        ? html`<${Detail} live=${live.current} device=${device} isVirtual=${status.virtual} act=${device.replay ? undefined : act} onCapture=${choose} onClose=${() => setOpen(null)} />`
         : html`<${Cards} live=${live.current} devices=${devices} onOpen=${setOpen} />`}
     </main>
-    <footer class="small">${status?.settings_file && html`Settings: ${status.settings_file}`}</footer>
+    <footer class="small">
+      ${status?.settings_file && html`Settings: ${status.settings_file}`}
+      ${status && !status.virtual && !capture && html`<button class="plain" onClick=${() => choose(undefined)}>Help us: capture a device</button>`}
+    </footer>
     ${question && html`<${Question} question=${question} />`}
     <div aria-live="polite">${told && html`<${Toast} told=${told} onClose=${() => setTold(null)} />`}</div>`;
 }

@@ -118,7 +118,7 @@ export function Played({ device }) {
   return device.replay && html`<p class="notice-line">This is a replay of <span class="file">${device.replay}</span>. It was recorded earlier, and nobody is measured now.</p>`;
 }
 
-export function Detail({ live, device, isVirtual, act, onClose }) {
+export function Detail({ live, device, isVirtual, act, onCapture, onClose }) {
   const heading = useRef();
   useEffect(() => heading.current.focus(), [device.name]);
   const which = { sensor: device.sensor, unit: device.unit };
@@ -144,6 +144,7 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
           ? html`<button onClick=${() => act("POST", "/devices/resume", which)}>Resume</button>`
           : html`<button onClick=${() => act("POST", "/devices/pause", which)}>Pause (withdrawal)</button>`}
         ${act && !isVirtual && html`<button onClick=${remove}>Remove …</button>`}
+        ${act && !isVirtual && onCapture && html`<button onClick=${() => onCapture({ ...which, title: device.title })}>Help us: capture this device</button>`}
       </div>
       <${Features} live=${live} device=${device} />
       ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} marks=${marksOf(device, stream)} />`)}

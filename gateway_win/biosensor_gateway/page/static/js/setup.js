@@ -6,7 +6,7 @@ import { DeviceTest } from "./device_test.js";
 
 const LOOK_MS = 300;
 
-function Found({ device, act }) {
+function Found({ device, act, onCapture }) {
   const [participant, setParticipant] = useState("");
   const [label, setLabel] = useState("");
   const add = (event) => {
@@ -32,11 +32,12 @@ function Found({ device, act }) {
             </label>
             <button class="main">Add<span class="hidden"> ${name}</span></button>
           </form>
-          <${DeviceTest} sensor=${device.sensor} settings=${device.settings} name=${name} />`}
+          <${DeviceTest} sensor=${device.sensor} settings=${device.settings} name=${name} />
+          <div><button type="button" onClick=${() => onCapture({ sensor: device.sensor, settings: device.settings, title: device.title, name: device.name })}>Help us: capture this device<span class="hidden"> ${name}</span></button></div>`}
     </li>`;
 }
 
-export function Setup({ act, onClose, configured }) {
+export function Setup({ act, onCapture, onClose, configured }) {
   const [search, setSearch] = useState(null);
   const isRunning = search?.running ?? false;
   const places = search?.places ?? [];
@@ -72,7 +73,7 @@ export function Setup({ act, onClose, configured }) {
         <label>Searching by Bluetooth, at serial ports and at the vendors' programs. Put your sensors on, or switch them on.
           <progress max=${search.seconds} value=${search.elapsed_s}></progress>
         </label>`}
-      <ul class="found">${found.map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} />`)}</ul>
+      <ul class="found">${found.map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} onCapture=${onCapture} />`)}</ul>
       ${search?.done && !found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
       ${places.flatMap((each) => each.advice).map((sentence) => html`<p class="small">${sentence}</p>`)}
       ${failed.length > 0 && html`
