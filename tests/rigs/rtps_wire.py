@@ -127,8 +127,6 @@ class Counts:
 
 def main(range_: str) -> None:
     """Start the three programs, hold the subscriber, publish, and listen."""
-    listening = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3))
-    listening.bind(("lo", 0))
     ordinary = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     subscriber = _start("subscriber", f"of_{CONFIGURED}", f"of_{ORDINARY}", **ordinary)
     publishers = [
@@ -141,6 +139,9 @@ def main(range_: str) -> None:
             assert program.stdout is not None
             assert program.stdout.readline() == b"matched\n"
         subscriber.send_signal(signal.SIGSTOP)
+        # Not before: what they say until they have found each other may fill what is not read yet.
+        listening = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3))
+        listening.bind(("lo", 0))
         for program in publishers:
             assert program.stdin is not None
             program.stdin.write(b"\n")
