@@ -205,6 +205,11 @@ class Refusal(Enum):
         "{samples} {were} given up: nobody received the stream, and {most} are the most that wait",
     )
     LEFT_OUT = _passing("left_out", "{samples} {were} left out: {why}")
+    LATE = _passing(
+        "late",
+        "{samples} had waited with others and {are} stamped when they arrived, up to "
+        "{seconds:.1f} s late: the device does not stamp them",
+    )
     GARBLED = _passing("garbled", "{count} bytes of the device made no valid message")
     NO_OUTLET = _standing(
         "no_outlet",

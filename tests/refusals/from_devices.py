@@ -65,6 +65,19 @@ def wrong_shape(patch: pytest.MonkeyPatch) -> Shown:
     return emitted(patch, "ecg", [[1.0, 2.0]], NOW_S)
 
 
+@provokes(Refusal.LATE)
+def late(patch: pytest.MonkeyPatch) -> Shown:
+    patch.setattr(outlets, "LslOutlet", MemoryOutlet)
+    strap = DeviceSink(DeviceIdentity("polar_h10", "U1"), declaration("polar_h10"), SetClock(NOW_S))
+    strap.open(DeviceInfo(), {"ecg": 130.0, "acc": 50.0})
+    for second in range(5):
+        strap.observe(float(second), NOW_S + second)
+    # A heart rate is the first of what had waited, and nothing tells so before the next packet.
+    strap.emit_on_arrival("hr", 60.0, NOW_S + 12.0)
+    strap.observe(8.0, NOW_S + 12.01)
+    return in_status(strap.refused["polar_h10-U1-hr"])
+
+
 @provokes(Refusal.BACKWARDS)
 def backwards(patch: pytest.MonkeyPatch) -> Shown:
     return emitted(patch, "ecg", [1.0], math.nan)

@@ -90,6 +90,18 @@ class Sink(Protocol):
         """
         ...
 
+    def emit_on_arrival(self, data_name: str, value: float, arrival_s: float) -> None:
+        """Push one value of a one-channel stream that the device does not stamp and sends at once.
+
+        Where it came with packets that had waited, it is as old as the one before it; what is
+        stamped late all the same is reported.
+        """
+        ...
+
+    def note_arrival(self, data_name: str, arrival_s: float, count: int = 1) -> None:
+        """Have samples reported that were placed by an arrival, should it turn out late."""
+        ...
+
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
         """Push one value of a one-channel stream; None is "no value", which sends nothing."""
         ...

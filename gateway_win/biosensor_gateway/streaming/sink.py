@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -27,6 +28,10 @@ from biosensor_gateway.system.device_log import DeviceLog, Once
 
 DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
+TOGETHER_S = 0.1
+"""What had waited comes within such a time."""
+WAITED_S = 0.5
+"""Delays of a link that is well are shorter."""
 JUMPS_SAID, JUMPS_SAID_WITHIN_S = 3, 60.0
 """So many are said in so many seconds."""
 
@@ -81,6 +86,8 @@ class DeviceSink:
         self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
         self._log = DeviceLog("biosensor_gateway.sink", identity)
         self._jumps = JumpReports(clock, self._say_jumps)
+        self._arrivals = Arrivals(self._tell_late)
+        self._latest_s: defaultdict[str, float] = defaultdict(float)
         self._is_new = Once()
         self.gate = PauseGate()
         self._gaps = Gaps(clock)
@@ -212,6 +219,7 @@ class DeviceSink:
         jump = self._clock.observe(device_s, arrival_s, kind, self.own_delay())
         if jump is not None:
             self._jumps.note(jump.reason.value, jump.size_s)
+        self._arrivals.observe(arrival_s, arrival_s - self._clock.to_lsl(device_s))
 
     def restart_clock(self) -> None:
         """Map device times again from the next observation on: the device counts again.
@@ -265,6 +273,21 @@ class DeviceSink:
             # nothing is dropped: the outlet reports it
             self._log.error("samples were refused", data=data_name, cause=refusal)
 
+    def emit_on_arrival(self, data_name: str, value: float, arrival_s: float) -> None:
+        """Push one value of a one-channel stream that the device does not stamp and sends at once.
+
+        Where it came with packets that had waited, it is as old as the one before it; what is
+        stamped late all the same is reported.
+        """
+        waited_s = self._arrivals.waited_s(arrival_s)
+        self.emit_at(data_name, [value], [arrival_s - waited_s])
+        if not waited_s:
+            self.note_arrival(data_name, arrival_s)
+
+    def note_arrival(self, data_name: str, arrival_s: float, count: int = 1) -> None:
+        """Have samples reported that were placed by an arrival, should it turn out late."""
+        self._arrivals.note(data_name, arrival_s, count)
+
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
         """Push one value of a one-channel stream; None is "no value", which sends nothing."""
         if value is not None:
@@ -308,6 +331,10 @@ class DeviceSink:
             return samples, times
         self._outlets[data_name].withhold(may_send.count(False))
         return rows[may_send], [time for time, sent in zip(times, may_send, strict=True) if sent]
+
+    def _tell_late(self, data_name: str, count: int, seconds: float) -> None:
+        self._latest_s[data_name] = latest_s = max(seconds, self._latest_s[data_name])
+        self._outlets[data_name].refusals.refuse(Refusal.LATE, count, seconds=latest_s)
 
     def _say_jumps(self, jumps: Jumps) -> None:
         if jumps.cause != DEVICE_RESTARTED or jumps.times > 1:
@@ -390,6 +417,56 @@ class Gaps:
         newest = self._newest.get(data_name, now)
         spans = (newest, now), self._steps.get(data_name, (newest, newest))
         return max(spans, key=lambda span: span[1] - span[0])
+
+
+class Arrivals:
+    """Finds samples that are stamped by their arrival although they had waited.
+
+    On a link that keeps its order, packets that the device stamps tell how late those around them
+    are. Without any, samples of one stream that arrive together are as late as they are many.
+
+    Parameters
+    ----------
+    tell
+        Is given the data name, how many there are, and by up to how many seconds they are late.
+    """
+
+    def __init__(self, tell: Callable[[str, int, float], None]) -> None:
+        self._tell = tell
+        self._late_s, self._observed_s = 0.0, -math.inf
+        self._newest_s: float | None = None
+        self._before_s = 0.0
+        self._noted: dict[str, tuple[float, int]] = {}
+
+    def observe(self, arrival_s: float, late_s: float) -> None:
+        """Take in a packet that the device stamped."""
+        self._follow(arrival_s)
+        self._late_s, self._observed_s = late_s if late_s > WAITED_S else 0.0, arrival_s
+        noted, self._noted = self._noted, {}
+        for data_name, (noted_s, count) in noted.items():
+            if self._late_s and arrival_s - noted_s <= TOGETHER_S:
+                self._tell(data_name, count, late_s)
+
+    def waited_s(self, arrival_s: float) -> float:
+        """Return for how long what arrives now has waited, 0 if it has not or nobody knows."""
+        return self._late_s if arrival_s - self._observed_s <= TOGETHER_S else 0.0
+
+    def note(self, data_name: str, arrival_s: float, count: int) -> None:
+        """Note samples that an arrival has placed."""
+        self._follow(arrival_s)
+        if waited_s := self.waited_s(arrival_s):
+            self._tell(data_name, count, waited_s)
+            return  # nothing is dropped: it was emitted, and is reported
+        noted_s, earlier = self._noted.get(data_name, (-math.inf, 0))
+        self._noted[data_name] = arrival_s, count
+        if arrival_s - noted_s <= TOGETHER_S:
+            # They were measured since something came before.
+            self._tell(data_name, earlier, arrival_s - self._before_s)
+
+    def _follow(self, arrival_s: float) -> None:
+        if self._newest_s is None or arrival_s - self._newest_s > TOGETHER_S:
+            self._before_s = arrival_s if self._newest_s is None else self._newest_s
+        self._newest_s = arrival_s
 
 
 class Jumps(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from biosensor_gateway.recording.participants import listed
-from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings
+from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings, refusals
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.report import Measured
@@ -37,6 +37,7 @@ def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], lis
             places = _places(streams, source_id, header.hostname)
             for at in places:
                 compared[at] = _compared(streams[at], run, counters)
+                findings += _refused(streams[at], run)
         findings += _left_out(streams, readings, header)
     findings += _uncounted(streams)
     return compared, findings
@@ -56,6 +57,11 @@ def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> M
     if end is None:
         return stream
     return replace(stream, counters=compare(run, stream.stream.stamps, end))
+
+
+def _refused(stream: Measured, run: Sequence[Reading]) -> Iterator[Finding]:
+    for sentence in refusals(run):
+        yield Finding(Level.WARNING, "refused", stream.stream.header.name, sentence)
 
 
 def _left_out(

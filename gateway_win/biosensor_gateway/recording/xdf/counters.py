@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, repeat
@@ -16,6 +17,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from biosensor_common.refusals import LATELY_S
 
 # At its stop the recorder loses what came in the last 0.5 s, and some devices send
 # what they measured only after a second or two.
@@ -25,13 +28,17 @@ _SAME_STAMP_S = 1e-6
 
 
 class Reading(NamedTuple):
-    """What the agent had counted of one stream at one moment, by the agent's clock `told_at`."""
+    """What the agent had counted of one stream at one moment, by the agent's clock `told_at`.
+
+    `refused` are sentences about what was not passed on as it came.
+    """
 
     pushed: int
     lost: int
     last_stamp: float
     is_off: bool = False
     told_at: float = math.nan
+    refused: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +99,7 @@ def _entries(text: str) -> dict[str, Reading]:
             int(entry["lost"]),
             float(entry["last_stamp"]),
             entry.get("off") is True,
+            refused=tuple(str(each) for each in entry.get("refused", ())),
         )
         for source_id, entry in content.items()
     }
@@ -128,6 +136,28 @@ def compare(
         restarts=len(runs) - 1,
         is_off=readings[-1].is_off,
     )
+
+
+def refusals(readings: Sequence[Reading]) -> list[str]:
+    """Return the newest sentence of each kind about what was not passed on as it came.
+
+    What the first reading has is of the time before, unless it stays.
+    """
+    first = readings[0]
+    earlier = {each for each in first.refused if not _stays(each, readings)}
+    # The numbers differ each time.
+    newest = {
+        re.sub(r"[0-9.]+", "", each): each
+        for reading in readings
+        for each in reading.refused
+        if each not in earlier
+    }
+    return list(newest.values())
+
+
+def _stays(sentence: str, readings: Sequence[Reading]) -> bool:
+    begin = readings[0].told_at
+    return any(sentence in e.refused and e.told_at - begin > LATELY_S for e in readings)
 
 
 def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:

@@ -41,6 +41,8 @@ def judge_devices(
         yield from _left_out(own, events)
         yield from _removed(own, events, extent)
         yield from _away(own, events, extent, without)
+        yield from _jumped(own, events, extent)
+        yield from _silent(own, events, extent)
 
 
 def _is_beside(stream: Measured, events: Measured) -> bool:
@@ -107,6 +109,61 @@ def _away(
         else:
             text = f"{device}{who} was {said}, and nothing of it was recorded"
             yield Finding(Level.ERROR, "away", "", text)
+
+
+def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+    """Say of each recorded device when its stamps were found wrong, and put right by a jump."""
+    for device, found in _of_recorded(own, events, EventKind.CLOCK_REANCHORED).items():
+        # Of a device that counts again nothing was stamped before it was known.
+        sizes = {_time(each): each.get("seconds") for each in found}
+        known = {at: size for at, size in sizes.items() if isinstance(size, int | float)}
+        if known:
+            times = len(known)
+            said = ", ".join(
+                f"by {size:+.3f} s at {extent.since_begin(at, events):.1f} s"
+                for at, size in list(known.items())[:_MOST_SPELLS]
+            )
+            more = f" and {times - _MOST_SPELLS} times more" if times > _MOST_SPELLS else ""
+            text = (
+                f"the stamps of {device} jumped {said}{more}: those just before were wrong so far"
+            )
+            yield Finding(Level.WARNING, "clock-jumped", "", text)
+
+
+def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+    """Say of each recorded device when data that were due did not come."""
+    for device, found in _of_recorded(own, events, EventKind.STREAMS_SILENT).items():
+        spans = [each for each in found if _number(each, "seconds") > 0]
+        if spans:
+            longest = max(spans, key=lambda each: _number(each, "seconds"))
+            names = longest.get("streams")
+            streams = ", ".join(str(e) for e in cast("list[object]", names)) if names else "data"
+            at = extent.since_begin(_time(longest), events)
+            times = "once" if len(spans) == 1 else f"{len(spans)} times"
+            text = (
+                f"{device} was connected and sent nothing {times}, for {streams} "
+                f"{_number(longest, 'seconds'):.1f} s until {at:.1f} s: what came afterwards had "
+                "waited, or is counted as lost"
+            )
+            yield Finding(Level.WARNING, "silent", "", text)
+
+
+def _of_recorded(
+    own: Sequence[Measured], events: Measured, kind: EventKind
+) -> Mapping[str, list[Mapping[str, Any]]]:
+    """Return the events of a kind by ``sensor/unit`` of the devices that were recorded."""
+    recorded = {_device(each) for each in own}
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for event in _events(events.stream.texts):
+        device = f"{event.get('sensor')}/{event.get('unit')}"
+        if event.get("event") == kind and device in recorded:
+            found.setdefault(device, []).append(event)
+    return found
+
+
+def _number(event: Mapping[str, Any], name: str) -> float:
+    value = event.get(name)
+    return float(value) if isinstance(value, int | float) else 0.0
 
 
 def _device(stream: Measured) -> str:

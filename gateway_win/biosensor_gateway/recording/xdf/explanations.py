@@ -128,6 +128,22 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "It was paused or not connected, and nothing was measured meanwhile.",
         "Leave that time out of the analysis of this sensor.",
     ),
+    "silent": Explanation(
+        "A sensor was connected and sent nothing for a while",
+        "Its data waited in the device or the radio, or were lost; how many, is counted.",
+        "Look at the gaps and counts of its streams; wear it on the side of the receiver.",
+    ),
+    "clock-jumped": Explanation(
+        "Stamps of a sensor jumped",
+        "The device's clock was set, or what came first had waited: the stamps just before were "
+        "wrong by about the jump.",
+        "Compare the seconds before each jump with another sensor, or leave them out.",
+    ),
+    "refused": Explanation(
+        "The agent did not pass on all as it came",
+        "Values were kept back, changed or stamped when they arrived; the sentence says which.",
+        "Leave these samples out of the analysis, and see to what the sentence names.",
+    ),
     "int64": Explanation(
         "An int64 stream",
         "LabRecorder cannot record this format, so there is only its header.",

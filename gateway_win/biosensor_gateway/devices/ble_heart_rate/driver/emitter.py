@@ -78,7 +78,7 @@ class StrapEmitter:
             return
         self._sink.heard("hr")
         if measured.bpm:
-            self._sink.emit_at("hr", [measured.bpm], [arrival_s])
+            self._sink.emit_on_arrival("hr", measured.bpm, arrival_s)
         self._intervals(measured, arrival_s)
         in_contact = self._in_contact(measured, arrival_s)
         if not in_contact and self._trusts_contact:
@@ -105,7 +105,10 @@ class StrapEmitter:
             # Nobody knows how long it was: beats are counted again from the one that ended it.
             self._emit(self._beats.restart())
             intervals_s = measured.intervals_s_since_saturation
-        self._emit(self._beats.place([Beat(each) for each in intervals_s], arrival_s))
+        placed = self._beats.place([Beat(each) for each in intervals_s], arrival_s)
+        self._emit(placed)
+        if placed and self._beats.is_placed_by_arrival:
+            self._sink.note_arrival("ibi", arrival_s, len(placed))
 
     def _emit(self, placed: Sequence[PlacedBeat]) -> None:
         for beat, time_s in placed:

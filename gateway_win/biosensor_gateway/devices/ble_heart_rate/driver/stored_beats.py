@@ -21,6 +21,10 @@ STORED_PACE = 0.5
 SHRINKS_S = 1.0
 """By so much at least the lateness of one group and the next differ while a store empties."""
 HOLD_LIMIT_S = 10.0
+TOGETHER_S = 0.3
+"""No heart beats so fast: packets that follow each other sooner had been stored."""
+TIMELY_S = 3.0
+"""A packet that follows the one before within this time, and not at once, has not waited."""
 
 
 class Beat(NamedTuple):
@@ -47,19 +51,28 @@ class _Packet(NamedTuple):
 
 
 class StoredBeats:
-    """Beats of one strap; see :class:`.beats.BeatClock` for where they are placed."""
+    """Beats of one strap; see :class:`.beats.BeatClock` for where they are placed.
+
+    Attributes
+    ----------
+    is_placed_by_arrival
+        Since the begin none has shown that it had not waited.
+    """
 
     def __init__(self) -> None:
         self._clock = BeatClock()
         self._held: list[_Packet] = []
         self._may_be_stored = False
         self._was_empty = False
+        self._arrival_s: float | None = None
+        self.is_placed_by_arrival = True
 
     def restart(self) -> list[PlacedBeat]:
         """Begin again, as at a new connection; return what was held back."""
         released = self._anchored_again() if self._held else []
         self._clock = BeatClock()
         self._may_be_stored = self._was_empty = False
+        self._arrival_s, self.is_placed_by_arrival = None, True
         return released
 
     def place(self, beats: Sequence[Beat], arrival_s: float) -> list[PlacedBeat]:
@@ -73,6 +86,10 @@ class StoredBeats:
             LSL clock when the packet arrived.
         """
         packet = _Packet(beats, arrival_s)
+        before_s = self._arrival_s
+        if before_s is not None and TOGETHER_S < arrival_s - before_s < TIMELY_S:
+            self.is_placed_by_arrival = False
+        self._arrival_s = arrival_s
         # Before this one is taken in: what held it up is nothing that held up those.
         overdue = bool(self._held) and arrival_s - self._held[0].arrival_s > HOLD_LIMIT_S
         placed = self._anchored_again() if overdue else []

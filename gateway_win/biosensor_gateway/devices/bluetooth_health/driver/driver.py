@@ -86,6 +86,7 @@ class HealthEmitter:
         contact = row.contact(found) if row.contact is not None else None
         if sample is not None and contact is not False:
             self._sink.emit_at(row.stream, [sample], [arrival_s])
+            self._sink.note_arrival(row.stream, arrival_s)
         if contact is not None:
             self._sink.emit_at("quality", [[float(contact)]], [arrival_s])
 

@@ -29,11 +29,10 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     parse_temperature,
     parse_vectors,
 )
+from biosensor_gateway.devices.restarts import RestartCheck
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
-RECKONINGS_AGREE_S = 1.0
-"""How exactly a device that stayed on agrees with the host on the length of a pause."""
 QUALITY_PERIOD_S = 1.0
 
 # A packet is stamped at its first sample, in whole milliseconds. The rate is only about the nominal
@@ -175,8 +174,7 @@ class MovesenseEmitter:
         self._clock = StampClock()
         self._series: dict[str, PacketSeries] = {}
         self._beats = StoredBeats()
-        self._clock_runs = False
-        self._last: tuple[float, float] | None = None
+        self._restarts = RestartCheck(sink)
         self._beat_s: float | None = None
         self._searched_from_s: float | None = None
         self._quality_s = -math.inf
@@ -185,7 +183,7 @@ class MovesenseEmitter:
         """Prepare for a new connection of the same device."""
         self.strap.reconnected()
         self._emit_beats(self._beats.restart())
-        self._clock_runs = False
+        self._restarts.reconnected()
         self._beat_s = self._searched_from_s = None
 
     def started(self, measurement: Measurement) -> None:
@@ -247,11 +245,14 @@ class MovesenseEmitter:
         if measured is None:
             return False
         if measured.bpm:
-            self._sink.emit_at("hr", [measured.bpm], [packet.arrival_s])
+            self._sink.emit_on_arrival("hr", measured.bpm, packet.arrival_s)
         beats = [Beat(interval_ms / 1000) for interval_ms in measured.intervals_ms if interval_ms]
         if beats:
             self._beat_s = packet.arrival_s
-        self._emit_beats(self._beats.place(beats, packet.arrival_s))
+        placed = self._beats.place(beats, packet.arrival_s)
+        self._emit_beats(placed)
+        if placed and self._beats.is_placed_by_arrival:
+            self._sink.note_arrival("ibi", packet.arrival_s, len(placed))
         return True
 
     def _temperature(self, packet: Packet) -> bool:
@@ -267,25 +268,13 @@ class MovesenseEmitter:
     def _device_s(self, stamp_ms: int, arrival_s: float) -> float:
         """Read a stamp; the first one of a connection tells whether the clock went on."""
         stamp_s = self._clock.read(stamp_ms)
-        if not self._clock_runs and self._counts_again(stamp_s, arrival_s):
+        if self._restarts.counts_again(stamp_s, arrival_s):
             self.log.info("the device was switched off and counts again")
             self._series = {path: each.restarted() for path, each in self._series.items()}
             self._clock.forget()
             stamp_s = self._clock.read(stamp_ms)
             self._sink.restart_clock()
-        self._clock_runs, self._last = True, (stamp_s, arrival_s)
         return stamp_s
-
-    def _counts_again(self, stamp_s: float, arrival_s: float) -> bool:
-        """Whether the device's clock did not go on since the last connection."""
-        if self._last is None:
-            return False
-        last_stamp_s, last_arrival_s = self._last
-        pause_s = arrival_s - last_arrival_s
-        return (
-            stamp_s < last_stamp_s
-            or abs(stamp_s - last_stamp_s - pause_s) > RECKONINGS_AGREE_S + pause_s / 1000
-        )
 
     def _quality(self, now_s: float) -> None:
         """Tell about once a second whether a beat was seen lately: the device itself does not.

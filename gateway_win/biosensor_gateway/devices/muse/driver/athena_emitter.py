@@ -25,11 +25,12 @@ from biosensor_gateway.devices.muse.driver.gatt import EEG
 from biosensor_gateway.devices.muse.driver.packets import FULLEST_PERCENT, Floats
 from biosensor_gateway.devices.muse.driver.sample_clock import SampleClock
 from biosensor_gateway.devices.muse.driver.series import PacketSeries
+from biosensor_gateway.devices.restarts import RestartCheck
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
-RECKONINGS_AGREE_S = 0.4
-"""How exactly a device that stayed on agrees with the host on the length of a pause."""
+AGREE_S = 0.4
+"""How exactly the first frame of a connection tells whether the device stayed on."""
 TURNED_BACK_S = 0.2
 """A frame holds blocks of 150 ms, and its newest may be older than that of the frame before."""
 _INNER = slice(4, 8)
@@ -62,7 +63,7 @@ class AthenaEmitter:
         self._wanted: frozenset[str] = frozenset()
         self._kinds = {kind: _Numbered(*how) for kind, how in _SAMPLES.items()}
         self._counter: int | None = None
-        self._is_new = True
+        self._restarts = RestartCheck(sink, AGREE_S)
         self._newest: tuple[float, float] | None = None
         self._percent: float | None = None
         self._charge_unit = 0.0
@@ -80,7 +81,7 @@ class AthenaEmitter:
         """
         self._wanted, self._percent = wanted, percent
         self._charge_unit = 0.0
-        self._is_new = True
+        self._restarts.reconnected()
         self._begin_series()
 
     def take(self, data: bytes, arrival_s: float) -> int:
@@ -117,14 +118,13 @@ class AthenaEmitter:
 
         The first frame of a connection tells best: later ones may have waited for the agent.
         """
-        is_new, self._is_new = self._is_new, False
+        counts_again = self._restarts.counts_again(stamp_s, arrival_s)
         if self._newest is None:
             return  # nothing is dropped: it is the first packet of all
         pause_s = arrival_s - self._newest[1]
         apart_s = stamp_s - self._newest[0] - pause_s
         is_behind = stamp_s < self._newest[0] - TURNED_BACK_S
-        limit_s = (RECKONINGS_AGREE_S if is_new else LONGEST_DELAY_S) + pause_s / 1000
-        if is_behind or abs(apart_s) > limit_s:
+        if counts_again or is_behind or abs(apart_s) > LONGEST_DELAY_S + pause_s / 1000:
             # nothing is dropped: its clock starts again
             self._log.info("the device was switched off and counts again")
             self._sink.restart_clock()

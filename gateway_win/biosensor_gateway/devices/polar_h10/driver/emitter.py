@@ -16,6 +16,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     parse_frame,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
+from biosensor_gateway.devices.restarts import RestartCheck
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
@@ -24,8 +25,6 @@ DATA_NAMES: Mapping[Measurement, str] = {
     Measurement.ACCELERATION: "acc",
 }
 """Streams of the strap by measurement."""
-RECKONINGS_AGREE_S = 1.0
-"""How exactly a device that stayed on agrees with the host on the length of a pause."""
 LATE_S = 5.0
 """A frame whose stamp is older than the newest by more was stamped by a clock that was set."""
 _SEEN_KEPT = 64
@@ -108,7 +107,7 @@ class PolarEmitter:
         self._rates: dict[Measurement, float] = {}
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
-        self._last: tuple[float, float] | None = None
+        self._restarts = RestartCheck(sink)
         self._seen = _SeenFrames()
 
     @property
@@ -120,6 +119,7 @@ class PolarEmitter:
         """Prepare for a new connection of the same device."""
         self.strap.reconnected()
         self._running.clear()
+        self._restarts.reconnected()
         self.clock_runs = False
         self._seen = _SeenFrames()
 
@@ -188,12 +188,12 @@ class PolarEmitter:
             self._sink.left_out(len(samples), reason)
             return
         stamp_s = header.timestamp_ns / _NS
-        if not self.clock_runs and self._counts_again(stamp_s, arrival_s):
+        if self._restarts.counts_again(stamp_s, arrival_s):
             # nothing is dropped: its clock starts again
             self.log.info("the device was switched off and counts again")
             self._timelines.clear()
             self._sink.restart_clock()
-        self.clock_runs, self._last = True, (stamp_s, arrival_s)
+        self.clock_runs = True
         timeline = self._timelines.get(key)
         if timeline is None:
             timeline = self._timelines[key] = FrameTimeline(
@@ -208,11 +208,3 @@ class PolarEmitter:
             self.log.warning("samples were lost", data=name, count=placed.lost, estimated=True)
         self._sink.observe(stamp_s, arrival_s)
         self._sink.emit(name, samples, [time_ns / _NS for time_ns in placed.times_ns])
-
-    def _counts_again(self, stamp_s: float, arrival_s: float) -> bool:
-        """Whether the device's clock did not go on since the last connection."""
-        if self._last is None:
-            return False
-        last_stamp_s, last_arrival_s = self._last
-        pause_s = arrival_s - last_arrival_s
-        return abs(stamp_s - last_stamp_s - pause_s) > RECKONINGS_AGREE_S + pause_s / 1000
