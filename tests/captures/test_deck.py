@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from biosensor_gateway.captures.deck import HOLD_S, Deck
 from biosensor_gateway.captures.file import Event
+from biosensor_gateway.captures.player import HOLD_S, Deck
 from biosensor_gateway.system.clock import LeapingClock
 from biosensor_gateway.transports.tap import CANCELLED, What
 

@@ -11,7 +11,7 @@ import pytest
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.captures.draft import AGREED, CaptureDesk, Phase
 from biosensor_gateway.captures.file import ENDING, read
-from biosensor_gateway.captures.replaying import replay
+from biosensor_gateway.captures.replay import replay
 from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.settings.models import DeviceSettings
 from tests.rigs.kept_logging import kept_logging

@@ -23,7 +23,7 @@ from biosensor_gateway.captures import recorder
 from biosensor_gateway.captures.draft import Draft
 from biosensor_gateway.captures.file import read
 from biosensor_gateway.captures.recorder import take
-from biosensor_gateway.captures.replaying import replay
+from biosensor_gateway.captures.replay import replay
 from biosensor_gateway.devices.emotibit.simulator import SimulatedEmotiBit
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex
 from biosensor_gateway.devices.line_sensor.simulator import (

@@ -8,7 +8,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.captures.file import ENDING, read
-from biosensor_gateway.captures.replaying import replay
+from biosensor_gateway.captures.replay import replay
 from tests.docs.worked_with import captures
 from tests.zephyr import recorded_capture
 

@@ -16,7 +16,7 @@ from biosensor_common.spec import DeviceIdentity, SensorSpec
 from biosensor_gateway.captures.file import Capture, packed, read
 from biosensor_gateway.captures.recorder import Recorder, taken
 from biosensor_gateway.captures.redaction import LEAST_SEARCHED
-from biosensor_gateway.captures.replaying import ReplaySink, Report, replay
+from biosensor_gateway.captures.replay import ReplaySink, Report, replay
 from biosensor_gateway.devices.registry import driver
 from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.simulation.faults import Fault, FaultKind

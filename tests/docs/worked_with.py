@@ -8,7 +8,7 @@ from pathlib import Path
 from structlog.testing import capture_logs
 
 from biosensor_gateway.captures.file import ENDING, Capture, read
-from biosensor_gateway.captures.replaying import Report, replay
+from biosensor_gateway.captures.replay import Report, replay
 from tests.docs.catalogue import facts
 from tests.docs.sensor_table import table
 

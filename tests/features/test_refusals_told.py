@@ -14,8 +14,8 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals
 from biosensor_gateway.agent.agent import snapshot
+from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.feature_refusals import STALE_AFTER_S, FeatureRefusals
-from biosensor_gateway.agent.fleet import Device
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets

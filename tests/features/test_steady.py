@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from biosensor_gateway.features.steady import Steady
+from biosensor_gateway.features.even_stamps import Steady
 from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, measured, overlaps, without
 
 Array = NDArray[np.float64]

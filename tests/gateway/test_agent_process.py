@@ -25,7 +25,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import agent as agent_module
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
-from biosensor_gateway.agent.fleet import Device, Fleet
+from biosensor_gateway.agent.device_set import Device, Fleet
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected

@@ -10,7 +10,7 @@ import pytest
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.editing import (
+from biosensor_gateway.settings.editor import (
     change_device,
     remove_device,
     set_marker_buttons,

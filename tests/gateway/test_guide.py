@@ -14,7 +14,7 @@ import pytest
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.registry import sensor_names, settings_models
-from biosensor_gateway.settings.editing import add_device
+from biosensor_gateway.settings.editor import add_device
 from biosensor_gateway.settings.file import load_settings
 from tests.rigs.terminal import Terminal, at_terminal
 

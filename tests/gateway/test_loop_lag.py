@@ -8,7 +8,7 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from biosensor_gateway.agent.fleet import KEPT_S, MOST_S, TICK_S, TURNS, LoopLag
+from biosensor_gateway.agent.device_set import KEPT_S, MOST_S, TICK_S, TURNS, LoopLag
 
 HELD_S = 0.3
 

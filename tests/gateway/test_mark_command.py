@@ -21,7 +21,7 @@ from biosensor_common import naming
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import control
-from biosensor_gateway.cli import marking
+from biosensor_gateway.cli import mark
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def test_marked_is_when_the_command_was_given(run: Run, monkeypatch: pytest.Monk
 
     begun_s = time.perf_counter() - 7.0
     given_s = pylsl.local_clock() - 7.0
-    monkeypatch.setattr(marking, "BEGUN_S", begun_s)
+    monkeypatch.setattr(mark, "BEGUN_S", begun_s)
     monkeypatch.setattr(control, "ask", ask)
     assert run("mark", "task") == (0, "marker 1 was sent\n", "")
     (sent,) = asked
@@ -218,12 +218,12 @@ def test_a_list_fits_a_terminal(
     def eighty(_output: object) -> int:
         return 80
 
-    monkeypatch.setattr(marking, "columns", eighty)
+    monkeypatch.setattr(mark, "columns", eighty)
     text = "word " * 40
     marker = {"id": 12345, "marker": text, "note": text, "lsl_time": 0.0, "undone": True}
     marker |= {"kind": "web", "source": "https://a-study.example.org:8443"}
     names = [f"a button with a long name, no. {number:2}" for number in range(20)]
-    marking._print_list({"markers": [marker], "buttons": names})  # pyright: ignore[reportPrivateUsage]
+    mark._print_list({"markers": [marker], "buttons": names})  # pyright: ignore[reportPrivateUsage]
     shown = capsys.readouterr().out
     assert all(len(line) <= 80 for line in shown.splitlines())
     assert shown.count("word") == 80

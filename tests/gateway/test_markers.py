@@ -15,7 +15,7 @@ from structlog.testing import capture_logs
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.marking import (
+from biosensor_gateway.agent.markers import (
     LISTED,
     MAX_AGE_S,
     MAX_LEAD_S,

@@ -16,7 +16,7 @@ from biosensor_common.naming import source_id
 from biosensor_common.quantities import NOT_PHYSICAL, Unit
 from biosensor_common.refusals import LATELY_S
 from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
-from biosensor_gateway.agent.fleet import Device
+from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.driver import HealthEmitter

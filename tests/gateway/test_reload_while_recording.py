@@ -12,7 +12,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.fleet import Device, Fleet, FleetChanges
+from biosensor_gateway.agent.device_set import Device, Fleet, FleetChanges
 from biosensor_gateway.cli import agent as commands
 from biosensor_gateway.cli import config
 from biosensor_gateway.cli.config import edit

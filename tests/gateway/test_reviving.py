@@ -14,7 +14,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.fleet import Device
+from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import DeviceStatus
 from biosensor_gateway.agent.supervisor import Supervisor

@@ -13,7 +13,7 @@ import pytest
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.fleet import Device, Fleet
+from biosensor_gateway.agent.device_set import Device, Fleet
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import DeviceSettings

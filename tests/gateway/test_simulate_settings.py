@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from biosensor_gateway.cli import streaming
+from biosensor_gateway.cli import agent_process
 from biosensor_gateway.demo import demonstration
 from biosensor_gateway.settings.models import GatewaySettings
 
@@ -49,7 +49,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[GatewaySettings]:
     def note(loaded: GatewaySettings, *_: Any, **__: Any) -> None:
         settings.append(loaded)
 
-    monkeypatch.setattr(streaming, "_run_agent", note)
+    monkeypatch.setattr(agent_process, "_run_agent", note)
     return settings
 
 

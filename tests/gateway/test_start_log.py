@@ -22,10 +22,10 @@ Run = Callable[..., "Outcome"]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
 _BREAK = """
-from biosensor_gateway.cli import streaming
+from biosensor_gateway.cli import agent_process
 def broken(*arguments):
     raise RuntimeError("a mistake in the agent")
-streaming.Agent = broken
+agent_process.Agent = broken
 """
 
 

@@ -16,7 +16,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import UNWRITTEN_REPORTS, StatusWriter, snapshot
-from biosensor_gateway.agent.fleet import Device
+from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from biosensor_common.naming import source_id, topic
-from biosensor_gateway.agent.fleet import Device
+from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.readiness import steady_streams
 from biosensor_gateway.agent.status import AgentStatus
 from biosensor_gateway.page.agent import Viewer

@@ -14,7 +14,7 @@ from playwright.sync_api import Route, expect
 
 from biosensor_gateway.captures.draft import AGREED, CONSENT
 from biosensor_gateway.captures.file import ENDING, read
-from biosensor_gateway.captures.replaying import replay
+from biosensor_gateway.captures.replay import replay
 from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.devices.empatica_e4.simulator.e4 import SimulatedE4
 from biosensor_gateway.page.routes import capture as route

@@ -13,7 +13,7 @@ import pytest
 
 import biosensor_gateway.page
 from biosensor_gateway.page.routes import files as page_files
-from biosensor_gateway.page.sharing import view_of
+from biosensor_gateway.page.share import view_of
 from biosensor_gateway.recording.export import exporting
 from tests.page.test_whose import Page
 from tests.replay import files

@@ -9,7 +9,7 @@ from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import foreign_header
-from biosensor_gateway.page.network.listing import Listing
+from biosensor_gateway.page.network.stream_list import Listing
 from biosensor_gateway.page.network.view import Viewer
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.ros.test_namesakes import Info

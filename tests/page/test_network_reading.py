@@ -17,9 +17,9 @@ import pytest
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.downsampling import MAX_ROWS_HZ, key_of, window
 from biosensor_gateway.page.models import SeenDeviceView, SeenState
-from biosensor_gateway.page.network.listing import MAX_INLETS
 from biosensor_gateway.page.network.source import Reader
 from biosensor_gateway.page.network.stream import Placer
+from biosensor_gateway.page.network.stream_list import MAX_INLETS
 from biosensor_gateway.page.network.view import entry_of, readable
 
 DEADLINE_S = 60.0

@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from biosensor_gateway.page.sharing import CERTIFICATE_FILE, own_certificate
+from biosensor_gateway.page.share import CERTIFICATE_FILE, own_certificate
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Answer, Programs, Server
 

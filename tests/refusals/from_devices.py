@@ -23,9 +23,9 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.live import Live
-from biosensor_gateway.page.network import listing as listing_module
-from biosensor_gateway.page.network.listing import Listing
+from biosensor_gateway.page.network import stream_list as listing_module
 from biosensor_gateway.page.network.stream import Placer
+from biosensor_gateway.page.network.stream_list import Listing
 from biosensor_gateway.page.network.view import Viewer, _clock_note
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream

@@ -25,7 +25,7 @@ _PATTERNS = (
         "sink", "outlets", "device_outlets", "own_outlets", "pause_gate", "markers",
         "events/announcer", "plausibility", "silence",
     )),
-    f"{_AGENT}/agent/marking.py",
+    f"{_AGENT}/agent/markers.py",
     *(f"{_AGENT}/features/{each}.py" for each in (
         "beside", "breathing", "chains", "filters", "heart", "links", "live", "motion", "offline",
         "outputs", "quality", "r_peaks", "runs", "skin", "sources",

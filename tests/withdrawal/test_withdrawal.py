@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from typer import Typer
 from typer.testing import CliRunner
 
-from biosensor_gateway.cli.withdrawing import withdraw
+from biosensor_gateway.cli.withdraw import withdraw
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.bids.study import Study

@@ -23,11 +23,11 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals, status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
+from biosensor_gateway.agent.device_set import Device, Fleet, FleetChanges
 from biosensor_gateway.agent.feed import Feed
-from biosensor_gateway.agent.fleet import Device, Fleet, FleetChanges
-from biosensor_gateway.agent.marking import MarkerCommands
+from biosensor_gateway.agent.markers import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
-from biosensor_gateway.agent.reloading import ReadSettings, Reloading
+from biosensor_gateway.agent.reload import ReadSettings, Reloading
 from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
 from biosensor_gateway.agent.status_file import STATUS_FILE
 from biosensor_gateway.settings.models import GatewaySettings

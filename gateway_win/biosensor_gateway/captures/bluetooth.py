@@ -25,8 +25,8 @@ from bleak.backends.service import BleakGATTService, BleakGATTServiceCollection
 from bleak.exc import BleakError, BleakGATTProtocolError
 
 from biosensor_common.errors import TransportError
-from biosensor_gateway.captures.deck import Deck, Player
 from biosensor_gateway.captures.file import Advertised, Event, Row
+from biosensor_gateway.captures.player import Deck, Player
 from biosensor_gateway.simulation.bleak_pickers import Backends
 from biosensor_gateway.transports.deadlines import in_background
 from biosensor_gateway.transports.tap import What

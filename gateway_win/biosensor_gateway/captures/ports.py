@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from biosensor_gateway.captures.deck import Deck, Player
 from biosensor_gateway.captures.file import Event
+from biosensor_gateway.captures.player import Deck, Player
 from biosensor_gateway.system.clock import Clock
 from biosensor_gateway.transports.ports import ASKING, CONTROL, DATA
 from biosensor_gateway.transports.receiving import Address

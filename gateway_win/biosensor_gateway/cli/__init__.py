@@ -57,7 +57,7 @@ def _run() -> None:
 
         sys.exit(play_for_another())
     if sys.argv[1:2] == [SEND_FEATURES]:
-        from biosensor_gateway.features.beside import send_for_another  # only then
+        from biosensor_gateway.features.feature_process import send_for_another  # only then
 
         sys.exit(send_for_another())
     if sys.argv[1:2] == ["run"]:

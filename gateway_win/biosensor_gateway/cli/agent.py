@@ -1,6 +1,6 @@
 """Commands that steer the agent: ``run``, ``stop``, ``pause``, ``resume`` and ``reload``.
 
-Of ``run`` only what its help needs; :mod:`.streaming` does the rest.
+Of ``run`` only what its help needs; :mod:`.agent_process` does the rest.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.stopping import USUAL_LIMIT_S, stop_agent
+from biosensor_gateway.agent.stop import USUAL_LIMIT_S, stop_agent
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.output import can_ask, menu
@@ -53,7 +53,7 @@ def run(
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
     if is_standby():
-        from biosensor_gateway.cli.streaming import stand_by  # takes a second
+        from biosensor_gateway.cli.agent_process import stand_by  # takes a second
 
         stand_by(simulate)
     if ask and restart_facts(os.environ):
@@ -67,7 +67,7 @@ def run(
         ask = False
     if page and not restart_facts(os.environ):
         open_page_beside(settings)
-    from biosensor_gateway.cli.streaming import stream  # takes a second
+    from biosensor_gateway.cli.agent_process import stream  # takes a second
 
     stream(settings, simulate, fault or (), ask=ask, features=features, verbose=verbose)
 

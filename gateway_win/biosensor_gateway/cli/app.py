@@ -40,7 +40,7 @@ COMMANDS = (
     _command("resume", "agent:resume"),
     _command("reload", "agent:reload"),
     _command("page", "page:page"),
-    _command("mark", "marking:mark"),
+    _command("mark", "mark:mark"),
     _command("try", "try_out:try_out"),
     _on_linux("demo", "try_out:demo"),
     _command("status", "status:status"),
@@ -59,7 +59,7 @@ COMMANDS = (
     _command("features", "features:features"),
     _command("xdf", "xdf:app"),
     _command("bag", "bag:app"),
-    _command("withdraw", "withdrawing:withdraw"),
+    _command("withdraw", "withdraw:withdraw"),
     _hidden("installation", "installation:app"),
 )
 

@@ -13,9 +13,9 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.lazy_group import QuickGroup
-from biosensor_gateway.cli.loading import chosen_devices
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.output import ask, can_ask, console, say, table_of_names
+from biosensor_gateway.cli.settings import chosen_devices
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from biosensor_gateway.captures.draft import Draft
     from biosensor_gateway.captures.file import Capture
-    from biosensor_gateway.captures.replaying import Report
+    from biosensor_gateway.captures.replay import Report
 
 
 class _Captures(QuickGroup):
@@ -108,11 +108,11 @@ def replay(
     stamps are before the arrivals.
     """
     from biosensor_gateway.captures.file import read  # only then, as above
-    from biosensor_gateway.captures.replaying import replay as replayed
+    from biosensor_gateway.captures.replay import replay as replayed
 
     configure_logs(LogSettings(level="error"), None)
     if live:
-        from biosensor_gateway.captures.replaying import live_outlets
+        from biosensor_gateway.captures.replay import live_outlets
 
         live_outlets()
     reports: dict[str, Report] = {}

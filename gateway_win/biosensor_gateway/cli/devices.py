@@ -12,9 +12,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from biosensor_common.quantities import Unit
-from biosensor_gateway.cli.loading import chosen_devices
 from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.output import console, say
+from biosensor_gateway.cli.settings import chosen_devices
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs

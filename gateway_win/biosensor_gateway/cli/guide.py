@@ -16,7 +16,7 @@ from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.doctor.device_test import run_device_test
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.editing import add_device
+from biosensor_gateway.settings.editor import add_device
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 
 SEARCH_S, TEST_S = 6.0, 5.0

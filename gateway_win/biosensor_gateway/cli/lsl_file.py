@@ -33,8 +33,8 @@ from biosensor_common.lsl.api_file import (
     Ports,
 )
 from biosensor_common.lsl_config import config_places, home_config_file, user_config_file
-from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import SettingsOption
+from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.settings.models import LslSettings
 
 __all__ = ["LOOPBACK", "LslFile", "Ports", "changes"]

@@ -185,7 +185,7 @@ class LaterLog:
 
     def open(self) -> None:
         """Log to the file and to the console from now on."""
-        from biosensor_gateway.cli.streaming import StartLog  # takes half a second
+        from biosensor_gateway.cli.agent_process import StartLog  # takes half a second
         from biosensor_gateway.settings.models import LogSettings
 
         self._is_open = True

@@ -14,9 +14,9 @@ import typer
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.output import can_ask, menu
+from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.recording.recorder.labrecorder import (
     DEFAULT_PORT,
     LOCAL_HOST,

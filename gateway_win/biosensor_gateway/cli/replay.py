@@ -17,7 +17,6 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import (
     FromOption,
     ParticipantOption,
@@ -29,6 +28,7 @@ from biosensor_gateway.cli.options import (
     wrong_recording,
 )
 from biosensor_gateway.cli.output import say
+from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
 from biosensor_gateway.settings.models import LslSettings
 

@@ -15,7 +15,7 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.registry import declaration, driver, sensor, sensor_names
-from biosensor_gateway.settings.editing import table_lines
+from biosensor_gateway.settings.editor import table_lines
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort

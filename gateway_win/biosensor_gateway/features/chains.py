@@ -18,7 +18,7 @@ from biosensor_gateway.features.r_peaks import RPeaks
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
 from biosensor_gateway.features.skin import Skin
 from biosensor_gateway.features.state import BR_STATE, HR_STATE, State
-from biosensor_gateway.pulses.finding import Beat, Pulses
+from biosensor_gateway.pulses.elgendi import Beat, Pulses
 
 
 class PulsesOfAnyRate:

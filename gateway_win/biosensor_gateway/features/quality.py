@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.likeness import (
+from biosensor_gateway.features.beat_similarity import (
     apart,
     averaged,
     ecg_likeness,

@@ -16,8 +16,8 @@ import numpy as np
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.filters import Fir, band_pass
 from biosensor_gateway.features.runs import Array, Hops
+from biosensor_gateway.pulses.elgendi import Beat
 from biosensor_gateway.pulses.filters import between_samples
-from biosensor_gateway.pulses.finding import Beat
 
 
 class _Peak(NamedTuple):

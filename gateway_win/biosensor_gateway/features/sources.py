@@ -14,9 +14,9 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
+from biosensor_gateway.features.even_stamps import Steady
 from biosensor_gateway.features.outputs import READ_TYPES, Feature, features_of
 from biosensor_gateway.features.runs import Array, Event
-from biosensor_gateway.features.steady import Steady
 from biosensor_gateway.features.witnesses import Beside, Motion, Warmth, Witness, Witnesses
 
 _SCALES: dict[str, dict[str, float]] = {

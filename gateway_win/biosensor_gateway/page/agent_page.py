@@ -149,7 +149,7 @@ class AgentPage:
             yield
             return
         # Its certificate takes a fifth of the time of a start.
-        from biosensor_gateway.page.sharing import shared
+        from biosensor_gateway.page.share import shared
 
         async with shared(session, self._server.pages, self._share_port) as self.share:
             yield

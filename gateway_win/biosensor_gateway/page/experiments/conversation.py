@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pylsl import local_clock
 
 from biosensor_common.errors import GatewayError, TransportError
-from biosensor_gateway.agent.marking import MAX_LEAD_S, MAX_WEB_AGE_S
+from biosensor_gateway.agent.markers import MAX_LEAD_S, MAX_WEB_AGE_S
 from biosensor_gateway.page.auth import REFUSED_SOCKET, is_same
 from biosensor_gateway.page.experiments.markers import (
     MESSAGE,

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapte
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.marking import MAX_TEXT, MAX_WEB_AGE_S
+from biosensor_gateway.agent.markers import MAX_TEXT, MAX_WEB_AGE_S
 from biosensor_gateway.streaming.markers import MarkerKind, TimedBy, Timing
 
 _Text = Annotated[str, StringConstraints(max_length=MAX_TEXT)]

@@ -26,8 +26,8 @@ from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.downsampling import chosen, key_of, measured_rate, window
 from biosensor_gateway.page.live import Traces
 from biosensor_gateway.page.models import NetworkView
-from biosensor_gateway.page.network.listing import Inlets, Listing
 from biosensor_gateway.page.network.stream import NetworkStream, Receiver
+from biosensor_gateway.page.network.stream_list import Inlets, Listing
 from biosensor_gateway.page.network.view import Viewer
 from biosensor_gateway.settings.models import LslSettings
 

@@ -26,14 +26,14 @@ from biosensor_gateway.page.models import (
     TextView,
     WindowView,
 )
-from biosensor_gateway.page.network.listing import (
+from biosensor_gateway.page.network.stream import NetworkStream
+from biosensor_gateway.page.network.stream_list import (
     MAX_INLETS,
     Counted,
     Listing,
     counted_by_source,
     is_counters,
 )
-from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.streaming.gateway import GATEWAY
 
 _SLOW_PERIODS = 3

@@ -20,7 +20,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.agent.stopping import stop_agent
+from biosensor_gateway.agent.stop import stop_agent
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.page.models import AgentState, Outcome, StatusView
 from biosensor_gateway.page.routes.devices import (

@@ -24,7 +24,7 @@ from biosensor_gateway.page.models import (
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.recorder.state import file_going_on
-from biosensor_gateway.settings import editing
+from biosensor_gateway.settings import editor
 from biosensor_gateway.settings.models import ShortText, UnitText
 from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE
@@ -122,7 +122,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
         worn = {"participant": device.participant, "label": device.label}
         fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
         models = settings_models()
-        editing.add_device(session.settings, models, device.sensor, fields)
+        editor.add_device(session.settings, models, device.sensor, fields)
         whose = f"{device.participant}'s " if device.participant else "The "
         name = f"{whose}{sensor_title(device.sensor)}"
         return await _applied(session, f"{name} is added: its card shows when it streams")
@@ -139,7 +139,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
         # Empty is the same as not there, and shorter.
         wanted = {key: None if value == "" else value for key, value in fields.items()}
         models = settings_models()
-        editing.change_device(session.settings, models, device.sensor, device.unit, wanted)
+        editor.change_device(session.settings, models, device.sensor, device.unit, wanted)
         return await _applied(session, "The device is changed in the settings")
 
     @router.delete("/devices")
@@ -147,7 +147,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
         """Take a device out of the settings; its streams end, the others go on."""
         _ask_while_recording(session, device, "From then on nothing of the sensor is in the file.")
         models = settings_models()
-        editing.remove_device(session.settings, models, device.sensor, device.unit)
+        editor.remove_device(session.settings, models, device.sensor, device.unit)
         return await _applied(session, "The device is no longer in the settings")
 
     @router.get("/devices/log")
@@ -192,7 +192,7 @@ async def worn_by(session: Session, participant: str) -> list[str]:
         message = "virtual sensors stand in no settings; name who wears them with --simulate"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     before = session.streaming()
-    editing.set_participant(session.settings, settings_models(), participant)
+    editor.set_participant(session.settings, settings_models(), participant)
     if not is_held(session.folder):
         return []
     await asked(session, "reload", {})

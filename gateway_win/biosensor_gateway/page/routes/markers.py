@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.marking import LISTED
+from biosensor_gateway.agent.markers import LISTED
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.models import (
     MarkersView,
@@ -21,7 +21,7 @@ from biosensor_gateway.page.models import (
     Outcome,
 )
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.settings import editing
+from biosensor_gateway.settings import editor
 
 
 class NewMarker(BaseModel):
@@ -132,7 +132,7 @@ class Marking:
         GatewayError
             The settings or the agent refuse them.
         """
-        editing.set_marker_buttons(self._session.settings, settings_models(), wanted.buttons)
+        editor.set_marker_buttons(self._session.settings, settings_models(), wanted.buttons)
         if self._session.has_agent:
             await self._ask("reload", {})
             await self._look()

@@ -25,7 +25,7 @@ from biosensor_gateway.devices.shimmer.driver.commands import AUTO_RANGE, TICKS_
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
 from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.pulses.finding import Pulses
+from biosensor_gateway.pulses.elgendi import Pulses
 from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0

@@ -131,7 +131,7 @@ def _show_web(*, renew: bool) -> None:
     ConfigError
         The settings are wrong, or the token can neither be read nor written.
     """
-    from biosensor_gateway.cli.loading import settings_or_defaults
+    from biosensor_gateway.cli.settings import settings_or_defaults
     from biosensor_gateway.page.experiments.token import experiment_token, new_experiment_token
 
     folder = state_folder()

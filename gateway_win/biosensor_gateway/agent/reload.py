@@ -10,7 +10,7 @@ from typing import Any
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.fleet import FleetChanges
+from biosensor_gateway.agent.device_set import FleetChanges
 from biosensor_gateway.settings.models import GatewaySettings
 
 ANSWERED_WITHIN_S = 3.0

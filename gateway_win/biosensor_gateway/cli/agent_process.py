@@ -21,13 +21,13 @@ from biosensor_common.child import Backoff, close_input, ending_in_words, send, 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
-from biosensor_gateway.agent.marking import MARKERS
-from biosensor_gateway.agent.reloading import ReadSettings
+from biosensor_gateway.agent.markers import MARKERS
+from biosensor_gateway.agent.reload import ReadSettings
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
-from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.output import can_ask
+from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LogSettings, LslSettings

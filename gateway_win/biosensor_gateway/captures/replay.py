@@ -23,8 +23,8 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.captures.bluetooth import backends
-from biosensor_gateway.captures.deck import Player, ReplayedLink
 from biosensor_gateway.captures.file import Capture
+from biosensor_gateway.captures.player import Player, ReplayedLink
 from biosensor_gateway.captures.ports import ReplayedPorts
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
