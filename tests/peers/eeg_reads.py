@@ -1,6 +1,6 @@
-"""Read the EEG of a BIDS dataset with mne-bids, as its users do, and print what it read.
+"""Read EEG or EMG of a BIDS dataset with mne-bids, as its users do, and print what it read.
 
-    python eeg_reads.py DATASET
+    python eeg_reads.py DATASET DATATYPE
 
 The output is a JSON list with an object for each run: its name, rate, names and types of the
 channels, the bits of all values in single precision (microvolts) and the annotations.
@@ -36,5 +36,6 @@ def read(path: Any) -> dict[str, Any]:
     }
 
 
-paths = mne_bids.find_matching_paths(sys.argv[1], datatypes="eeg", extensions=".vhdr")
+extension = {"eeg": ".vhdr", "emg": ".bdf"}[sys.argv[2]]
+paths = mne_bids.find_matching_paths(sys.argv[1], datatypes=sys.argv[2], extensions=extension)
 print(json.dumps([read(path) for path in paths]))

@@ -12,12 +12,14 @@ import pytest
 
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.bids.study import Study
+from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
 from tests.recording_export.bids_shapes import (
     BEGIN_S,
     EEG_VALUES,
+    EMG_VALUES,
     SHAPES,
     eeg,
     h10,
@@ -113,7 +115,7 @@ def test_mne_reads_the_samples_of_eeg_and_what_happened(tmp_path: Path) -> None:
     path.write_bytes(eeg())
     (written,) = export(path, Task(["bids"], Wish()), lambda _name, _s: lambda _done: None).written
     assert [each for each in _validated(written.path) if each["severity"] == "error"] == []
-    found = json.loads(_run("python", str(PEERS / "eeg_reads.py"), str(written.path)))
+    found = json.loads(_run("python", str(PEERS / "eeg_reads.py"), str(written.path), "eeg"))
     assert [each["rate"] for each in found] == [pytest.approx(250.0)] * 2
     first, second = (np.array(each["bits"], np.uint32).view(np.float32) for each in found)
     truth = EEG_VALUES.ravel()
@@ -127,3 +129,30 @@ def test_mne_reads_the_samples_of_eeg_and_what_happened(tmp_path: Path) -> None:
     assert found[0]["types"] == ["eeg", "eeg"]
     told = [(round(on, 3), round(length, 3), text) for on, length, text in found[0]["annotations"]]
     assert told == [(1.0, 0.0, "a"), (8.0, 2.0, "BAD_gap"), (9.0, 0.0, "b, c")]
+
+
+def test_mne_reads_the_samples_of_emg_and_where_a_gap_is(tmp_path: Path) -> None:
+    dataset = _exported(tmp_path, "muscles and eyes")
+    found = json.loads(_run("python", str(PEERS / "eeg_reads.py"), str(dataset), "emg"))
+    (leg,) = (each for each in found if len(each["channels"]) == 2)
+    assert (leg["rate"], leg["channels"], leg["types"]) == (
+        pytest.approx(512.0),
+        ["EMG1", "EMG2"],
+        ["emg", "emg"],
+    )
+    millivolts = np.array(leg["bits"], np.uint32).view(np.float32).reshape(-1, 2) * 1e-3
+    step = 2 * np.abs(EMG_VALUES).max() / (1 << 24)
+    assert np.abs(millivolts[:3000] - EMG_VALUES[:3000]).max() <= 2 * step
+    assert np.abs(millivolts[4024:7024] - EMG_VALUES[3000:]).max() <= 2 * step
+    told = {text: (onset, length) for onset, length, text in leg["annotations"]}
+    assert told["BAD_gap"] == (pytest.approx(3000 / 512), pytest.approx(2.0))
+    assert told["go"][0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("shape", ["one person", "muscles and eyes"])
+def test_the_validator_finds_no_error_with_even_times(shape: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(SHAPES[shape])
+    task = Task(["bids"], Wish(), times=Times.EVEN)
+    (written,) = export(path, task, lambda _name, _s: lambda _done: None).written
+    assert [each for each in _validated(written.path) if each["severity"] == "error"] == []

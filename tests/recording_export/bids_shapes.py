@@ -184,6 +184,50 @@ def eeg(fmt: str = "float32") -> bytes:
     return made.xdf(amplifier, stream(2, "marks", told, moments, fmt="string", kind="markers"))
 
 
+EMG_VALUES = np.random.default_rng(8).normal(0, 0.2, (6000, 2)).astype(np.float32)
+"""Of `muscles_and_eyes`, in millivolts, at 512 Hz, with a gap of 2 s behind 3000."""
+GAZE_VALUES = np.random.default_rng(9).random((600, 7)).astype(np.float32)
+
+
+def _described(*channels: tuple[str, str, str, str]) -> ET.Element:
+    """Labels, units, types and eyes of channels."""
+    desc = ET.Element("desc")
+    listed = ET.SubElement(desc, "channels")
+    for told in channels:
+        channel = ET.SubElement(listed, "channel")
+        for name, text in zip(("label", "unit", "type", "eye"), told, strict=True):
+            ET.SubElement(channel, name).text = text
+    return desc
+
+
+def muscles_and_eyes() -> bytes:
+    """EMG of our own and of a bursty stranger, gaze of two eyes and of none that is named."""
+    leg = DeviceIdentity("shimmer", "A9", "p01")
+    stamps = times(6000, 512.0)
+    stamps[3000:] += 2.0
+    burst = np.repeat(times(40, 10.0), 50)
+    eyes = _described(
+        ("left_gaze_x", "px", "ScreenX", "left"),
+        ("left_gaze_y", "px", "ScreenY", "left"),
+        ("left_pupil", "mm", "Diameter", "left"),
+        ("right_gaze_x", "px", "ScreenX", "right"),
+        ("right_gaze_y", "px", "ScreenY", "right"),
+        ("right_pupil", "mm", "Diameter", "right"),
+        ("confidence", "", "Confidence", ""),
+    )
+    both = _described(("norm_pos_x", "", "", ""), ("norm_pos_y", "", "", ""))
+    told = [["go"], ["stop"]]
+    return made.xdf(
+        ours(1, leg, "emg", EMG_VALUES, stamps, [("EMG1", "millivolts"), ("EMG2", "millivolts")],
+             rate=512.0, kind="EMG"),
+        stream(2, "armband", numbers(2000, 8), burst, rate=500.0, kind="emg"),
+        stream(3, "tracker", GAZE_VALUES, times(600, 60.0), rate=60.0, kind="Gaze", desc=eyes),
+        stream(4, "glasses", numbers(600, 2), times(600, 60.0), rate=60.0, kind="Eye-Tracking",
+               desc=both),
+        stream(5, "marks", told, [BEGIN_S + 1.0, BEGIN_S + 9.0], fmt="string", kind="Markers"),
+    )  # fmt: skip
+
+
 def _far_apart() -> bytes:
     """A pause of two hours, a clock that was set back, a rate that nothing keeps to."""
     paused = np.concatenate([times(200, 50.0), times(200, 50.0, BEGIN_S + 7300.0)])
@@ -221,4 +265,5 @@ SHAPES: dict[str, bytes] = {
     "unicode": made.xdf(h10(1, "Jörg"), h10(4, "Jorg", "A2"), h10(7, "李"), h10(10, "王", "ß")),
     "foreign": made.xdf(_foreign()),
     "far apart": made.xdf(_far_apart()),
+    "muscles and eyes": muscles_and_eyes(),
 }

@@ -32,6 +32,7 @@ from biosensor_gateway.recording.export.runs import (
     MOST_RUNS,
     Runs,
     Stretch,
+    longest_gap_s,
     stretches,
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -117,7 +118,7 @@ def _write_ecg(
         return
     if not runs:
         return
-    every = stretches(runs, stream.header.rate, order.times)
+    every = stretches(runs, stream.header.rate, longest_gap_s(order.times))
     files = [folder / f"{each}.txt" for each in names.of(stream, len(every))]
     file_of = [path for path, each in zip(files, every, strict=True) for _ in each.runs]
     empty = [rows for each in every for rows in each.empty]

@@ -69,6 +69,11 @@ class Run:
         return steps / length_s
 
 
+def longest_gap_s(times: Times) -> float:
+    """Return the longest gap behind which a file goes on."""
+    return LONGEST_JOINED_S if times is Times.EVEN else 0.0
+
+
 def has_even_times(stream: Stream, times: Times) -> bool:
     """Whether the samples of a stream get even times."""
     return times is Times.EVEN and stream.header.is_regular and not is_markers(stream)
@@ -337,12 +342,18 @@ class Stretch:
         return max(abs(self.begin_s + row / self.rate_hz - time_s) for row, time_s in told)
 
 
-def stretches(runs: Sequence[Run], nominal_hz: float, times: Times) -> list[Stretch]:
-    """Return what each file holds: of recorded times a run, of even ones all up to a long gap."""
+def stretches(runs: Sequence[Run], nominal_hz: float, longest_gap_s: float) -> list[Stretch]:
+    """Return what each file holds.
+
+    Parameters
+    ----------
+    longest_gap_s
+        Behind a longer one another file begins; 0 if each run has a file.
+    """
     joined: list[list[Run]] = []
     for run in runs:
         gap_s = run.begin_s - joined[-1][-1].end_s if joined else 0.0
-        if times is Times.EVEN and joined and 0 < gap_s <= LONGEST_JOINED_S:
+        if joined and 0 < gap_s <= longest_gap_s:
             joined[-1].append(run)
         else:
             joined.append([run])

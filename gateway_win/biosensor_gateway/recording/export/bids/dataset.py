@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.metadata import version
@@ -10,13 +11,13 @@ from pathlib import Path
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.bids.eeg import is_eeg
 from biosensor_gateway.recording.export.bids.events import (
     COLUMN_DESCRIPTIONS,
     Events,
-    write_eeg_events,
+    write_run_events,
 )
 from biosensor_gateway.recording.export.bids.file_names import Entities, labels
+from biosensor_gateway.recording.export.bids.kinds import kind_of
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, Remarks, SignalWriter
 from biosensor_gateway.recording.export.bids.subjects import (
     SHARED,
@@ -57,6 +58,9 @@ this text, and name authors and licence in dataset_description.json, before you 
   most, and SamplesInAnotherRow how many did not find their own row free.
 - motion/*_motion: the same of accelerometers and the like. There SamplingFrequency is the nominal
   rate and SamplingFrequencyEffective the real one, as BIDS wants it.
+- beh/*_recording-eye1_physio: gaze of an eye tracker, a table for each eye.
+- emg/*_emg: EMG as BDF+ files, in 24 bits. Where a value was lost the least one stands, and an
+  event BAD_gap or BAD_value says so.
 - eeg/*_eeg: EEG as BrainVision files, unscaled. Rows that were lost are NaN and have an event
   BAD_gap; behind a gap of more than 10 s another run begins. Onsets of their events count from the
   first sample of the run.
@@ -110,9 +114,7 @@ class _Dataset:
         self._subjects = find_subjects(chosen, streams, told.get("sub", ""))
 
     def write(self) -> list[str]:
-        writer = SignalWriter(
-            self._chosen, self._timeline, self._root, self._count, self._order.times
-        )
+        writer = SignalWriter(self._chosen, self._order, self._timeline, self._root, self._count)
         places = self._places()
         written = {
             self._subjects.of(each)
@@ -137,18 +139,20 @@ class _Dataset:
             own = [each for each in self._signals if self._subjects.of(each) == subject]
             named = labels({each.number: _names(each) for each in own})
             entities = replace(self._entities, subject=subject)
-            several = sum(is_eeg(each) for each in own) > 1
-            found |= {number: Place(entities, name, several) for number, name in named.items()}
+            kinds = Counter(kind_of(each) for each in own)
+            for each in own:
+                is_one_of_several = kinds[kind_of(each)] > 1
+                place = Place(entities, named[each.number], is_one_of_several)
+                found[each.number] = place
         return found
 
     def _write_events(self, writer: SignalWriter) -> set[str]:
         """Write the events of everybody; return the labels of those who have some."""
-        eeg = writer.eeg
         participants = self._subjects.participants
         entities = {each: replace(self._entities, subject=each) for each in participants}
         paths = {key: self._root / of.path(BEHAVIOUR, "events.tsv") for key, of in entities.items()}
         events = Events(paths, participants)
-        events.kept = {self._subjects.of(each.stream): [] for each in eeg}
+        events.kept = {self._subjects.of(each.stream): [] for each in writer.runs}
         holds = {each.number: self._subjects.of_markers(each) for each in self._markers}
         holds |= {each.number: (self._subjects.of(each),) for each in self._signals}
         gaps = [(stream, gap_event(stream, gap, self._timeline)) for stream, gap in writer.gaps]
@@ -157,8 +161,8 @@ class _Dataset:
             each.participant = ""
         events.write(self._marker_events(), gaps, holds)
         for label, happened in events.kept.items():
-            own = [each for each in eeg if self._subjects.of(each.stream) == label]
-            write_eeg_events(self._root, own, happened)
+            own = [each for each in writer.runs if self._subjects.of(each.stream) == label]
+            write_run_events(self._root, own, happened)
         for key in events.counts:
             content = {
                 "TaskName": self._entities.task,
@@ -238,7 +242,9 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
             "cut into several tables, where a gap is longer than an hour or time steps back: "
             f"{_listed(remarks.cut)}"
         )
-    yield from remarks.even
+    yield from remarks.sentences
+    if remarks.in_24_bits:
+        yield f"EMG, which BIDS has as BDF, in 24 bits: {_listed(remarks.in_24_bits)}"
     if remarks.runs:
         yield f"gaps of more than 10 s begin another run: {_listed(remarks.runs)}"
     if remarks.rounded:

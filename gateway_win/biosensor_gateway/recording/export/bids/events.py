@@ -11,15 +11,13 @@ from typing import TextIO
 
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.brain_vision import write_markers
-from biosensor_gateway.recording.export.bids.eeg import (
-    EegFile,
-    gap_events,
-    runs_by_start,
-)
+from biosensor_gateway.recording.export.bids.run_file import RunFile, runs_by_start
 from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
 from biosensor_gateway.recording.export.marker_events import MarkerEvent, in_order
 from biosensor_gateway.recording.export.runs import BAD_GAP
 
+BAD_VALUE = "BAD_value"
+"""Where a channel has no value in a format that has none for that."""
 COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "note", "value")
 COLUMN_DESCRIPTIONS: Mapping[str, object] = {
     "onset": {"Description": "time since TimeZero", "Units": "s"},
@@ -105,10 +103,10 @@ def _row(stream: Stream, event: MarkerEvent, start_s: float = 0.0) -> str:
     return line((onset, duration, *told))
 
 
-def write_eeg_events(
-    root: Path, files: Iterable[EegFile], happened: Sequence[tuple[Stream, MarkerEvent]]
+def write_run_events(
+    root: Path, files: Iterable[RunFile], happened: Sequence[tuple[Stream, MarkerEvent]]
 ) -> None:
-    """Write the tables of events of runs of EEG, and the same as BrainVision has them.
+    """Write the tables of events of runs of EEG and EMG, and the former as BrainVision has them.
 
     Each event is in the last run of a stream that begins before it, or in its first.
 
@@ -130,23 +128,27 @@ def write_eeg_events(
         for stream, event in happened:
             dealt[max(0, bisect_right(starts, event.onset_s) - 1)].append((stream, event))
         for file, own in zip(runs, dealt, strict=True):
-            _write_eeg_events(root, file, own)
+            _write_run_events(root, file, own)
 
 
-def _write_eeg_events(root: Path, file: EegFile, own: Sequence[tuple[Stream, MarkerEvent]]) -> None:
+def _write_run_events(root: Path, file: RunFile, own: Sequence[tuple[Stream, MarkerEvent]]) -> None:
     rows = [(each.onset_s - file.start_s, _row(of, each, file.start_s)) for of, each in own]
     marks = [
         (round((each.onset_s - file.start_s) * file.rate_hz), 1, each.name or each.text)
         for _, each in own
     ]
-    for onset_s, duration_s, text in gap_events(file):
+    for onset_s, duration_s, text in file.gap_events():
         told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_GAP, "no", file.stream.header.name)
         rows.append((onset_s, line((*told, text, NOTHING))))
         count = round(duration_s * file.rate_hz)
         marks.append((round(onset_s * file.rate_hz), count, BAD_GAP))
+    for onset_s, duration_s, text in file.without:
+        told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_VALUE, "no", file.stream.header.name)
+        rows.append((onset_s, line((*told, text, NOTHING))))
     # Only in the table is a place for what came before the first row or after the last.
     inside = sorted(each for each in marks if 0 <= each[0] < file.rows)
-    write_markers(root / file.path("eeg.vmrk"), inside)
+    if file.datatype == "eeg":
+        write_markers(root / file.path("eeg.vmrk"), inside)
     if rows:
         table = "".join([line(COLUMNS), *(row for _, row in sorted(rows, key=lambda r: r[0]))])
         write_text(root / file.path("events.tsv"), table)

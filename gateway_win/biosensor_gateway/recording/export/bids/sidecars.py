@@ -58,9 +58,9 @@ def columns(stream: Stream) -> list[str]:
     )
 
 
-def described_columns(stream: Stream) -> dict[str, object]:
+def described_columns(stream: Stream) -> dict[str, dict[str, str]]:
     """Return what each column is, by its name."""
-    found: dict[str, object] = {}
+    found: dict[str, dict[str, str]] = {}
     told = zip(columns(stream), stream.header.labels, stream.meaning.units, strict=True)
     for name, label, unit_name in told:
         facts = {"Description": f"{label} of {stream.header.name}"}

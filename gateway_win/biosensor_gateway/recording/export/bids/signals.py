@@ -12,18 +12,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATION, ContentType
+from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATION
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.bids import eeg, sidecars
+from biosensor_gateway.recording.export.bids import eeg, emg, sidecars
 from biosensor_gateway.recording.export.bids.brain_vision import is_exact as has_exact_numbers
 from biosensor_gateway.recording.export.bids.file_names import Entities
+from biosensor_gateway.recording.export.bids.gaze import Eye, eyes_of
+from biosensor_gateway.recording.export.bids.kinds import Kind, kind_of, motion_type
 from biosensor_gateway.recording.export.bids.regular import (
     RegularTable,
     parts_of,
     write_regular,
 )
+from biosensor_gateway.recording.export.bids.run_file import LONGEST_FILLED_S, RunFile, run_of
 from biosensor_gateway.recording.export.bids.sidecars import (
     DURATION,
     ONSET,
@@ -35,7 +38,7 @@ from biosensor_gateway.recording.export.bids.sidecars import (
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
 from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
 from biosensor_gateway.recording.export.csv.tables import table_file
-from biosensor_gateway.recording.export.exporter import SampleCount, Times
+from biosensor_gateway.recording.export.exporter import Order, SampleCount, Times
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
@@ -48,18 +51,6 @@ from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact
 from biosensor_gateway.recording.xdf.pace import Cuts
 
-# Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
-_MOTION_TYPES = {
-    ContentType.ACCELEROMETER.lower(): "ACCEL",
-    "accelerometry": "ACCEL",
-    "acceleration": "ACCEL",
-    "acc": "ACCEL",
-    "gyroscope": "GYRO",
-    "gyro": "GYRO",
-    "magnetometer": "MAGN",
-    ContentType.MOCAP.lower(): "MISC",
-    "imu": "MISC",
-}
 _BY_ROLE = {
     **dict.fromkeys(ACCELERATION, "ACCEL"),
     **dict.fromkeys(MAGNETIC_FIELD, "MAGN"),
@@ -93,16 +84,11 @@ class Channel(NamedTuple):
     units: str
 
 
-def is_motion(stream: Stream) -> bool:
-    """Whether a stream is of something that moves, by its type."""
-    return stream.header.content_type.lower() in _MOTION_TYPES
-
-
 def motion_channels(stream: Stream) -> list[Channel]:
     """Return the channels of a table of motion; the first is the time of the samples."""
     meaning = stream.meaning
     point = meaning.identity.label or meaning.identity.sensor
-    usual = _MOTION_TYPES[stream.header.content_type.lower()]
+    usual = motion_type(stream)
     told = zip(
         columns(stream),
         stream.header.labels,
@@ -159,7 +145,7 @@ class Place:
     Attributes
     ----------
     is_one_of_several
-        Whether the person has several streams of EEG.
+        Whether the person has several streams of its kind.
     """
 
     entities: Entities
@@ -177,8 +163,9 @@ class Remarks:
     runs: list[str] = field(default_factory=list[str])
     rounded: list[str] = field(default_factory=list[str])
     moved: list[str] = field(default_factory=list[str])
-    even: list[str] = field(default_factory=list[str])
-    """Whole sentences."""
+    in_24_bits: list[str] = field(default_factory=list[str])
+    sentences: list[str] = field(default_factory=list[str])
+    """What was done about stamps and gaps."""
     unplaced: int = 0
     """Samples whose times are of no clock."""
 
@@ -195,15 +182,15 @@ class SignalWriter:
     """
 
     def __init__(
-        self, chosen: Chosen, timeline: Timeline, root: Path, count: SampleCount, times: Times
+        self, chosen: Chosen, order: Order, timeline: Timeline, root: Path, count: SampleCount
     ) -> None:
-        self._chosen, self._times = chosen, times
+        self._chosen, self._order, self._times = chosen, order, order.times
         self._timeline = timeline
         self._root = root
         self._count = count
         self.remarks = Remarks()
-        self.eeg: list[eeg.EegFile] = []
-        """What was written of EEG."""
+        self.runs: list[RunFile] = []
+        """What was written of EEG and EMG."""
         self.gaps: list[tuple[Stream, Gap]] = []
         """Of tables with even times."""
 
@@ -264,7 +251,7 @@ class SignalWriter:
         self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None
     ) -> bool:
         """Write a stream of EEG; return whether it could be, else it becomes a table."""
-        longest_s = LONGEST_JOINED_S if self._times is Times.EVEN else eeg.LONGEST_FILLED_S
+        longest_s = LONGEST_JOINED_S if self._times is Times.EVEN else LONGEST_FILLED_S
         timing = find_timing(
             (each.times for each in self._batches(stream, runs)), stream.header, cuts, longest_s
         )
@@ -276,12 +263,12 @@ class SignalWriter:
         entities = replace(place.entities, acquisition=acquisition)
         parts = parts_of(self._batches(stream, runs), timing.parts)
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
-            run = eeg.run_of(entities, number, len(timing.parts))
+            run = run_of(entities, number, len(timing.parts))
             file, table = eeg.write_eeg(
                 self._root, stream, run, self._counted(batched), part, timing.rate_hz
             )
             eeg.describe(self._root, file, timing, table, self._timeline)
-            self.eeg.append(file)
+            self.runs.append(file)
             moved += table.moved
         if len(timing.parts) > 1:
             self.remarks.runs.append(stream.header.name)
@@ -291,21 +278,48 @@ class SignalWriter:
             self.remarks.rounded.append(stream.header.name)
         return True
 
+    def _write_emg(self, stream: Stream, place: Place) -> bool:
+        """Write a stream of EMG; return whether it could be, else it becomes a table."""
+        files, notes = emg.write_emg(
+            self._root,
+            self._chosen,
+            self._order,
+            stream,
+            place.entities,
+            place.label,
+            self._timeline,
+        )
+        self.runs += files
+        self.remarks.sentences += [f"{stream.header.name}: {each}" for each in notes]
+        if files:
+            self._count.add(stream.sample_count)
+            self.remarks.in_24_bits.append(stream.header.name)
+        return bool(files)
+
     def _write_regular(self, stream: Stream, place: Place) -> bool:
-        name = stream.header.name
+        kind = kind_of(stream)
+        if kind is Kind.EMG and self._write_emg(stream, place):
+            return True
+        is_eeg = kind is Kind.EEG
         runs = None
-        if self._times is Times.EVEN or (eeg.is_eeg(stream) and not is_exact(stream.header)):
+        if self._times is Times.EVEN or (is_eeg and not is_exact(stream.header)):
             runs = Runs(self._chosen, stream, Times.EVEN)
-        if runs is None:
-            cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
-        else:
-            cuts = runs.cuts
-        if eeg.is_eeg(stream) and self._write_eeg(stream, place, cuts, runs):
+        cuts = self._cuts_of(stream) if runs is None else runs.cuts
+        if is_eeg and self._write_eeg(stream, place, cuts, runs):
             self._remark(stream, runs)
             return True
         if runs is not None and self._times is not Times.EVEN:
-            runs = None
-            cuts = cuts_of((each.times for each in self._batches(stream)), stream.header)
+            runs, cuts = None, self._cuts_of(stream)
+        return self._write_table(stream, place, cuts, runs)
+
+    def _cuts_of(self, stream: Stream) -> Cuts | None:
+        return cuts_of((each.times for each in self._batches(stream)), stream.header)
+
+    def _write_table(
+        self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None
+    ) -> bool:
+        """Write the tables of a stream; return whether it has some."""
+        name = stream.header.name
         first = self._batches(stream, runs, is_first=True)
         timing = find_timing((each.times for each in first), stream.header, cuts)
         if timing is None:
@@ -317,15 +331,11 @@ class SignalWriter:
             self.remarks.without_table.append(name)
             return False
         moved = 0
-        parts = parts_of(self._batches(stream, runs), timing.parts)
-        for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
-            # No other stream's label has a plus.
-            label = f"{place.label}+part{number}" if len(timing.parts) > 1 else place.label
-            files = _Files(self._root, Place(place.entities, label), is_motion(stream))
-            files.table.parent.mkdir(parents=True, exist_ok=True)
-            table = write_regular(files.table, self._counted(batched), part, timing.rate_hz)
-            files.describe(stream, timing, table, self._timeline)
-            moved += table.moved
+        for number, eye in enumerate(self._eyes_of(stream) or [None], 1):
+            label = place.label if eye is None else f"eye{number}"
+            if eye is not None and place.is_one_of_several:
+                label = f"{place.label}{label}"
+            moved += self._write_parts(stream, replace(place, label=label), timing, runs, eye)
         if len(timing.parts) > 1:
             self.remarks.cut.append(name)
         if moved:
@@ -335,15 +345,48 @@ class SignalWriter:
             self._remark(stream, runs)
         return True
 
+    def _write_parts(
+        self, stream: Stream, place: Place, timing: Timing, runs: Runs | None, eye: Eye | None
+    ) -> int:
+        """Write a table for each part; return how many samples are in another row."""
+        moved = 0
+        parts = parts_of(self._batches(stream, runs), timing.parts)
+        for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
+            # No other stream's label has a plus.
+            label = f"{place.label}+part{number}" if len(timing.parts) > 1 else place.label
+            files = _Files(self._root, Place(place.entities, label), kind_of(stream) is Kind.MOTION)
+            files.table.parent.mkdir(parents=True, exist_ok=True)
+            given = self._counted(batched)
+            given = given if eye is None else eye.picked(given)
+            table = write_regular(files.table, given, part, timing.rate_hz)
+            files.describe(stream, timing, table, self._timeline, eye)
+            moved += table.moved
+        return moved
+
+    def _eyes_of(self, stream: Stream) -> list[Eye]:
+        """Return the eyes of a stream of gaze; say what its header leaves open."""
+        if kind_of(stream) is not Kind.GAZE:
+            return []
+        eyes, told = eyes_of(stream), ""
+        if not eyes:
+            told = "no channel is known as x and y of the gaze, so it is a table as any other"
+        elif not all(each.is_told for each in eyes):
+            told = "no header says which eye it is, so it is called cyclopean, which is both"
+        if told:
+            self.remarks.sentences.append(f"{stream.header.name}: {told}")
+        return eyes
+
     def _remark(self, stream: Stream, runs: Runs | None) -> None:
         """Say what was done about stamps, where they were made even."""
         if runs is None:
             return
         name = stream.header.name
-        self.remarks.even += [f"{name}: {told}" for told in runs.remarks_on_times()]
+        self.remarks.sentences += [f"{name}: {told}" for told in runs.remarks_on_times()]
         if gaps := runs.gaps():
             told = gap_text([each.lost for each in gaps])
-            self.remarks.even.append(f"{name}: {told}, each an event {BAD_GAP} or the end of a run")
+            self.remarks.sentences.append(
+                f"{name}: {told}, each an event {BAD_GAP} or the end of a run"
+            )
 
 
 class _Files:
@@ -360,16 +403,24 @@ class _Files:
         return self._root / self._place.entities.path(datatype, suffix, **{key: self._place.label})
 
     def describe(
-        self, stream: Stream, timing: Timing, table: RegularTable, timeline: Timeline
+        self,
+        stream: Stream,
+        timing: Timing,
+        table: RegularTable,
+        timeline: Timeline,
+        eye: Eye | None,
     ) -> None:
-        """Write what belongs to the table."""
+        """Write what belongs to the table; `eye` says of which one it is, if of one."""
+        names = sidecars.columns(stream) if eye is None else eye.names
+        is_motion = self._is_motion
+        columns = sidecars.described_columns(stream) if eye is None else eye.described(stream)
         content = {
             "TaskName": self._place.entities.task,
-            **(self._of_motion(stream, timing) if self._is_motion else _of_physio(stream, timing)),
+            **(self._of_motion(stream, timing) if is_motion else _of_physio(timing, names)),
             **sidecars.of_grid(stream, timing, table),
             **sidecars.of_stream(stream, timeline),
             **sidecars.timestamp(),
-            **sidecars.described_columns(stream),
+            **columns,
         }
         write_json(self._path("motion.json" if self._is_motion else "physio.json"), content)
 
@@ -386,10 +437,10 @@ class _Files:
         }
 
 
-def _of_physio(stream: Stream, timing: Timing) -> dict[str, object]:
+def _of_physio(timing: Timing, names: Sequence[str]) -> dict[str, object]:
     return {
         "SamplingFrequency": timing.rate_hz,
-        "Columns": [TIMESTAMP, *sidecars.columns(stream)],
+        "Columns": [TIMESTAMP, *names],
         "PhysioType": "generic",
     }
 

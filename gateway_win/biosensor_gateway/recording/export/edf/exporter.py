@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from biosensor_gateway.recording.contents.choice import Chosen
-from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import BATCH
-from biosensor_gateway.recording.export.edf.header import Facts, header
-from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.edf.file import (
+    INSTEAD,
+    Given,
+    Holes,
+    channels_of,
+    length_s,
+    write_stretch,
+)
+from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel
 from biosensor_gateway.recording.export.edf.records import (
     Annotation,
-    annotation_records,
-    digital,
-    records,
 )
 from biosensor_gateway.recording.export.exporter import (
     Clock,
@@ -32,23 +32,18 @@ from biosensor_gateway.recording.export.exporter import (
     with_reasons,
 )
 from biosensor_gateway.recording.export.markers import is_markers, markers
-from biosensor_gateway.recording.export.names import FileNames, unique
+from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.runs import (
-    BAD_GAP,
     MOST_RUNS,
     Runs,
     Stretch,
+    longest_gap_s,
     stretches,
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
-_LABEL = 16
-# Of whom a header has no room for more.
-_MOST_CHANNELS = 4000
 Happened = tuple[float, str]
 """Time on the recorder's clock, in s, and text."""
-_MOST_TOLD = 1000
-_INSTEAD = "the least value that the file can hold stands"
 
 
 @dataclass(slots=True)
@@ -103,8 +98,8 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
         return
     if not runs:
         return
-    every = stretches(runs, stream.header.rate, job.times)
-    job.notes += [f"{name}: {told}" for told in cut.remarks(every, _INSTEAD)]
+    every = stretches(runs, stream.header.rate, longest_gap_s(job.times))
+    job.notes += [f"{name}: {told}" for told in cut.remarks(every, INSTEAD)]
     begins = [each.begin_s for each in every for _ in each.runs]
     holes = Holes(stream, begins)
     for number, samples in cut.pieces():
@@ -112,10 +107,10 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
     job.notes += holes.notes()
     files = [folder / f"{each}.bdf" for each in names.of(stream, len(every))]
     left_out: set[str] = set()
-    given = _Given(cut)
+    given = Given(cut)
     kept: list[tuple[Stretch, Path, list[Channel]]] = []
     for stretch, path in zip(every, files, strict=True):
-        channels, without = _channels(stream, stretch)
+        channels, without = channels_of(stream, stretch)
         left_out |= set(without)
         if channels and _has_rate(job, stream, stretch):
             kept.append((stretch, path, channels))
@@ -124,7 +119,7 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
         numbers = range(stretch.first, stretch.first + len(stretch.runs))
         missing = [each for number in numbers for each in holes.found[number]]
         told = sorted([*dealt_out, *missing])
-        _write_stretch(job, stream, stretch, channels, told, given, path)
+        write_stretch(job.chosen, job.clock, stream, stretch, channels, told, given, path)
         job.count.add(sum(run.count for run in stretch.runs))
     if left_out:
         labels = ", ".join(sorted(left_out))
@@ -143,7 +138,7 @@ def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Anno
     """Return what happened, as it stands in each file."""
     if not kept:
         return []
-    spans = [Span(each.begin_s, each.begin_s + _length_s(each)) for each in kept]
+    spans = [Span(each.begin_s, each.begin_s + length_s(each)) for each in kept]
     found, outside = dealt_to_spans(job.happened, spans)
     if outside:
         job.notes.append(
@@ -154,95 +149,6 @@ def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Anno
         [Annotation(time_s - stretch.begin_s, 0.0, text) for time_s, text in each]
         for each, stretch in zip(found, kept, strict=True)
     ]
-
-
-def _length_s(stretch: Stretch) -> float:
-    """Return how long a file is, with what fills it up."""
-    plan = layout(stretch.rows, stretch.rate_hz)
-    return plan.samples * plan.records / stretch.rate_hz
-
-
-class _Given:
-    """Hands out the values of one run after the other; the runs are asked for in their order."""
-
-    def __init__(self, cut: Runs) -> None:
-        self._pieces = cut.pieces()
-        self._next = next(self._pieces, None)
-
-    def of(self, number: int) -> Iterator[NDArray[np.generic]]:
-        while self._next is not None and self._next[0] <= number:
-            found, samples = self._next
-            if found == number:
-                yield np.asarray(samples.values)
-            self._next = next(self._pieces, None)
-
-    def of_stretch(self, stretch: Stretch) -> Iterator[NDArray[np.generic]]:
-        """Give the values of its runs, and nothing (NaN) for the rows between them."""
-        for number, empty in enumerate(stretch.empty, stretch.first):
-            for begin in range(0, empty, BATCH):
-                yield np.full((min(BATCH, empty - begin), len(stretch.runs[0].least)), np.nan)
-            yield from self.of(number)
-
-
-def _channels(stream: Stream, stretch: Stretch) -> tuple[list[Channel], list[str]]:
-    """Return how the channels are written, and the labels of those that cannot be."""
-    labels = stream.header.labels
-    plain = ["".join(c if " " <= c <= "~" else "_" for c in each) for each in labels]
-    short = [each[:_LABEL] for each in plain]
-    if len(set(short)) < len(short):
-        # Room for what tells them apart.
-        short = unique(each[: _LABEL - 5] for each in plain)
-    lowest = np.min([each.least for each in stretch.runs], axis=0)
-    highest = np.max([each.greatest for each in stretch.runs], axis=0)
-    named = zip(short, stream.meaning.units, lowest, highest, strict=True)
-    found = [
-        channel(place, label, unit, float(least), float(greatest))
-        for place, (label, unit, least, greatest) in enumerate(named)
-    ]
-    kept = [each for each in found if each is not None][:_MOST_CHANNELS]
-    places = {each.place for each in kept}
-    return kept, [label for place, label in enumerate(labels) if place not in places]
-
-
-def _write_stretch(
-    job: _Job,
-    stream: Stream,
-    stretch: Stretch,
-    channels: Sequence[Channel],
-    happened: Sequence[Annotation],
-    given: _Given,
-    path: Path,
-) -> None:
-    plan = layout(stretch.rows, stretch.rate_hz)
-    facts = _facts(job, stream, stretch)
-    told = sorted([*_of_file(stretch), *happened])
-    texts, room = annotation_records(told, plan.records, plan.record_s, facts.start_s)
-    with path.open("xb") as file:
-        file.write(header(channels, plan, facts, room))
-        steps = (digital(each, channels) for each in given.of_stretch(stretch))
-        file.writelines(records(steps, plan.samples, texts, room))
-
-
-def _facts(job: _Job, stream: Stream, stretch: Stretch) -> Facts:
-    identity, wall = stream.header.identity, job.chosen.contents.wall
-    begun_ns = None
-    if job.clock is Clock.WALL and wall is not None:
-        begun_ns = int(wall.to_unix_ns(np.array([stretch.begin_s]))[0])
-    participant = identity.participant if identity else ""
-    equipment = f"{identity.sensor}/{identity.unit}" if identity else stream.header.name
-    return Facts(participant, equipment, begun_ns)
-
-
-def _of_file(stretch: Stretch) -> Iterator[Annotation]:
-    """Give what must be known of a file."""
-    rate_hz = stretch.rate_hz
-    for row, run in stretch.begins:
-        yield Annotation(row / rate_hz, 0.0, f"LSL time {run.begin_s:.6f} s")
-    for row, rows in stretch.gaps:
-        yield Annotation(row / rate_hz, rows / rate_hz, BAD_GAP)
-    length_s, end_s = _length_s(stretch), stretch.rows / rate_hz
-    if length_s - end_s > 0.5 / rate_hz:
-        yield Annotation(end_s, length_s - end_s, "end of data, the rest is filled up")
 
 
 class Span(NamedTuple):
@@ -281,71 +187,3 @@ def dealt_to_spans(
         place = bisect_right(begins, (each[0], len(spans)))
         found[begins[max(0, place - 1)][1]].append(each)
     return found, len(outside)
-
-
-class Holes:
-    """Takes the samples of a stream in, and tells where values are missing.
-
-    Parameters
-    ----------
-    begins
-        When the file of each run begins.
-
-    Attributes
-    ----------
-    found
-        For each run what to annotate.
-    """
-
-    def __init__(self, stream: Stream, begins: Sequence[float]) -> None:
-        self._stream, self._begins = stream, begins
-        self.found: list[list[Annotation]] = [[] for _ in begins]
-        # When the hole of a channel began; NaN outside of one.
-        self._open = np.full(stream.header.channel_count, np.nan)
-        self._number = -1
-        self._last_s = 0.0
-        self._untold = self._missing = 0
-
-    def take(self, number: int, samples: Samples) -> None:
-        """Take in some more samples of a run."""
-        if number != self._number:
-            self._close_all()
-            self._number = number
-        values = np.asarray(samples.values)
-        if values.dtype.kind != "f":
-            return
-        is_missing = ~np.isfinite(values)
-        self._missing += int(np.count_nonzero(is_missing))
-        was_missing = np.vstack((~np.isnan(self._open), is_missing[:-1]))
-        for row, place in np.argwhere(is_missing != was_missing):
-            time_s = float(samples.times[row])
-            if is_missing[row, place]:
-                self._open[place] = time_s
-            else:
-                self._close(int(place), time_s)
-        self._last_s = float(samples.times[-1])
-
-    def notes(self) -> Iterator[str]:
-        """Say how much is missing, once all is taken in."""
-        self._close_all()
-        name = self._stream.header.name
-        if self._missing:
-            yield f"{name}: {self._missing} values are none; annotations say where"
-        if self._untold:
-            yield f"{name}: {self._untold} more of these places have no annotation"
-
-    def _close_all(self) -> None:
-        for place in np.flatnonzero(~np.isnan(self._open)):
-            self._close(int(place), self._last_s)
-
-    def _close(self, place: int, end_s: float) -> None:
-        begin_s = float(self._open[place])
-        self._open[place] = np.nan
-        told = self.found[self._number]
-        if len(told) >= _MOST_TOLD:
-            self._untold += 1
-            return
-        label = self._stream.header.labels[place]
-        begin_s -= self._begins[self._number]
-        length_s = max(0.0, end_s - self._begins[self._number] - begin_s)
-        told.append(Annotation(begin_s, length_s, f"no value: {label}"))

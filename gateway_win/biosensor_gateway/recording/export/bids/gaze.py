@@ -1,0 +1,152 @@
+"""Finds in a stream of gaze what BIDS wants of an eye tracker: a table for each eye, x and y first.
+
+The header tells it by types of channels (https://github.com/sccn/xdf/wiki/Gaze-Meta-Data), or else
+by labels such as ``left_gaze_x``, ``norm_pos_y`` or ``Gaze X``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from biosensor_common.errors import SpecError
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.bids import sidecars
+from biosensor_gateway.recording.export.bids.tables import NOTHING
+from biosensor_gateway.recording.export.names import unique
+
+X, Y, PUPIL = "x_coordinate", "y_coordinate", "pupil_size"
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+_EYES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+_SIZES = {"diam": "diameter", "area": "area"}
+_SIZE = re.compile("|".join(_SIZES))
+# What may stand in the name of a position on a plane; of anything else it is another vector's.
+_OF_GAZE = frozenset(
+    {"gaze", "screen", "por", "norm", "pos", "position", "point", "on", "display", "area", "eye"}
+    | {"both", "combined", "coordinate", "px", "pixel", "2", "d", *_EYES}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """What is of one eye in a stream.
+
+    Attributes
+    ----------
+    recorded
+        ``left``, ``right``, or ``cyclopean`` of both together.
+    is_told
+        Whether the header says which eye it is.
+    places, names
+        Its channels in the stream, and the names of their columns: x and y first.
+    """
+
+    recorded: str
+    is_told: bool
+    places: tuple[int, ...]
+    names: tuple[str, ...]
+
+    def picked(self, parts: Iterator[Samples]) -> Iterator[Samples]:
+        """Give samples with its channels alone."""
+        for samples in parts:
+            yield replace(samples, values=np.asarray(samples.values)[:, self.places])
+
+    def described(self, stream: Stream) -> dict[str, object]:
+        """Return what a sidecar says besides what it says of any table."""
+        by_place = list(sidecars.described_columns(stream).values())
+        kinds = sidecars.channel_types(stream)
+        columns: dict[str, dict[str, str]] = {}
+        for place, name in zip(self.places, self.names, strict=True):
+            usual = {"Units": NOTHING} if name in (X, Y) else {}
+            columns[name] = usual | by_place[place]
+            size = _SIZE.search(f"{stream.header.labels[place]} {kinds[place]}".lower())
+            if name == PUPIL and size:
+                columns[name]["Description"] += f", its {_SIZES[size[0]]}"
+        system, told = _coordinate_system(stream)
+        return {
+            "PhysioType": "eyetrack",
+            "RecordedEye": self.recorded,
+            "SampleCoordinateSystem": system,
+            "SampleCoordinateSystemDescription": told,
+            **columns,
+        }
+
+
+def eyes_of(stream: Stream) -> list[Eye]:
+    """Return the eyes of a stream of gaze; none if nothing tells x and y."""
+    nodes = _channels(stream)
+    found = [
+        _meaning(label, *told) for label, told in zip(stream.header.labels, nodes, strict=True)
+    ]
+    names = sidecars.columns(stream)
+    eyes: list[Eye] = []
+    for side in ("left", "right", ""):
+        own = {what: place for place, (what, of) in reversed([*enumerate(found)]) if of == side}
+        if X not in own or Y not in own:
+            continue
+        first = [own[each] for each in (X, Y, PUPIL) if each in own]
+        rest = [place for place, (_, of) in enumerate(found) if of == side and place not in first]
+        called = [each for each in (X, Y, PUPIL) if each in own]
+        called += [names[place] for place in rest]
+        eyes.append(Eye(side or "cyclopean", bool(side), (*first, *rest), tuple(unique(called))))
+    return _with_the_others(eyes, names)
+
+
+def _with_the_others(eyes: list[Eye], names: Sequence[str]) -> list[Eye]:
+    """Put what is of no eye that has a table into the first one."""
+    taken = {place for each in eyes for place in each.places}
+    others = [place for place in range(len(names)) if place not in taken]
+    if eyes and others:
+        first = eyes[0]
+        called = unique([*first.names, *(names[place] for place in others)])
+        eyes[0] = replace(first, places=(*first.places, *others), names=tuple(called))
+    return eyes
+
+
+def _meaning(label: str, kind: str, eye: str) -> tuple[str, str]:
+    """Return what a channel is, empty if it is something else, and of which eye."""
+    words = [each.lower() for each in _WORD.findall(label)]
+    side = _EYES.get(eye.lower(), "")
+    if not side and not eye:
+        side = next((_EYES[each] for each in words if each in _EYES), "")
+    by_type = {"screenx": X, "screeny": Y, "diameter": PUPIL, "pupildiameter": PUPIL}
+    if what := by_type.get("".join(_WORD.findall(kind)).lower()):
+        return what, side
+    axes = [each for each in words if each in ("x", "y", "z")]
+    if len(axes) == 1 and axes[0] != "z" and _OF_GAZE.issuperset(set(words) - {axes[0]}):
+        return (X if axes[0] == "x" else Y), side
+    if not axes and ("pupil" in words or "diameter" in words):
+        return PUPIL, side
+    return "", side
+
+
+def _channels(stream: Stream) -> list[tuple[str, str]]:
+    """Return type and eye of each channel, as the header tells them."""
+    try:
+        nodes = stream.header.parsed().findall("desc/channels/channel")
+    except SpecError:
+        nodes = []
+    if len(nodes) != stream.header.channel_count:
+        return [("", "")] * stream.header.channel_count
+    return [
+        ((each.findtext("type") or "").strip(), (each.findtext("eye") or "").strip())
+        for each in nodes
+    ]
+
+
+def _coordinate_system(stream: Stream) -> tuple[str, str]:
+    """Return the system in the words of BIDS, and what the header says of it.
+
+    Gaze on a screen needs size and distance of the screen, which no header tells.
+    """
+    try:
+        told = {each.text or "" for each in stream.header.parsed().iter("coordinate_system")}
+    except SpecError:
+        told = set[str]()
+    text = ", ".join(sorted(each.strip() for each in told if each.strip()))
+    if "world" in text.lower():
+        return "gaze-in-world", text
+    return "custom", text or "as the sender has it; no header tells more than units and labels"
