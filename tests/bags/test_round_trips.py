@@ -99,6 +99,19 @@ def test_every_format_and_another_computers_clock(tmp_path: Path) -> None:
     assert before[1].offsets[1] == (103.0, 5e4 + 103.0 * 2e-5)
 
 
+def test_the_clock_of_a_computer_that_was_started_again(tmp_path: Path) -> None:
+    """Markers before and behind it are seconds apart, and near no clock offset."""
+    parts = [
+        xdf_file.stream_header(1, "markers", fmt="string"),
+        xdf_file.offsets(1, (653_000.0, 653_005.0), -652_000.0),
+        xdf_file.samples(1, "string", [["a"], ["b"]], [653_001.0, 653_006.0]),
+        xdf_file.offsets(1, (8.0, 13.0), 1005.0),
+        xdf_file.samples(1, "string", [["c"], ["d"]], [7.5, 12.0]),
+    ]
+    before, after = _there_and_back(made.dated(*parts), tmp_path)
+    _assert_same(before, after)
+
+
 def test_streams_without_samples_and_of_one_name_keep_apart(tmp_path: Path) -> None:
     parts = [
         xdf_file.stream_header(3, "twin", rate=4.0),

@@ -149,6 +149,15 @@ def test_without_pairs_there_is_the_date_of_the_recorder(path: Path) -> None:
     assert found == int(begun * 1e9)
 
 
+def test_a_date_without_a_zone_may_be_hours_off(path: Path) -> None:
+    header = b"<?xml version='1.0'?><info><datetime>2026-03-14T10:30:00</datetime></info>"
+    path.write_bytes(b"XDF:" + made.chunk(1, header) + _numbers(1, "a", 100.0, 8))
+    with open_contents(path) as contents:
+        assert contents.wall is not None
+        assert contents.wall.resolution_s > 3600.0
+        assert "hours" in contents.wall.doubt
+
+
 @pytest.mark.parametrize(
     ("begin", "end", "expected"),
     [

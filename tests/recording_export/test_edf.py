@@ -81,11 +81,16 @@ def test_a_rate_that_is_not_the_nominal_one_is_measured(exported: Exporting) -> 
     assert opened.annotations[-1].onset == pytest.approx(2000 / 99.0, abs=1e-5)
 
 
-def test_a_range_beyond_the_header_leaves_a_channel_out(exported: Exporting) -> None:
-    values = np.tile(np.array([[1e30, 2.0]], np.float32), (20, 1))
+@pytest.mark.parametrize("value", [1e30, 3e38])
+def test_a_range_beyond_the_header_leaves_a_channel_out(value: float, exported: Exporting) -> None:
+    values = np.tile(np.array([[value, 2.0]], np.float32), (20, 1))
     (written,) = exported(_regular(values, 10.0, BEGIN_S + np.arange(20) / 10), "edf").written
     assert [each.label for each in read_bdf(written.path / "a.bdf").signals] == ["2"]
     assert any("without 1" in each for each in written.notes)
+
+
+def test_values_near_the_largest_are_out_of_range() -> None:
+    assert channel(0, "a", "V", -1e308, 1e308) is None
 
 
 @given(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))

@@ -51,6 +51,32 @@ def test_conductance_has_its_markers(exported: Exporting) -> None:
     assert "P2-empatica_e4-U1-gsr: 1 samples have no value and are left out" in written.notes
 
 
+@pytest.mark.parametrize(
+    ("unit", "value", "expected"),
+    [("kOhm", 250.0, 4.0), ("MOhm", 0.25, 4.0), ("uS", 4.0, 4.0), ("nS", 4000.0, 4.0)],
+)
+def test_skin_in_another_unit_is_turned_into_microsiemens(
+    unit: str, value: float, expected: float, exported: Exporting
+) -> None:
+    header = made.stream_header(1, "skin", kind="GSR", rate=4.0, desc=_unit(unit))
+    stamps = [BEGIN_S + n / 4 for n in range(40)]
+    content = made.xdf(header, made.samples(1, "float32", [[value]] * 39 + [[0.0]], stamps))
+    (written,) = exported(content, "ledalab").written
+    rows = np.loadtxt(written.path / "skin.txt")
+    assert rows[:39, 1] == pytest.approx(expected)
+    # A resistance of nothing is no value.
+    assert len(rows) == (39 if "Ohm" in unit else 40)
+    assert any("turned" in each for each in written.notes) == (unit != "uS")
+
+
+def test_why_nothing_can_be_read_is_said(exported: Exporting) -> None:
+    broken = made.stream_header(1, "skin", kind="GSR", rate=4.0).replace(b">4.0<", b">4,0<")
+    content = made.xdf(broken, made.samples(1, "float32", [[1.0]], [BEGIN_S]))
+    with pytest.raises(RecordingError, match=r"nominal rate.*salvage") as caught:
+        exported(content, "csv")
+    assert caught.value.reason is RecordingReason.EMPTY
+
+
 @pytest.mark.parametrize("name", ["kubios", "ledalab", "edf"])
 def test_a_format_without_anything_for_it_is_one_sentence(name: str, exported: Exporting) -> None:
     with pytest.raises(RecordingError, match="nothing was written") as caught:

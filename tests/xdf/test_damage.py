@@ -128,7 +128,6 @@ def test_one_bad_chunk_costs_itself_only() -> None:
 @pytest.mark.parametrize(
     ("bad", "why"),
     [
-        (x.chunk(9, b"12345678"), "its tag is unknown"),
         (x.chunk(3, b"\x01"), "too short"),
         (x.chunk(4, b"\x01\0\0\0\0"), "size of a clock offset"),
         (x.clock_offset(1, float("nan"), 0), "no numbers"),

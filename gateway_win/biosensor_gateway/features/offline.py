@@ -67,6 +67,7 @@ def compute(path: Path, target: Path) -> Computed:
         pairs, refused = _sources(contents.streams)
         if not any(source.features for _, source in pairs):
             told = "; ".join(refused) or "it has no stream of a type that features are of"
+            told += contents.why_incomplete
             raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {told}")
         try:
             with new_file(target, like=path) as file:

@@ -102,19 +102,23 @@ class StreamWriter:
         if not self._times:
             return
         times = np.concatenate(self._times)
+        if self._form is ChannelFormat.STRING:
+            values: Any = self._values
+        else:
+            with np.errstate(invalid="ignore", over="ignore"):
+                values = np.concatenate(self._values).astype(_DTYPES[self._form], copy=False)
+        for part in self._clock.parts(times):
+            self._write_part(times[part], values[part])
+        self._times, self._values = [], []
+
+    def _write_part(self, times: NDArray[np.float64], values: NDArray[Any] | Texts) -> None:
         self._tell_clock(float(times.min()), float(times.max()))
         stamps = self._clock.to_sender(times)
         if not self.sample_count:
             self.first = float(stamps[0])
         self.last = float(stamps[-1])
         self.sample_count += len(stamps)
-        if self._form is ChannelFormat.STRING:
-            values: Any = self._values
-        else:
-            with np.errstate(invalid="ignore", over="ignore"):
-                values = np.concatenate(self._values).astype(_DTYPES[self._form], copy=False)
         self._write(writing.samples(self.number, self._form, stamps, values))
-        self._times, self._values = [], []
 
     def end(self) -> None:
         """Write the rest, and the footer."""

@@ -54,12 +54,15 @@ class IndexedStream:
         LSL time on the stream's clock, and what to add to it to get the recorder's, in s.
     footer
         None if the recorder did not come to write it.
+    guessed_texts
+        How many are not UTF-8, so that their characters are guessed.
     """
 
     header: RecordedHeader
     clock_offsets: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     footer: Footer | None = None
     sample_count: int = 0
+    guessed_texts: int = 0
     # Arrays, not a list of places: a day has millions of chunks.
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
@@ -82,6 +85,7 @@ class IndexedStream:
         self._stamps.extend((self._last, first, last))
         self._last = last
         self.sample_count += len(block.stamps)
+        self.guessed_texts += block.guessed
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
         """Take in one of `clock_offsets`."""

@@ -42,6 +42,18 @@ class Contents:
     end_s: float
     wall: WallClock | None
 
+    @property
+    def why_incomplete(self) -> str:
+        """What could not be read, as the end of a sentence that says what is not there."""
+        if not self.damages:
+            return ""
+        first, *others = self.damages
+        more = f" and {len(others)} more places" if others else ""
+        return (
+            f"; but byte {first.start}{more} cannot be read ({first.what}): "
+            f"try biosensor-gateway xdf salvage {self.path}"
+        )
+
 
 @contextmanager
 def open_contents(path: Path) -> Generator[Contents]:

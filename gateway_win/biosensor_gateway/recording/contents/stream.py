@@ -74,6 +74,8 @@ class Stream:
         All its samples in the file.
     byte_count
         How many bytes of the file they take, with their stamps.
+    is_guessed
+        Whether its header or a text of it is not UTF-8, so that characters are guessed.
     """
 
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
@@ -86,6 +88,7 @@ class Stream:
         self.clock_offsets = tuple(indexed.clock_offsets)
         self.sample_count = indexed.sample_count
         self.byte_count = indexed.byte_count
+        self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0
 
     def take_wearer(self, participant: str) -> None:
         """Have somebody else wear the sensor than its header says; nothing if it says nobody."""

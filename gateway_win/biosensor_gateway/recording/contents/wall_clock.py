@@ -25,6 +25,8 @@ from biosensor_gateway.recording.xdf.header import FileClock
 
 EVENTS = "events"
 DATE_RESOLUTION_S = 1.0
+NO_ZONE_RESOLUTION_S = 26 * 3600.0
+"""A date without a time zone may be of any on earth; it is taken for this computer's."""
 # The node's first: a bag has its times, and so has a recording that is turned into a bag.
 _TELLERS = (NODE, AGENT)
 
@@ -50,6 +52,21 @@ class WallClock:
     resolution_s: float
     times: NDArray[np.float64]
     offsets_ns: NDArray[np.int64]
+
+    @property
+    def doubt(self) -> str:
+        """How far off the time of day may be, as the rest of a sentence; empty if it is exact."""
+        if self.resolution_s >= NO_ZONE_RESOLUTION_S:
+            return (
+                "may be hours off: the recorder's date has no time zone, and was taken for one of "
+                "this computer's"
+            )
+        if self.resolution_s:
+            return (
+                f"is only good to {self.resolution_s:g} s, for the recorder's date is all that "
+                "tells it"
+            )
+        return ""
 
     def to_unix_ns(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return unix time in ns.
@@ -138,7 +155,8 @@ def find_wall_clock(
     except ValueError:
         return None
     offset_ns = int(date.timestamp() * NS_PER_S) - round(begin_s * NS_PER_S)
-    return WallClock("date", DATE_RESOLUTION_S, np.array([begin_s]), np.array([offset_ns]))
+    resolution_s = NO_ZONE_RESOLUTION_S if date.tzinfo is None else DATE_RESOLUTION_S
+    return WallClock("date", resolution_s, np.array([begin_s]), np.array([offset_ns]))
 
 
 def _is_told_by(stream: Stream, teller: str) -> bool:

@@ -129,7 +129,8 @@ def bare_name(path: Path) -> str:
 def _require_samples(chosen: Chosen) -> None:
     if not any(True for each in chosen.streams for _ in chosen.samples(each)):
         path = chosen.contents.path
-        message = f"{path} holds no sample of what is wanted, so nothing was written"
+        why = chosen.contents.why_incomplete
+        message = f"{path} holds no sample of what is wanted, so nothing was written{why}"
         raise RecordingError(RecordingReason.EMPTY, message)
 
 
@@ -146,10 +147,12 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             "times of streams with a rate are those of a straight line between two gaps; leave "
             "out --times even for the recorded ones"
         )
-    if clock is Clock.WALL and wall is not None and wall.resolution_s:
+    if clock is Clock.WALL and wall is not None and wall.doubt:
+        yield f"the time of day {wall.doubt}"
+    if guessed := [each.header.name for each in chosen.streams if each.is_guessed]:
         yield (
-            f"the time of day is only good to {wall.resolution_s:g} s: "
-            "no stream of events of an agent or a node tells it"
+            f"not all of {', '.join(guessed[:3])}{', ...' if len(guessed) > 3 else ''} is UTF-8, "
+            "so letters were guessed, as those of Windows"
         )
     unmeasured = [each.header.name for each in chosen.streams if not each.clock.is_known]
     if unmeasured:

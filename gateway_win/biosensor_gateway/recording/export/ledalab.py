@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,13 @@ from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 CODES = "markers.csv"
 """What the numbers of markers mean."""
 _MICROSIEMENS = {Unit.MICROSIEMENS.value, "uS", "\N{MICRO SIGN}S", "\N{GREEK SMALL LETTER MU}S"}
+_CONDUCTANCES = {"s": 1e6, "siemens": 1e6, "ms": 1e3, "millisiemens": 1e3, "ns": 1e-3}
+_RESISTANCES = {
+    prefix + ohm: scale
+    for prefix, scale in {"": 1e6, "k": 1e3, "kilo": 1e3, "m": 1.0, "mega": 1.0}.items()
+    for ohm in ("ohm", "ohms", "\N{GREEK SMALL LETTER OMEGA}")
+}
+"""By unit, in lower case: what a value is multiplied by, or what is divided by it."""
 
 
 class Ledalab:
@@ -103,7 +111,7 @@ def _write_stream(
         behind_holes = _behind_holes(chosen, stream)
     with path.open("xb") as file:
         for samples in given:
-            values = np.asarray(samples.values)[:, 0]
+            values = _in_microsiemens(np.asarray(samples.values)[:, 0], unit)
             has_value = np.isfinite(values)
             told_of.without += int(np.count_nonzero(~has_value))
             times, values = samples.times[has_value], values[has_value]
@@ -126,7 +134,9 @@ def _write_stream(
         path.unlink()
         yield Missing(f"{stream.header.name}: left out, for it has no value")
         return
-    if unit not in _MICROSIEMENS:
+    if unit.lower() in _CONDUCTANCES | _RESISTANCES:
+        yield f"{stream.header.name}: its values were turned from {unit} to microsiemens"
+    elif unit not in _MICROSIEMENS:
         yield f"{stream.header.name}: its unit is {unit!r}, and Ledalab takes it for microsiemens"
     for what in told_of.sentences(len(happened)):
         yield f"{stream.header.name}: {what}"
@@ -150,6 +160,17 @@ def _with_gaps(
     own = [(each.begin_s - 1.5 / stream.header.rate, code) for each in gaps]
     together = np.concatenate((happened, np.array(own, np.float64)))
     return together[np.argsort(together[:, 0], kind="stable")]
+
+
+def _in_microsiemens(values: NDArray[Any], unit: str) -> NDArray[Any]:
+    """Return conductances; a resistance of nothing has none."""
+    name = unit.lower().replace("\N{OHM SIGN}", "\N{GREEK SMALL LETTER OMEGA}")
+    if name in _CONDUCTANCES:
+        return values * _CONDUCTANCES[name]
+    if name in _RESISTANCES:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return _RESISTANCES[name] / np.asarray(values, np.float64)
+    return values
 
 
 @dataclass(slots=True)

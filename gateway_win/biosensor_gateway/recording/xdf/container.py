@@ -37,6 +37,8 @@ _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 _PACKED_BLOCK_BYTES = 4096
 # A damaged length may claim most of the file, so what is larger must have something behind it.
 _UNDOUBTED_BYTES = 1 << 24
+# As many are no end of a good file.
+_ZEROS_AT_END = 64
 
 
 class Chunk(NamedTuple):
@@ -94,12 +96,15 @@ class Damage:
         What is wrong at `start`, as the rest of a sentence.
     breaks_off
         Nothing after `start` can be read.
+    is_foreign
+        It is a whole chunk of a kind that the format does not have, so nothing known is lost.
     """
 
     start: int
     end: int
     what: str
     breaks_off: bool = False
+    is_foreign: bool = False
 
 
 @unique
@@ -126,10 +131,11 @@ class ChunkError(Exception):
 
 
 class _Broken(NamedTuple):
-    """No chunk was read: why, and where it ends by its frame if it has one."""
+    """No chunk was read: why, where it ends by its frame if it has one, and if of no known kind."""
 
     what: str
     end: int | None = None
+    is_foreign: bool = False
 
 
 class OpenRecording(NamedTuple):
@@ -265,13 +271,27 @@ class _Reader:
         if isinstance(read, int):
             return read
         start, what = position, read.what
-        if self.damages and self.damages[-1].end == position:
+        is_beside = bool(self.damages) and self.damages[-1].end == position
+        if is_beside:
             start, what = self.damages[-1].start, self.damages.pop().what
         # Counted before the search, because what is found comes after it.
         self.damages.append(_damage(start, self._size, self._size, what))
         begin, end = self._resume(position + 1, read.end)
-        self.damages[-1] = _damage(start, begin, self._size, what)
+        if read.is_foreign and not is_beside and begin == end == read.end:
+            self.damages[-1] = Damage(start, end, what, is_foreign=True)
+        else:
+            self.damages[-1] = _damage(start, begin, self._size, self._with_zeros(what, begin))
         return end
+
+    def _with_zeros(self, what: str, end: int) -> str:
+        """Add to what is wrong that the file ends with zeros, if that is so."""
+        if end < self._size:
+            return what
+        self._file.seek(max(0, self._size - _ZEROS_AT_END))
+        has_zeros = not self._file.read(_ZEROS_AT_END).strip(b"\0")
+        return (
+            f"{what}; it ends with zeros, as after a crash of the computer" if has_zeros else what
+        )
 
     def _resume(self, start: int, frame_end: int | None) -> tuple[int, int]:
         """Return where a damage ends, and the chunk that was read behind it, if one was."""
@@ -308,7 +328,7 @@ class _Reader:
             damages = len(self.damages)
             self._take(Chunk(Tag(frame.tag), content, position, frame.end, damages, is_found))
         except ChunkError as error:
-            return _Broken(f"{frame.title}: {error}", frame.end)
+            return _Broken(f"{frame.title}: {error}", frame.end, not frame.is_known)
         return frame.end
 
     def _require_likely(self, frame: Frame, position: int) -> None:

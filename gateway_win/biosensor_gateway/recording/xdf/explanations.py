@@ -31,6 +31,13 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Run `xdf salvage` and use the file that it writes; keep the original. If it happens "
         "again, test the disk.",
     ),
+    "foreign-chunk": Explanation(
+        "A chunk of an unknown kind",
+        "The recorder wrote something that the format does not have; whatever it holds, no program "
+        "shows it. All samples around it were read.",
+        "Nothing, unless the counts of the footers differ, too; then a chunk of samples is "
+        "damaged, and `xdf salvage` leaves it out.",
+    ),
     "no-header": Explanation(
         "Samples without a header",
         "Nothing says what these samples are, so no program can read them.",
@@ -153,6 +160,12 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "A header that claims to be ours",
         "It does not hold what ours hold, so the stream is treated as another program's.",
         "Look which program sent it, and update it.",
+    ),
+    "not-utf8": Explanation(
+        "Letters are guessed",
+        "The program wrote accents and the like in an encoding of its own. They are read as "
+        "Windows writes them in Western Europe, which may be wrong; numbers and times are right.",
+        "Compare such texts with what the program was to send, and have it send UTF-8.",
     ),
     "no-source-id": Explanation(
         "No source_id",

@@ -70,6 +70,8 @@ class RecordedHeader:
         The header as it was recorded.
     may_be_older
         Whether its samples may have been measured long before the recording began.
+    is_guessed
+        Whether its text is not UTF-8, so that its characters are guessed.
     """
 
     name: str
@@ -90,6 +92,7 @@ class RecordedHeader:
     robot: RobotTopic | None = None
     xml: str = ""
     may_be_older: bool = False
+    is_guessed: bool = False
 
     @property
     def is_ours(self) -> bool:
@@ -164,6 +167,27 @@ class FileClock:
     pairs: tuple[ClockPair, ...]
 
 
+def decoded(content: bytes | memoryview) -> tuple[str, bool]:
+    """Return a text, and whether its characters are guessed, for it is not UTF-8.
+
+    Programs on Windows often send what the computer's own code page makes of a text. What has
+    characters of UTF-8 beside others is UTF-8 with a damage.
+    """
+    try:
+        return str(content, "utf-8"), False
+    except UnicodeDecodeError:
+        text = str(content, "utf-8", "replace")
+    if all(char.isascii() or char == _REPLACED for char in text):
+        try:
+            text = str(content, "cp1252")
+        except UnicodeDecodeError:
+            text = str(content, "latin-1")
+    return text, True
+
+
+_REPLACED = "\N{REPLACEMENT CHARACTER}"
+
+
 def parse_stream_header(content: bytes) -> RecordedHeader:
     """Decode the content of a stream header chunk, without the stream's number.
 
@@ -203,6 +227,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         replay=own.replay if own else None,
         robot=_robot(root),
         xml=text,
+        is_guessed=decoded(content)[1],
         may_be_older=ours is not None
         and waits_for_receivers(ours.content_type, is_regular=rate > 0, is_state=ours.is_state),
     )
@@ -219,7 +244,7 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     ChunkError
         If it cannot be read even so.
     """
-    text = content.decode("utf-8", "replace")
+    text, _ = decoded(content)
     wrong: list[str] = []
     for pattern, instead, what in _FIXES:
         text, count = pattern.subn(instead, text)
@@ -312,8 +337,7 @@ def _whole(node: ET.Element) -> int:
 
 
 def _parse(content: bytes) -> tuple[ET.Element, str]:
-    # Computers with accents in their names write headers that are not UTF-8.
-    text = content.decode("utf-8", "replace")
+    text, _ = decoded(content)
     try:
         return read_xml(text, MAX_XML_CHARACTERS), text
     except SpecError as error:

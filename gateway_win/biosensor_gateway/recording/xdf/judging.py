@@ -72,9 +72,15 @@ def about(header: RecordedHeader) -> About:
 
 
 def _damaged(recording: Recording) -> Iterator[Finding]:
-    for damage in recording.damages[:_MOST_DAMAGES]:
+    foreign = [each for each in recording.damages if each.is_foreign]
+    if foreign:
+        chunks = "1 chunk is" if len(foreign) == 1 else f"{len(foreign)} chunks are"
+        text = f"{chunks} passed over ({foreign[0].what}); all else was read"
+        yield Finding(Level.WARNING, "foreign-chunk", "", text)
+    damages = [each for each in recording.damages if not each.is_foreign]
+    for damage in damages[:_MOST_DAMAGES]:
         yield Finding(Level.ERROR, "damaged", "", _damage_text(damage, recording.size))
-    more = len(recording.damages) - _MOST_DAMAGES
+    more = len(damages) - _MOST_DAMAGES
     if more > 0:
         yield Finding(Level.ERROR, "damaged", "", f"{more} more places cannot be read")
     if recording.orphans:

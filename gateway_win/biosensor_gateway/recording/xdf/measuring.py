@@ -88,7 +88,7 @@ class Figures:
     ----------
     first, last
         Earliest and latest stamp on the stream's clock, in s, without stray ones; None without
-        samples.
+        samples. Of a stream whose clock began again, all times are the recorder's.
     backward_steps
         How often a stamp is earlier than the one before; in a regular stream of another program
         by more than its way of stamping explains.
@@ -132,7 +132,13 @@ def measure(stream: RecordedStream) -> Figures:
 def _measure(stream: RecordedStream) -> Figures:
     stamps = stream.stamps
     finite = stamps[np.isfinite(stamps)]
+    ends = (float(finite.min()), float(finite.max())) if len(finite) else None
     offsets = stream.clock_offsets
+    clock = summarise_offsets(offsets)
+    if clock.resets:
+        # Its own stamps would make gaps and steps back of that.
+        stamps = stream.times()
+        finite = stamps[np.isfinite(stamps)]
     count = max(1, stream.sample_count)
     pace = None
     if stream.header.is_regular and not is_exact(stream.header) and len(finite) > 1:
@@ -155,11 +161,9 @@ def _measure(stream: RecordedStream) -> Figures:
         rate_hz=_rate(finite),
         rate_between_gaps_hz=rate_between_gaps_hz,
         gaps=gaps,
-        offsets=summarise_offsets(offsets),
+        offsets=clock,
         nan_shares=tuple(float(share) for share in stream.nan_counts / count),
-        clock_error=""
-        if first is None or last is None
-        else clock_error(stream.header, offsets, first, last),
+        clock_error="" if ends is None else clock_error(stream.header, offsets, *ends),
         pace=pace,
     )
 

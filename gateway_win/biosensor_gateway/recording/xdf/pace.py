@@ -78,7 +78,8 @@ class Pace:
     holes
         In their order.
     turns
-        Numbers of the samples at which stamps step back by more than `STEP_BACK_S`.
+        Numbers of the samples at which stamps step back by more than `STEP_BACK_S`, or the line
+        falls and stays there.
     odd_steps_back
         How often a stamp is earlier than the one before by more than bursts and jitter explain.
     stray
@@ -119,11 +120,19 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     stamps = _filled(stamps, is_number & ~is_stray)
     steps = np.diff(stamps)
     turns = (np.flatnonzero(steps < -STEP_BACK_S) + 1).tolist()
-    bounds = [0, *turns, len(stamps)]
-    parts = [stamps[begin:end] for begin, end in pairwise(bounds)]
     window, period_s = _window_and_period(stamps, steps, 1.0 / nominal_hz)
-    rests = [part - period_s * np.arange(len(part)) for part in parts]
+    rests = _rests(stamps, turns, period_s)
     spread_s, moves_s = _spread(rests, window, period_s)
+    falls = [
+        begin + at
+        for begin, rest in zip([0, *turns], rests, strict=True)
+        for at in _falls(rest, max(period_s / 2, _UNUSUAL * spread_s), window)
+    ]
+    if falls:
+        turns = sorted([*turns, *falls])
+        rests = _rests(stamps, turns, period_s)
+        spread_s, moves_s = _spread(rests, window, period_s)
+    bounds = [0, *turns, len(stamps)]
     most_s = max(period_s / 2, _UNUSUAL * moves_s)
     holes = [
         Hole(begin + at, jump_s + period_s, round(min(jump_s / period_s, MOST_LOST)))
@@ -336,6 +345,25 @@ def _jumps(
             bounds.insert(at, place)
         waiting = again if len(again) < len(waiting) else []
     return sorted(found.items())
+
+
+def _rests(stamps: Array, turns: list[int], period_s: float) -> list[Array]:
+    """Return how far the stamps are above a line through the first of each part."""
+    parts = [stamps[begin:end] for begin, end in pairwise([0, *turns, len(stamps)])]
+    return [part - period_s * np.arange(len(part)) for part in parts]
+
+
+def _falls(rest: Array, most_s: float, window: int) -> list[int]:
+    """Find where the line falls and stays: samples stand there twice, or the clock was set back."""
+    found: list[int] = []
+    for place in (np.flatnonzero(np.diff(rest) < -most_s) + 1).tolist():
+        begin = max(found[-1] if found else 0, place - window)
+        before, following = rest[begin:place], rest[place : place + window]
+        is_told = min(len(before), len(following)) >= window
+        # What had only come late was above the line; before a fall all is.
+        if is_told and float(before.min()) - float(following.max()) > most_s:
+            found.append(place)
+    return found
 
 
 def _lowest(values: Array, window: int) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from biosensor_gateway.recording.xdf.container import Chunk, Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.samples import decode
+from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 from biosensor_gateway.recording.xdf.sorting import StreamSorter
 
 
@@ -35,6 +37,8 @@ class RecordedStream:
     texts
         Samples of the counters and events of agents and of a node's events, with their text; empty
         for all other streams.
+    guessed_texts
+        How many are not UTF-8, so that their characters are guessed.
     """
 
     header: RecordedHeader
@@ -42,7 +46,10 @@ class RecordedStream:
     clock_offsets: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     footer: Footer | None = None
     texts: list[str] = field(default_factory=list[str])
+    guessed_texts: int = 0
     _stamps: array[float] = field(default_factory=lambda: array("d"))
+    # How many samples come before each clock offset.
+    _before_offsets: array[int] = field(default_factory=lambda: array("q"))
 
     @property
     def stamps(self) -> NDArray[np.float64]:
@@ -51,6 +58,16 @@ class RecordedStream:
         A view, so nothing can be taken in while it is held.
         """
         return np.frombuffer(self._stamps, np.float64) if self._stamps else np.empty(0)
+
+    def times(self) -> NDArray[np.float64]:
+        """Return the recorder's LSL time of every sample, in s."""
+        clock = SenderClock(self.clock_offsets)
+        bounds = [0, *self._before_offsets, self.sample_count]
+        parts = [
+            clock.to_recorder(self.stamps[begin:end], number)
+            for number, (begin, end) in enumerate(pairwise(bounds))
+        ]
+        return np.concatenate(parts)
 
     @property
     def sample_count(self) -> int:
@@ -74,6 +91,7 @@ class RecordedStream:
         block = decode(chunk.body, self.header, last_stamp)
         self._stamps.frombytes(block.stamps.tobytes())
         self.nan_counts += block.nan_counts
+        self.guessed_texts += block.guessed
         header = self.header
         if header.is_counters or header.is_events or header.is_events_of_node:
             self.texts.extend(block.texts)
@@ -81,6 +99,7 @@ class RecordedStream:
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
         """Take in one of `clock_offsets`."""
         self.clock_offsets.append((taken_at, offset))
+        self._before_offsets.append(self.sample_count)
 
     def take_footer(self, footer: Footer, _chunk: Chunk) -> None:
         """Take in the footer."""

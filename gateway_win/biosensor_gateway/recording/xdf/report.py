@@ -27,9 +27,9 @@ class Measured:
 
     @property
     def recorder_offset_s(self) -> float:
-        """What to add to a stamp to get the recorder's clock; 0 where it was never measured."""
+        """What to add to times of its figures to get the recorder's clock, in s."""
         offsets = self.stream.clock_offsets
-        return offsets[0][1] if offsets else 0.0
+        return offsets[0][1] if offsets and not self.figures.offsets.resets else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,8 @@ class Report:
         """
         recording = self.recording
         is_open = any(each.is_unclosed for each in recording.streams)
-        is_broken = bool(recording.damages or recording.orphans)
+        damages = [each for each in recording.damages if not each.is_foreign]
+        is_broken = bool(damages or recording.orphans)
         ends = (each.figures.pace for each in self.streams)
         is_broken |= any(pace is not None and pace.ends_astray for pace in ends)
         return (is_broken or is_open) and any(each.sample_count for each in recording.streams)

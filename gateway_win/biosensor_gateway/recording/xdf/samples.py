@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf.container import ChunkError
-from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.header import RecordedHeader, decoded
 
 _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.FLOAT32: np.dtype("<f4"),
@@ -42,11 +42,14 @@ class Block:
         In the stream's own format; may be a view of the chunk. Of a stream of text a list.
     unstamped
         How many samples come before the first that has a stamp of its own.
+    guessed
+        How many of its texts are not UTF-8, so that their characters are guessed.
     """
 
     stamps: NDArray[np.float64]
     values: NDArray[Any] | Texts
     unstamped: int = 0
+    guessed: int = 0
 
     @property
     def nan_counts(self) -> NDArray[np.int64] | int:
@@ -163,7 +166,7 @@ def _decode_texts(
         raise ChunkError("it is too short for its number of samples")
     stamps = np.empty(count)
     texts: Texts = []
-    position, unstamped = 0, count
+    position, unstamped, guessed = 0, count, 0
     for index in range(count):
         if unstamped == count and position < len(body) and body[position]:
             unstamped = index
@@ -175,12 +178,14 @@ def _decode_texts(
             end = position + length
             if end > len(body):
                 raise ChunkError("a text in it is longer than the chunk")
-            sample.append(str(body[position:end], "utf-8", "replace"))
+            text, is_guessed = decoded(body[position:end])
+            sample.append(text)
+            guessed += is_guessed
             position = end
         texts.append(tuple(sample))
     if position != len(body):
         raise ChunkError("its samples do not fill it")
-    return Block(stamps, texts, unstamped)
+    return Block(stamps, texts, unstamped, guessed)
 
 
 def _text_stamp(

@@ -70,8 +70,8 @@ class _Line:
     def _ends(self) -> tuple[float, float]:
         return self.first - EXTRAPOLATED_S, self.last + EXTRAPOLATED_S
 
-    def away(self, stamp: float) -> float:
-        return max(self.first - stamp, stamp - self.last, 0.0)
+    def away(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(np.maximum(self.first - stamps, stamps - self.last), 0.0)
 
 
 class SenderClock:
@@ -100,21 +100,32 @@ class SenderClock:
     def to_recorder(
         self, stamps: NDArray[np.float64], offsets_before: int = 0
     ) -> NDArray[np.float64]:
-        """Return the recorder's time of the samples of one chunk, in s.
+        """Return the recorder's time of neighbouring samples, in s.
 
         Parameters
         ----------
         stamps : ndarray of float64, shape (n_samples,)
             On the stream's own clock.
         offsets_before
-            How many clock offsets come before the chunk in the file, which tells runs of the
-            clock apart.
+            How many clock offsets come before them in the file, which tells runs of the clock
+            apart.
         """
         if not self._lines or not len(stamps):
             return stamps
-        is_one = len(self._lines) == 1
-        line = self._lines[0] if is_one else self._line(float(stamps[0]), offsets_before)
-        return stamps + line.offsets(stamps)
+        near = self._near(offsets_before)
+        offsets = near[0].offsets(stamps)
+        for before, line in pairwise(near):
+            is_later = line.away(stamps) < before.away(stamps)
+            offsets[is_later] = line.offsets(stamps)[is_later]
+        return stamps + offsets
+
+    def parts(self, times: NDArray[np.float64]) -> list[slice]:
+        """Divide times on the recorder's clock where the stream's own began again."""
+        if len(self._lines) < 2 or not len(times):
+            return [slice(0, len(times))]
+        away = [each.away(times - each.offset) for each in self._lines]
+        cuts = np.flatnonzero(np.diff(np.argmin(away, axis=0))) + 1
+        return [slice(begin, end) for begin, end in pairwise([0, *cuts.tolist(), len(times)])]
 
     def to_sender(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the stream's own time of samples, in s: what :meth:`to_recorder` is given.
@@ -122,20 +133,20 @@ class SenderClock:
         Parameters
         ----------
         times : ndarray of float64, shape (n_samples,)
-            On the recorder's clock.
+            On the recorder's clock, of one of its :meth:`parts`.
         """
         if not self._lines or not len(times):
             return times
-        first = float(times[0])
-        line = min(self._lines, key=lambda each: each.away(first - each.offset))
+        first = times[:1]
+        line = min(self._lines, key=lambda each: float(each.away(first - each.offset)[0]))
         return line.stamps(times)
 
-    def _line(self, stamp: float, offsets_before: int) -> _Line:
+    def _near(self, offsets_before: int) -> list[_Line]:
+        """Return the run of the clock that samples are of, or two: one may begin with them."""
         earlier = [line for line in self._lines if line.begin < offsets_before]
         later = [line for line in self._lines if line.begin >= offsets_before]
         # Samples of a new run may come before its first offset.
-        near = earlier[-1:] + later[:1]
-        return min(near, key=lambda line: line.away(stamp))
+        return earlier[-1:] + later[:1]
 
 
 def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[Offset]]]:

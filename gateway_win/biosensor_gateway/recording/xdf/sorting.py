@@ -98,6 +98,7 @@ class StreamSorter(Generic[_StreamT]):
         self._make = make
         self._fixes_headers = fixes_headers
         self._lost_headers = lost_headers or {}
+        self._headers: dict[int, bytes] = {}
         self.new_headers: dict[int, NewHeader] = {}
         self.begun: str | None = None
         self.clock: FileClock | None = None
@@ -125,6 +126,8 @@ class StreamSorter(Generic[_StreamT]):
 
     def _take_header(self, chunk: Chunk) -> None:
         stream_id, content = chunk.stream_id, bytes(chunk.body)
+        if self._headers.setdefault(stream_id, content) == content and stream_id in self.streams:
+            return  # nothing is dropped: it says the same once more
         new: NewHeader | None = None
         try:
             header = parse_stream_header(content)

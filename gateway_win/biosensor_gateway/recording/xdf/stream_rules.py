@@ -41,6 +41,13 @@ def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
 
 def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     header = measured.stream.header
+    if header.is_guessed:
+        text = "its header is not UTF-8, so letters in it are guessed, as those of Windows"
+        yield Level.WARNING, "not-utf8", text
+    if guessed := measured.stream.guessed_texts:
+        texts = "1 of its texts is" if guessed == 1 else f"{guessed} of its texts are"
+        text = f"{texts} not UTF-8, so letters are guessed, as those of Windows"
+        yield Level.WARNING, "not-utf8", text
     if header.refused:
         yield Level.WARNING, "refused-header", f"it claims to be ours, but {header.refused}"
     if not header.source_id:
@@ -55,12 +62,20 @@ def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         yield Level.ERROR, "no-footer", text
     elif footer.sample_count is None:
         yield Level.WARNING, "footer-count", "its footer does not say how many samples there are"
+    elif held and footer.sample_count == held - 1 and _ends_astray(measured):
+        text = "its footer counts one sample less: the last one is none, as its outlet had ended"
+        yield Level.NOTE, "footer-count", text
     elif held and footer.sample_count == held - 1:
         text = "its footer counts one sample less: older LabRecorders forget the first"
         yield Level.NOTE, "footer-count", text
     elif footer.sample_count != held:
         text = f"its footer counts {footer.sample_count} samples, the file holds {held}"
         yield Level.ERROR, "footer-count", text
+
+
+def _ends_astray(measured: Measured) -> bool:
+    pace = measured.figures.pace
+    return pace is not None and pace.ends_astray
 
 
 def _samples(measured: Measured, extent: Extent) -> Iterator[Verdict]:
@@ -176,7 +191,10 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     if offsets.resets:
         times = "once" if offsets.resets == 1 else f"{offsets.resets} times"
-        text = f"its sender's clock began again or was set {times}; stamps are right on either side"
+        text = (
+            f"its sender's clock began again or was set {times}; stamps are right on either side, "
+            "but for some seconds around it"
+        )
         yield Level.WARNING, "clock-reset", text
     if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
         text = f"its clock offsets scatter by {offsets.scatter_s * 1e3:.0f} ms: a slow network"

@@ -118,6 +118,8 @@ def _outward(value: float, rounded: Callable[[float], int]) -> float | None:
     """Return the next number outwards that has at most 8 characters."""
     for decimals in range(_FIELD - 2, -1, -1):
         scale = 10**decimals
+        if not math.isfinite(value * scale):
+            continue  # nothing is dropped: with fewer decimals it may be written
         found = rounded(value * scale) / scale
         if len(f"{found:.{decimals}f}") <= _FIELD:
             return found

@@ -115,11 +115,8 @@ class _Conversion:
                 "nothing in the recording tells the time of day, so the bag's times are those of "
                 "the LSL clock and begin in 1970"
             )
-        elif wall.resolution_s:
-            yield (
-                f"the bag's times are only good to {wall.resolution_s:g} s, for the recorder's "
-                "date is all that tells the time of day"
-            )
+        elif wall.doubt:
+            yield f"the time of day of the bag's messages {wall.doubt}"
         for stream in self._chosen.streams:
             topics, name = self._topics[stream.number], stream.header.name
             if missing := self._timeless.get(stream.number):
