@@ -12,6 +12,8 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
+from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
+from biosensor_gateway.recording.xdf.findings import Finding
 
 
 class ScreenStream(BaseModel):
@@ -410,6 +412,18 @@ class ExplainedFinding(BaseModel):
     to_do: str
 
 
+def explained(finding: Finding) -> ExplainedFinding:
+    """Return a finding with what it means for a study and what to do."""
+    known = EXPLANATIONS.get(finding.code)
+    return ExplainedFinding(
+        level=finding.level.value,
+        about=finding.about.value,
+        text=f"{finding.stream}: {finding.text}" if finding.stream else finding.text,
+        means=known.means if known else "",
+        to_do=known.to_do if known else "",
+    )
+
+
 class VerdictView(BaseModel):
     """How good a recording is that was ended.
 
@@ -419,6 +433,8 @@ class VerdictView(BaseModel):
         ``green``, ``amber`` or ``red``.
     findings
         Sentences, the worst first.
+    explained
+        The same by what they are about, with what each means and what to do.
     can_be_salvaged
         Whether it is cut or damaged, and samples can be read nevertheless.
     salvaged
@@ -429,6 +445,7 @@ class VerdictView(BaseModel):
     sentence: str
     file: str
     findings: list[str]
+    explained: list[ExplainedFinding] = []
     can_be_salvaged: bool = False
     salvaged: str = ""
 

@@ -17,7 +17,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
-from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText
+from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText, explained
 from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.contents.choice import Wish, choose
@@ -31,8 +31,6 @@ from biosensor_gateway.recording.export.several import Exported, export_several,
 from biosensor_gateway.recording.xdf import verdict as judging
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import by_devices
-from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
-from biosensor_gateway.recording.xdf.findings import Finding
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
@@ -260,18 +258,6 @@ def open_folder(folder: Path) -> None:
     except (OSError, subprocess.SubprocessError) as error:
         message = f"no file manager opens {folder}; open it by hand"
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
-
-
-def explained(finding: Finding) -> ExplainedFinding:
-    """Return a finding with what it means for a study and what to do."""
-    known = EXPLANATIONS.get(finding.code)
-    return ExplainedFinding(
-        level=finding.level.value,
-        about=finding.about.value,
-        text=f"{finding.stream}: {finding.text}" if finding.stream else finding.text,
-        means=known.means if known else "",
-        to_do=known.to_do if known else "",
-    )
 
 
 def _judged(path: Path, session: Session) -> Judged:

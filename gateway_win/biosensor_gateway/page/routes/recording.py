@@ -20,6 +20,7 @@ from biosensor_gateway.page.models import (
     PathText,
     RecordingView,
     VerdictView,
+    explained,
 )
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
@@ -301,11 +302,13 @@ class Recorder:
 
 def _view(ended: LocalStopped) -> VerdictView:
     verdict = ended.verdict
+    findings = [*verdict.findings, *_told(Level.WARNING, *ended.warnings)]
     return VerdictView(
         colour=str(verdict.colour.value),
         sentence=verdict.sentence,
         file=verdict.file,
-        findings=[*map(_said, verdict.findings), *ended.warnings],
+        findings=list(map(_said, findings)),
+        explained=list(map(explained, findings)),
         can_be_salvaged=verdict.can_be_salvaged,
     )
 
@@ -313,20 +316,19 @@ def _view(ended: LocalStopped) -> VerdictView:
 def _unclosed(file: str, error: NotClosedError) -> VerdictView:
     """Say of a recording that broke off, as on a full disk, what is in its file."""
     verdict = error.verdict
-    if verdict is None:
-        return VerdictView(
-            colour=str(Colour.RED.value),
-            sentence="nothing of it can be read",
-            file=file,
-            findings=[error.why],
-        )
+    findings = [*_told(Level.ERROR, error.why), *(verdict.findings if verdict else ())]
     return VerdictView(
         colour=str(Colour.RED.value),
-        sentence=verdict.sentence,
-        file=verdict.file,
-        findings=[error.why, *map(_said, verdict.findings)],
-        can_be_salvaged=verdict.can_be_salvaged,
+        sentence=verdict.sentence if verdict else "nothing of it can be read",
+        file=verdict.file if verdict else file,
+        findings=list(map(_said, findings)),
+        explained=list(map(explained, findings)),
+        can_be_salvaged=verdict is not None and verdict.can_be_salvaged,
     )
+
+
+def _told(level: Level, *sentences: str) -> list[Finding]:
+    return [Finding(level, "told", "", each) for each in sentences]
 
 
 def _said(finding: Finding) -> str:

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from biosensor_common.derived import BLOCK
 from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_channels, read_header
@@ -70,6 +71,9 @@ class RecordedHeader:
         The header as it was recorded.
     may_be_older
         Whether its samples may have been measured long before the recording began.
+    window_s
+        How far back its values look at most, by what it says of a feature; None of what was
+        measured.
     is_guessed
         Whether its text is not UTF-8, so that its characters are guessed.
     """
@@ -93,6 +97,7 @@ class RecordedHeader:
     xml: str = ""
     may_be_older: bool = False
     is_guessed: bool = False
+    window_s: float | None = None
 
     @property
     def is_ours(self) -> bool:
@@ -228,6 +233,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         robot=_robot(root),
         xml=text,
         is_guessed=decoded(content)[1],
+        window_s=_window_s(root) if ours else None,
         may_be_older=ours is not None
         and waits_for_receivers(ours.content_type, is_regular=rate > 0, is_state=ours.is_state),
     )
@@ -356,6 +362,11 @@ def _labels(root: ET.Element, count: int) -> tuple[str, ...]:
     labels = [node.findtext("label") or "" for node in nodes]
     complete = labels if len(labels) == count else [""] * count
     return tuple(label or str(index + 1) for index, label in enumerate(complete))
+
+
+def _window_s(root: ET.Element) -> float | None:
+    block = root.find(f"desc/{BLOCK}")
+    return None if block is None else _number(block, "window_s")
 
 
 def _robot(root: ET.Element) -> RobotTopic | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 
@@ -24,6 +25,7 @@ LATE_S = 5.0
 NAN_SHARE_TO_NOTE = 0.05
 # The agent's report comes once a second. What has no clock of its own is late by a second anyway.
 HELD_UP_S = 2.0
+_QUALIFIES = frozenset({Unit.BOOLEAN.value, Unit.FRACTION.value})
 # Gaps that pyxdf and the loader for MATLAB take for jitter unless told otherwise.
 _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
 
@@ -218,14 +220,29 @@ def _extent(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield Level.WARNING, "ends-early", f"it ends {early_s:.1f} s before the recording"
 
 
-def _values(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     header, count = measured.stream.header, measured.stream.sample_count
     if not count:
         return
     shares = list(zip(header.labels, measured.figures.nan_shares, strict=True))
-    empty = [label for label, share in shares if share == 1]
-    if empty:
-        yield Level.WARNING, "no-values", f"no value at all in {', '.join(empty)}"
+    empty = [
+        (label, unit)
+        for (label, share), unit in zip(shares, header.units, strict=True)
+        if share == 1
+    ]
+    window_s = header.window_s
+    if window_s is not None:
+        # Of a feature, these say how good others are, as far as something tells of it.
+        unknown = ", ".join(label for label, unit in empty if unit in _QUALIFIES)
+        empty = [each for each in empty if each[1] not in _QUALIFIES]
+        if unknown:
+            yield Level.NOTE, "no-values", f"nothing in the recording tells {unknown}"
+    labels = ", ".join(label for label, _ in empty)
+    if empty and window_s is not None and extent.length_s < window_s:
+        text = f"no value yet in {labels}: they look back over up to {window_s:g} s"
+        yield Level.NOTE, "no-values", text
+    elif empty:
+        yield Level.WARNING, "no-values", f"no value at all in {labels}"
     gappy = [f"{label} {s:.0%}" for label, s in shares if NAN_SHARE_TO_NOTE <= s < 1]
     if gappy:
         yield Level.NOTE, "nan", f"share without a value: {', '.join(gappy)}"

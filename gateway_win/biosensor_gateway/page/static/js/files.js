@@ -2,13 +2,12 @@
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
+import { Explained } from "./findings.js";
 import { COLOURS } from "./recording.js";
 import { clock } from "./words.js";
 
 const LOOK_MS = 500;
 const OTHER = "other";
-const ABOUT = [["persons", "Data of persons"], ["others", "Streams of other programs"], ["ourselves", "What the program notes about itself"]];
-const LEVELS = { error: ["▲", "bad", "wrong or missing"], warning: ["◐", "warn", "must be known"], note: ["i", "soft", "good to know"] };
 const MEANT = {
   bids: "BIDS: a data set of a study",
   csv: "CSV: tables for Excel, R, SPSS",
@@ -21,23 +20,11 @@ const MEANT = {
   mcap: "MCAP: ROS and Foxglove",
 };
 
-function Found({ finding }) {
-  const [sign, tone, word] = LEVELS[finding.level] ?? LEVELS.error;
-  return html`
-    <li>
-      <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${finding.text}
-      ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${finding.means}</p><p>${finding.to_do}</p></details>`}
-    </li>`;
-}
-
 function Judged({ judged }) {
   const [sign, tone] = COLOURS[judged.colour] ?? COLOURS.red;
   return html`
     <p class=${`state ${tone}`} role="status"><span aria-hidden="true">${sign}</span> ${judged.sentence}</p>
-    ${ABOUT.map(([about, title]) => {
-      const found = judged.findings.filter((each) => each.about === about);
-      return found.length > 0 && html`<h3>${title}</h3><ul class="found">${found.map((each) => html`<${Found} finding=${each} />`)}</ul>`;
-    })}
+    <${Explained} findings=${judged.findings} />
     ${judged.unread && html`<p class="reason small">The markers cannot be shown: ${judged.unread}</p>`}
     ${!judged.unread && html`
       <details><summary>Markers: ${judged.marker_count || "none"}</summary>

@@ -1,4 +1,4 @@
-// What was found, how bad it is, why it matters and what fixes it.
+// What was found, of a computer or in a recording: how bad it is, why it matters and what to do.
 
 import { html } from "../vendor/preact-htm.js";
 
@@ -8,6 +8,26 @@ const LEVELS = {
   note: ["i", "soft", "note"],
   ok: ["●", "good", "in order"],
 };
+
+const ABOUT = [["persons", "Data of persons"], ["others", "Streams of other programs"], ["ourselves", "What the program notes about itself"]];
+const IN_A_RECORDING = { error: ["▲", "bad", "wrong or missing"], warning: ["◐", "warn", "must be known"], note: ["i", "soft", "good to know"] };
+
+// What was found in a recording, by what it is about, each with its words explained.
+export function Explained({ findings }) {
+  return ABOUT.map(([about, title]) => {
+    const found = findings.filter((each) => each.about === about);
+    return found.length > 0 && html`<h3>${title}</h3><ul class="found">${found.map((each) => html`<${InARecording} finding=${each} />`)}</ul>`;
+  });
+}
+
+function InARecording({ finding }) {
+  const [sign, tone, word] = IN_A_RECORDING[finding.level] ?? IN_A_RECORDING.error;
+  return html`
+    <li>
+      <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${finding.text}
+      ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${finding.means}</p><p>${finding.to_do}</p></details>`}
+    </li>`;
+}
 
 export function Finding({ finding }) {
   const [sign, tone, word] = LEVELS[finding.level] ?? LEVELS.note;

@@ -1,6 +1,7 @@
 // The session bar: what is recorded, whether it is complete, and how good it was.
 
 import { html, useEffect } from "../vendor/preact-htm.js";
+import { Explained } from "./findings.js";
 import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
 import { Alarm } from "./title.js";
@@ -67,7 +68,7 @@ function Verdict({ verdict, act }) {
       <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${verdict.sentence}</p>
       <p class="small soft file">${verdict.file}</p>
       <${Salvage} verdict=${verdict} act=${act} />
-      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><ul class="small found-in-it" tabindex="0">${verdict.findings.map((each) => html`<li>${each}</li>`)}</ul></details>`}
+      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><div class="found-in-it" tabindex="0"><${Explained} findings=${verdict.explained} /></div></details>`}
     </div>`;
 }
 
@@ -115,7 +116,7 @@ function Begin({ status, act }) {
       <${Wearers} status=${status} people=${people} participant=${participant} act=${act} />
       ${box("session", "Session", fields.session, NAME)}
       ${box("task", "Task", fields.task, NAME)}
-      ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, size: 34 })}
+      ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, title: fields.folder || recording.folder, size: Math.max(34, recording.folder.length + 2) })}
       <button class="main" data-clear disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
       <label class="check"><input type="checkbox" checked=${fields.only_ours} onChange=${(event) => setFields({ only_ours: event.target.checked })} /> only these sensors, no other program's streams</label>
       <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax({ isLax: event.target.checked })} /> also without streams that are missing</label>
