@@ -91,7 +91,7 @@ def test_a_disk_that_is_full_from_the_begin_is_said(tmp_path: Path) -> None:
 def test_the_panel_explains_what_was_found(
     programs: Programs, window: Callable[..., browser.Page], tmp_path: Path
 ) -> None:
-    programs.settings.write_text('[[device]]\nsensor = "polar_h10"\n')
+    programs.settings.write_text('[[device]]\nsensor = "polar_h10"\nunit = "STRAP"\n')
     given_up(tmp_path, WHOLE[:-20])
     page = window(viewport={"width": 1200, "height": 1000})
     page.goto(Server(programs).address)
@@ -101,6 +101,6 @@ def test_the_panel_explains_what_was_found(
     expect(panel.get_by_role("heading", name="Streams of other programs")).to_be_visible()
     found = panel.get_by_role("listitem").filter(has_text="the file breaks off")
     found.get_by_text("What it means, and what to do").click()
-    expect(found).to_contain_text("Run `xdf salvage`")
+    expect(found).to_contain_text("Run xdf salvage and use")
     folder = panel.get_by_label("Folder")
     assert folder.evaluate("each => each.scrollWidth <= each.clientWidth")

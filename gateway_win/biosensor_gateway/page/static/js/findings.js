@@ -20,12 +20,20 @@ export function Explained({ findings }) {
   });
 }
 
+// What is typed or pressed stands out; the same sentences are in the documents.
+function worded(text) {
+  return text.split(/(`[^`]+`|\*[^*]+\*)/).map((part) => {
+    if (part.startsWith("`")) return html`<code>${part.slice(1, -1)}</code>`;
+    return part.startsWith("*") ? html`<em>${part.slice(1, -1)}</em>` : part;
+  });
+}
+
 function InARecording({ finding }) {
   const [sign, tone, word] = IN_A_RECORDING[finding.level] ?? IN_A_RECORDING.error;
   return html`
     <li>
       <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${finding.text}
-      ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${finding.means}</p><p>${finding.to_do}</p></details>`}
+      ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${worded(finding.means)}</p><p>${worded(finding.to_do)}</p></details>`}
     </li>`;
 }
 

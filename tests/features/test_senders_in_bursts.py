@@ -1,0 +1,122 @@
+"""Live heart rates of other programs that push many samples at once, by the real program.
+
+Such a sender stamps all of a packet alike, or counts back from when it came, so stamps overlap.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pylsl
+import pytest
+
+from tests.features import hearts
+from tests.features.signals import Array
+
+pytestmark = pytest.mark.seam
+
+LASTS_S, DEADLINE_S = 45.0, 60.0
+BURST = 73
+"""As a Polar H10 sends its ECG: 73 samples each 0.56 s."""
+FEWEST_BEATS = 15
+"""Some seconds pass until the program knows how a stream is stamped."""
+
+
+class Sender:
+    """Sends a heart in bursts of `BURST` samples; `truth` are its beats, by LSL's clock."""
+
+    def __init__(self, kind: str, rate: float, bpm: float, *, overlaps: bool) -> None:
+        self.name, self._rate, self._overlaps = f"stranger_{kind.lower()}", rate, overlaps
+        beats = hearts.regular(bpm, LASTS_S)
+        make = hearts.ecg_of if kind == "ECG" else hearts.pulse_of
+        self._signal = make(beats, rate, LASTS_S)
+        info = pylsl.StreamInfo(self.name, kind, 1, rate, "float32", f"{self.name}-id")
+        self._outlet = pylsl.StreamOutlet(info)
+        self._begin_s = pylsl.local_clock()
+        self.truth = self._begin_s + beats
+
+    def send(self, until: threading.Event) -> None:
+        """Send each packet when its last sample was measured, and a bit later."""
+        late = np.random.default_rng(2).exponential(0.03, len(self._signal) // BURST)
+        for number, late_s in enumerate(late):
+            due_s = self._begin_s + (number + 1) * BURST / self._rate + late_s
+            if until.wait(max(0.0, due_s - pylsl.local_clock())):
+                return
+            rows = self._signal[number * BURST : (number + 1) * BURST, np.newaxis]
+            now_s = pylsl.local_clock()
+            if self._overlaps:
+                self._outlet.push_chunk(rows.astype(np.float32), now_s)
+                continue
+            for row in rows.tolist():
+                self._outlet.push_sample(row, now_s)
+
+
+@contextmanager
+def _sending(*senders: Sender) -> Generator[None]:
+    ended = threading.Event()
+    threads = [threading.Thread(target=each.send, args=(ended,)) for each in senders]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+@contextmanager
+def _program(said: Path) -> Generator[None]:
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "features"]
+    with said.open("wb") as output, subprocess.Popen(command, stdout=output, stderr=output) as it:
+        try:
+            yield
+        finally:
+            it.kill()
+
+
+def _inlet(of: Sender, data_name: str) -> pylsl.StreamInlet:
+    end = time.monotonic() + DEADLINE_S
+    while time.monotonic() < end:
+        for info in pylsl.resolve_streams(1.0):
+            if of.name in info.name() and info.name().endswith(f"-{data_name}"):
+                return pylsl.StreamInlet(info)
+    raise AssertionError(f"there is no {data_name} of {of.name}")
+
+
+def _all_of(inlet: pylsl.StreamInlet) -> tuple[Array, Array]:
+    values, stamps = inlet.pull_chunk(timeout=0.5, max_samples=1000)
+    return np.array(stamps), np.array(values)
+
+
+def test_a_stranger_that_sends_in_bursts_has_its_heart_rate(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        stack.enter_context(_program(tmp_path / "said.txt"))
+        senders = [
+            Sender("ECG", 130.0, 72.0, overlaps=False),
+            Sender("PPG", 130.0, 95.0, overlaps=True),
+        ]
+        stack.enter_context(_sending(*senders))
+        inlets = [(_inlet(each, "beats"), _inlet(each, "hr_live")) for each in senders]
+        for pair in inlets:
+            for inlet in pair:
+                inlet.open_stream(DEADLINE_S)
+        time.sleep(max(0.0, senders[0].truth[-1] - pylsl.local_clock()))
+        for sender, (beats, rates) in zip(senders, inlets, strict=True):
+            stamps, _ = _all_of(beats)
+            assert len(stamps) >= FEWEST_BEATS
+            truth = sender.truth[
+                (sender.truth > stamps[0] - 0.3) & (sender.truth < stamps[-1] + 0.3)
+            ]
+            assert len(stamps) == pytest.approx(len(truth), abs=2)
+            told_s, told = _all_of(rates)
+            mean = 60.0 / np.diff(truth).mean()
+            assert len(told_s)
+            assert np.abs(told[:, 0] - mean).max() < 5.0
