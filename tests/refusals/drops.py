@@ -17,6 +17,7 @@ EXCUSE = "nothing is dropped:"
 REPORTS = frozenset({"refuse", "hold", "_refuse"})
 IN_DRIVERS = REPORTS | {"lost", "left_out"}
 """Verbs of a driver's sink; it adds to `dropped_bytes`, too."""
+IN_RECORDER = REPORTS | {"_note"}
 _LOGS = frozenset(
     {"debug", "info", "inform", "warn", "warning", "error", "exception", "critical", "print"}
     | {"_warn", "_say", "say", "_inform"}

@@ -4,47 +4,54 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.refusals.drops import IN_DRIVERS, REPORTS
+from tests.refusals.drops import IN_DRIVERS, IN_RECORDER, REPORTS
 
 ROOT = Path(__file__).parents[2]
+_COMMON = "common/biosensor_common"
 _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway"
 _PATTERNS = (
-    "common/biosensor_common/ros/layout.py",
-    *(f"{_NODE}/lsl/{each}.py" for each in (
-        "delivery", "descriptions", "discovery", "inlets", "pulls", "reading", "duplicates",
-    )),
-    "common/biosensor_common/lsl/namesakes.py",
+    f"{_COMMON}/lsl/inlet.py",
+    f"{_COMMON}/lsl/namesakes.py",
+    f"{_COMMON}/lsl/network.py",
+    f"{_COMMON}/lsl/sender_clocks.py",
+    f"{_COMMON}/ros/layout.py",
+    f"{_NODE}/lsl/*.py",
     f"{_NODE}/topics/*.py",
+    f"{_NODE}/statistics/*.py",
     f"{_NODE}/routing.py",
-    f"{_NODE}/taking.py",
+    f"{_NODE}/subscriber_thread.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
-        "application", "bridge", "events", "graph", "losses", "outlets",
-        "pairs", "senders", "stamping", "texts", "topic",
+        "application", "bridge", "graph", "node", "outlets", "publisher_clock", "reports",
+        "senders", "stamping", "topic",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
-        "sink", "outlets", "device_outlets", "own_outlets", "pause_gate", "markers",
-        "events/announcer", "plausibility", "silence",
+        "gateway", "markers", "outlets", "own_outlets", "silence", "sink", "stages",
     )),
+    f"{_AGENT}/streaming/events/*.py",
     f"{_AGENT}/agent/markers.py",
-    *(f"{_AGENT}/features/{each}.py" for each in (
-        "beside", "breathing", "chains", "filters", "heart", "links", "live", "motion", "offline",
-        "outputs", "quality", "r_peaks", "runs", "skin", "sources",
-    )),
-    *(f"{_AGENT}/pulses/{each}.py" for each in ("filters", "finding")),
-    *(f"{_NODE}/accounts/{each}.py" for each in ("gaps", "lateness", "load", "losses")),
-    *(f"{_AGENT}/page/network/{each}.py" for each in (
-        "listing", "source", "stream",
+    f"{_AGENT}/features/*.py",
+    f"{_AGENT}/pulses/*.py",
+    f"{_AGENT}/page/network/*.py",
+    f"{_AGENT}/captures/*.py",
+    *(f"{_AGENT}/recording/recorder/{each}.py" for each in (
+        "live_file", "receiver", "recording_file", "streams", "supervisor",
     )),
 )  # fmt: skip
 _DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*_emitter.py")
 
 
+PATTERNS = (*_PATTERNS, *_DRIVERS)
+
+
 def data_rooms() -> list[Path]:
-    """Return their files."""
-    found = sorted({path for each in (*_PATTERNS, *_DRIVERS) for path in ROOT.glob(each)})
-    return [path for path in found if path.name != "__init__.py"]
+    """Return their files, but those without a function, which drop nothing."""
+    found = sorted({path for each in PATTERNS for path in ROOT.glob(each)})
+    return [path for path in found if "def " in path.read_text()]
 
 
 def reports_of(room: Path) -> frozenset[str]:
-    """Return the methods by which a room reports: drivers have the verbs of their sink."""
+    """Return the methods by which a room reports: drivers have the verbs of their sink, the
+    recorder tells the verdict on its recording."""
+    if "recorder" in room.parts:
+        return IN_RECORDER
     return IN_DRIVERS if "driver" in room.parts else REPORTS

@@ -299,14 +299,14 @@ class Puller:
         if self._numbers is not None:
             taken = self._numbers.wait(limit_s)
             if not taken:
-                return None
+                return None  # nothing is dropped: nothing has come
             more = min(self.waiting, self._most - taken)
             # Whether the stream is lost the next pull finds out, too.
             taken += self._numbers.take(taken, more, may_be_lost=True) if more else 0
             return self._numbers.block(taken)
         sample, stamp = self._inlet.pull_sample(limit_s)
         if sample is None:
-            return None
+            return None  # nothing is dropped: nothing has come
         samples = sample[np.newaxis]
         first = Block(_decoded(samples) if self._is_text else samples, np.array([stamp]))
         more = min(self.waiting, self._most - 1)

@@ -126,7 +126,7 @@ class SenderClocks:
             elif measurement.is_late:
                 self._due_s[sender] = 0.0
             else:
-                continue
+                continue  # nothing is dropped: the measurement goes on
             del self._running[sender]
 
     def _forget_all_but(self, present: list[Sender]) -> None:
@@ -150,5 +150,6 @@ class SenderClocks:
         for sender in new + known[:at_once]:
             self._due_s[sender] = now + self._period_s
             # There may be no descriptor or thread left; the next time there may be.
+            # nothing is dropped: the next time there may be a descriptor or thread
             with suppress(RuntimeError):
                 self._running[sender] = Measurement(sender.open_clock())

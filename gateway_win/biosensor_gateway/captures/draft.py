@@ -245,6 +245,7 @@ class CaptureDesk:
         """Throw away what was captured, also in the midst of it; without effect if nothing was."""
         if self._task is not None:
             self._task.cancel()
+            # nothing is dropped: who captured throws it away
             with suppress(asyncio.CancelledError):
                 await self._task
         self.draft, self._begun = None, Progress()
@@ -267,7 +268,7 @@ class CaptureDesk:
     async def _take(self, settings: DeviceSettings, seconds: float, source: str) -> None:
         try:
             taken = await take(settings, seconds, self._recorder)
-        except GatewayError as error:
+        except GatewayError as error:  # nothing is dropped: the phase says what failed
             self._begun = self._begun._replace(phase=Phase.FAILED, problem=str(error))
         else:
             self.draft = Draft(taken, source)

@@ -96,9 +96,9 @@ class Deck:
         """Do what a driver asks for; return how it went then, None if it was not asked then."""
         asked = self._take(what, at, data)
         if asked is None:
-            return None
+            return None  # nothing is dropped: it is counted in `unknown`
         if what is not What.READ:
-            with suppress(TimeoutError):
+            with suppress(TimeoutError):  # nothing is dropped: it is answered early instead
                 async with asyncio.timeout(EARLY_S):
                     await asked.is_reached.wait()
         await asyncio.sleep(asked.event.took)
@@ -128,7 +128,7 @@ class Deck:
         if found is None:
             # What is asked behind the end, nobody can have asked then.
             self.unknown[what.value, at] += not self.is_over.is_set()
-            return None
+            return None  # nothing is dropped: it is counted in `unknown`
         self._open.remove(found)
         if "id" in request:
             self._numbers[_number(parsed(found.event.bytes))] = request["id"]
@@ -161,9 +161,9 @@ class Deck:
     async def _hold(self, asked: Asked) -> None:
         """Stop until it is asked for; not for what nothing depends on, nor if others are."""
         if asked.is_asked or not self._holds(asked):
-            return
+            return  # nothing is dropped: nothing waits for it
         begun_s = self._clock()
-        with suppress(TimeoutError):
+        with suppress(TimeoutError):  # nothing is dropped: it goes on late, and says so
             async with asyncio.timeout(HOLD_S):
                 while not asked.is_asked and not self._is_passed_over(asked):
                     self._news.clear()
@@ -187,8 +187,8 @@ def parsed(data: bytes) -> dict[str, Any]:
     """Return a message of JSON-RPC, empty if it is something else."""
     try:
         message: object = json.loads(data)
-    except (ValueError, RecursionError):
-        return {}
+    except (ValueError, RecursionError):  # nothing is dropped: it is no message of JSON-RPC
+        return {}  # nothing is dropped: what is no message is compared as bytes
     return cast("dict[str, Any]", message) if isinstance(message, dict) else {}
 
 

@@ -72,7 +72,7 @@ class Recorder:
     def events(self) -> list[Event]:
         """Return all of it, in the order of its times."""
         if not self._opened:
-            return []
+            return []  # nothing is dropped: nothing was opened
         times = [*(each[0] for each in self._opened), *(each.begun_s for _, each in self._passed)]
         begin_s = min(times)
         events: list[Event] = []
@@ -250,7 +250,7 @@ def _own_settings(
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         if name in _OF_THE_LAB or value == field.default:
-            continue
+            continue  # nothing is dropped: it is as by default
         is_choice = get_origin(field.annotation) is Literal and value in get_args(field.annotation)
         is_plain = isinstance(value, bool | int | float | tuple) and name != "port"
         if is_choice or is_plain or name in forms:

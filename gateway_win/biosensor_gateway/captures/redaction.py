@@ -265,6 +265,7 @@ def _with_word(name: str, word: str, other: str) -> str:
 def _forms(secret: str, pseudonym: str) -> Iterator[tuple[bytes, bytes]]:
     """Yield how a secret may stand in payloads, each with what stands for it."""
     if len(secret) < LEAST_SEARCHED:
+        # nothing is dropped: a word so short is replaced where it is told
         return
     bare = [_bare(each) for each in (secret, pseudonym)]
     spelt = [(secret, pseudonym)]

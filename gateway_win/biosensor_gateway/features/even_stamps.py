@@ -117,7 +117,7 @@ class Steady:
 
     def _pace_of(self, history: Array) -> Pace | None:
         if np.count_nonzero(np.isfinite(history)) < FEWEST // 2:
-            return None
+            return None  # nothing is dropped: what is waited for is kept
         pace = find_pace(history, self._rate)
         return None if pace.burst == 1 and not pace.overlap_s else pace
 

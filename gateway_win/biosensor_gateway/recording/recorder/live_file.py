@@ -101,7 +101,7 @@ class GrowingFile:
     def _walk(self) -> None:
         if not self._has_begun:
             if len(self._rest) < len(MAGIC):
-                return
+                return  # nothing is dropped: it waits for more
             self._has_begun = True
             if self._rest.startswith(MAGIC):
                 self._rest = self._rest[len(MAGIC) :]
@@ -152,7 +152,7 @@ def _frame(buffer: bytes, position: int) -> Frame | None:
         return Frame(0, position, position)
     tag = position + 1 + length_size
     if tag + _TAG_BYTES > len(buffer):
-        return None
+        return None  # nothing is dropped: it waits for more
     length = int.from_bytes(buffer[position + 1 : tag], "little")
     if length < _TAG_BYTES:
         return Frame(0, position, position)
@@ -275,7 +275,7 @@ class _StreamReader:
             self._cuts.take(stamps[np.isfinite(stamps)])
             self.gaps = len(self._cuts.holes)
             self.longest_gap_s = max((each.length_s for each in self._cuts.holes), default=0.0)
-            return
+            return  # nothing is dropped: the steps between runs are gaps as well
         run = np.concatenate(([self._last_stamp], stamps))
         gaps = find_gaps(run[np.isfinite(run)], self.header)
         self.gaps += gaps.count
@@ -406,14 +406,14 @@ class Growth:
 
     def _take(self, tag: Tag, content: memoryview) -> None:
         if tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
-            return
+            return  # nothing is dropped: they hold no samples
         if len(content) < _STREAM_ID_BYTES:
             raise ChunkError("it is too short")
         number = int.from_bytes(content[:_STREAM_ID_BYTES], "little")
         content = content[_STREAM_ID_BYTES:]
         if tag is Tag.STREAM_HEADER:
             self._streams.setdefault(number, _StreamReader(parse_stream_header(bytes(content))))
-            return
+            return  # nothing is dropped: a header is taken
         stream = self._streams.get(number)
         if stream is None:
             raise ChunkError(f"stream number {number} has no header")
@@ -432,7 +432,7 @@ class Growth:
         before = stream.reached
         now = stream.take_offset(content)
         if now is None:
-            return
+            return  # nothing is dropped: the first offset alone bounds nothing
         if before > now and before == self._newest:
             self._newest = max(each.reached for each in self._streams.values())
         self._reach(stream)
@@ -441,7 +441,7 @@ class Growth:
     def _reach(self, stream: _StreamReader) -> None:
         """Let the time of the whole file go on to where a stream has come."""
         if not math.isfinite(stream.reached):
-            return
+            return  # nothing is dropped: a stream without a sample has no time
         newest, first = self._newest, self._first
         if newest is None or first is None or self._is_first_true_time(stream.reached - newest):
             newest = first = stream.reached
@@ -499,7 +499,7 @@ class Growth:
 
     def _missing(self, required: Collection[str]) -> Iterator[Finding]:
         if not self._has_data:
-            return
+            return  # nothing is dropped: no data may be due yet
         present = {each.header.source_id for each in self._streams.values()}
         for source_id in sorted(set(required) - present):
             text = "it is required and is not in the recording"
@@ -512,7 +512,7 @@ class Growth:
             since = "since the recording began" if not stream.samples else f"for {age_s:.0f} s"
             text = f"nothing of it was recorded {since}, while others go on"
             yield Finding(Level.ERROR, "stopped", stream.name, text)
-            return
+            return  # nothing is dropped: that it has stopped is told
         unmeasured_s = self._length_s if stream.offset_age_s is None else stream.offset_age_s
         if unmeasured_s > OFFSETS_DUE_S:
             text = (

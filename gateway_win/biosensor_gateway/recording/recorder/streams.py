@@ -265,7 +265,7 @@ def away_findings(
     if devices is None:
         text = "the agent does not run, so nothing of its sensors is recorded"
         yield Finding(Level.ERROR, "no-agent", "", text)
-        return
+        return  # nothing is dropped: that no agent runs is told
     for each in absences(devices):
         level = Level.WARNING if _is_known(each, started) else Level.ERROR
         yield Finding(level, "away", "", each.sentence)

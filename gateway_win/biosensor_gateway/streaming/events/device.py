@@ -59,7 +59,7 @@ class DeviceEvents:
         self._is_connected = False
         self._is_paused = is_paused
         if self._is_paused:
-            self._say(EventKind.PAUSED, facts={"kept": True})
+            self._say(EventKind.PAUSED, facts={"kept": True})  # nothing is dropped: it is an event
 
     @property
     def is_worn(self) -> bool | None:
@@ -74,14 +74,16 @@ class DeviceEvents:
         facts: dict[str, object] = {"connection": self._connections}
         if info.firmware_version:
             facts["firmware_version"] = info.firmware_version
-        self._say(EventKind.CONNECTED, facts=facts)
+        self._say(EventKind.CONNECTED, facts=facts)  # nothing is dropped: it is an event
         if changes:
+            # nothing is dropped: it is an event
             self._say(EventKind.SETTINGS_CHANGED, facts={"changes": dict(changes)})
 
     @log_errors
     def dropped(self, reason: str) -> None:
         """Announce the end of a connection, and the gap that it begins."""
         self._is_connected = False
+        # nothing is dropped: it is an event
         self._say(EventKind.DISCONNECTED, facts={"reason": reason})
         if not self._is_paused:
             self._say_gaps(self._gaps.interrupted())
@@ -92,6 +94,7 @@ class DeviceEvents:
         self._gaps.sampled(data_name, stamps[0], stamps[-1], self._clock())
         for is_on, at in self._contact.changes(data_name, samples, stamps):
             kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
+            # nothing is dropped: it is an event
             self._say(kind, at, {"channel": self._contact.channel})
 
     @log_errors
@@ -111,7 +114,7 @@ class DeviceEvents:
             facts["seconds"] = round(size_s, 6)
         if times > 1:
             facts["times"] = times
-        self._say(EventKind.CLOCK_REANCHORED, facts=facts)
+        self._say(EventKind.CLOCK_REANCHORED, facts=facts)  # nothing is dropped: it is an event
 
     @log_errors
     def fell_silent(self, silence: Silence) -> None:
@@ -122,11 +125,12 @@ class DeviceEvents:
             "remedy": silence.remedy.value,
             **({"why": silence.why} if silence.why else {}),
         }
-        self._say(EventKind.STREAMS_SILENT, facts=facts)
+        self._say(EventKind.STREAMS_SILENT, facts=facts)  # nothing is dropped: it is an event
 
     @log_errors
     def came_back(self, streams: frozenset[str]) -> None:
         """Announce that they come again."""
+        # nothing is dropped: it is an event
         self._say(EventKind.STREAMS_BACK, facts={"streams": sorted(streams)})
 
     @log_errors
@@ -135,13 +139,14 @@ class DeviceEvents:
         self._is_paused = True
         now = self._clock()
         self._say_gaps(self._gaps.cut_off(now), paused=True)
-        self._say(EventKind.PAUSED, now)
+        self._say(EventKind.PAUSED, now)  # nothing is dropped: it is an event
 
     @log_errors
     def resumed(self, send_from_s: float) -> None:
         """Announce the end of a pause, and a gap if nothing can come yet."""
         self._is_paused = False
         self._contact.forget()
+        # nothing is dropped: it is an event
         self._say(EventKind.RESUMED, facts={"send_from": round(send_from_s, 6)})
         self._gaps.go_on(send_from_s)
         if not self._is_connected and self._connections:
@@ -156,9 +161,10 @@ class DeviceEvents:
     def _say_gaps(self, gaps: Iterable[Gap], *, paused: bool = False) -> None:
         for gap in gaps:
             if gap.until is None:
-                self._say(EventKind.GAP_START, gap.since)
+                self._say(EventKind.GAP_START, gap.since)  # nothing is dropped: it is an event
             else:
                 facts: dict[str, object] = {"lost": dict(gap.lost)}
+                # nothing is dropped: it is an event
                 self._say(
                     EventKind.GAP_END, gap.until, facts | ({"paused": True} if paused else {})
                 )
@@ -202,7 +208,7 @@ class ContactWatch:
         stamps : sequence of float, length n_samples
         """
         if data_name != self._data_name:
-            return
+            return  # nothing is dropped: another stream tells nothing of contact
         values = np.asarray(samples, np.float64).reshape(len(stamps), -1)[:, self._index]
         for value, stamp in zip(values.tolist(), stamps, strict=True):
             # NaN is unknown.
@@ -268,7 +274,7 @@ class GapWatch:
     def interrupted(self) -> Iterator[Gap]:
         """Begin a gap at the newest sample, unless nothing ever came; yield what to announce."""
         if self._newest is None or (self._is_interruption and self._is_open):
-            return
+            return  # nothing is dropped: nothing has come that could be missed
         yield from self._finished(self._newest)
         self._open(self._newest, is_interruption=True)
         yield from self._begun()

@@ -56,7 +56,7 @@ def _last_heard(inlets: Iterable[Inlet]) -> dict[str, float]:
     with_agent: set[str] = set()
     for inlet in inlets:
         if not inlet.heard_s:
-            continue
+            continue  # nothing is dropped: nothing came of it yet
         host = inlet.core.hostname
         heard[host] = max(heard.get(host, 0.0), inlet.heard_s)
         if inlet.core.content_type == ContentType.COUNTERS and not _is_foreign(inlet):
