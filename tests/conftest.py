@@ -95,6 +95,21 @@ def _links_of_unit_tests_are_in_memory(  # pyright: ignore[reportUnusedFunction]
 
 
 @pytest.fixture(scope="module", autouse=True)
+def _no_program_outlives_its_tests(  # pyright: ignore[reportUnusedFunction]
+    request: pytest.FixtureRequest,
+) -> Generator[None]:
+    """Whoever started it must end it; what is left is ended here, and told."""
+    yield
+    own = [each for each in request.session.items if each.path == request.path]
+    if all(tier_of(each) is Tier.UNIT for each in own):
+        return
+    from tests.rigs.outliving import OF_A_RUN, end_all, outliving  # noqa: PLC0415 - not for all
+
+    left = end_all(outliving(OF_A_RUN, _lsl_config))
+    assert not left, f"programs outlived their tests: {'; '.join(left)}"
+
+
+@pytest.fixture(scope="module", autouse=True)
 def _no_outlet_is_left_from_before() -> None:  # pyright: ignore[reportUnusedFunction]
     """A module's tests would see it, and record it."""
     from tests.open_outlets import open_outlets, watch_outlets  # noqa: PLC0415 - LSL comes later

@@ -17,8 +17,8 @@ from tests.rigs.terminal import at_terminal
 _CODE = """
 import sys
 from biosensor_gateway import cli
-from biosensor_gateway.system import own_window
-own_window.is_own_window = lambda: True
+from biosensor_gateway.system import windows_console
+windows_console.is_own_window = lambda: True
 sys.argv = ["biosensor-gateway", *{arguments!r}]
 cli.main()
 """

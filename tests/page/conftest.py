@@ -23,6 +23,7 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent.stop import stop_agent
 from tests.rigs import file_keyring
 from tests.rigs.chromium import chromium
+from tests.rigs.outliving import OF_A_FOLDER, end_all, outliving
 
 DEADLINE_S = 60.0
 STARTED = re.compile(r"http://127\.0\.0\.1:(\d+)/door\?token=\S+")
@@ -77,16 +78,19 @@ class Programs:
         }
 
     def end(self) -> None:
-        """End all of them, and an agent that the page has started."""
-        # From here, because a program that only asks takes longer to start than most tests.
-        with suppress(GatewayError):
-            stop_agent(self.folder)
+        """End all of them, and then an agent that the page has started."""
         for process in self._running:
             process.terminate()
         for process in self._running:
             process.wait(DEADLINE_S)
             if process.stdout is not None:
                 process.stdout.close()
+        # A page that ends in the midst of a capture gives the agent its device back: it starts it.
+        # From here, because a program that only asks takes longer to start than most tests.
+        with suppress(GatewayError):
+            stop_agent(self.folder)
+        # One that is about to start has no lock yet by which it could be asked.
+        end_all(outliving(OF_A_FOLDER, self.folder), grace_s=0.0)
 
 
 class Answer(NamedTuple):

@@ -29,8 +29,8 @@ DEVICES = (("polar_h10", "ecg", 73), ("zephyr", "ecg", 63))
 QUEUES = ((5, "reliable"), (10, "reliable"), (5, "best_effort"), (10, "best_effort"))
 # Of a round's samples. Even with pacing a computer whose tests wait for each other may lose
 # some, so the best of several rounds counts; make bench counts all. Without it, the shortest
-# queues get 0.1 to 0.5: how much a subscriber takes of a burst meanwhile is its speed.
-PACED, AT_ONCE = 0.9, 0.7
+# queues get 0.1 to 0.75: how much a subscriber takes of a burst meanwhile is its speed.
+PACED, AT_ONCE = 0.9, 0.85
 ROUND_S, SETTLE_S, DEADLINE_S = 3.0, 0.5, 90.0
 
 

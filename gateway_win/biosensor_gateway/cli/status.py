@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Group
@@ -16,7 +16,6 @@ from rich.table import Table
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.readiness import Readiness, wait_until_ready
 from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.output import (
@@ -28,6 +27,9 @@ from biosensor_gateway.cli.output import (
     table_of_names,
 )
 from biosensor_gateway.settings.places import state_folder
+
+if TYPE_CHECKING:
+    from biosensor_gateway.agent.readiness import Readiness
 
 COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "withheld"}
 """What became of a stream's samples, in the words of a person and in those of the status."""
@@ -202,6 +204,8 @@ def wait_ready(
 
     Waited for are the streams that come at a rate. The agent may still be starting.
     """
+    from biosensor_gateway.agent.readiness import wait_until_ready  # it imports asyncio
+
     readiness = wait_until_ready(state_folder(), timeout, without or ())
     if as_json:
         typer.echo(json.dumps(asdict(readiness), indent=2))

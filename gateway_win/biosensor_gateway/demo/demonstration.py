@@ -341,4 +341,5 @@ def show_topics(
         table.wait(STOP_TIMEOUT_S)
     finally:
         stop(table)
-    return table.returncode
+    # It may not have begun to heed signals when it was asked to end.
+    return 0 if table.returncode == -signal.SIGINT else table.returncode
