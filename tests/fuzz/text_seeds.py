@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree as ET
 
 from biosensor_common.lsl_header import describe
@@ -197,6 +197,21 @@ def _recordings() -> Seeds:
         ),
     )
     yield "ours", xdf_file.xdf(*_own())
+    # Longer than a section of the exporters as they are fuzzed.
+    even = [100.0 + at / 100 for at in range(600)]
+    late = [100.0 + (at // 40 + 1) * 0.4 for at in range(600)]
+    yield "gaps", xdf_file.xdf(*_ecg([at + 5 * (at > 101) + 9 * (at > 112.99) for at in even]))
+    yield "bursts", xdf_file.xdf(*_ecg(late))
+    yield "set_back", xdf_file.xdf(*_ecg([at - 3 * (at > 102) for at in even]))
+
+
+def _ecg(stamps: Sequence[float]) -> Iterator[bytes]:
+    yield xdf_file.stream_header(1, "ecg", kind="ECG", rate=100.0)
+    for begin in range(0, len(stamps), 40):
+        part = stamps[begin : begin + 40]
+        yield xdf_file.samples(1, "float32", [[at % 1] for at in part], part)
+        yield xdf_file.clock_offset(1, part[0], 0.25)
+    yield xdf_file.footer(1, len(stamps))
 
 
 def _own() -> Iterator[bytes]:

@@ -120,7 +120,15 @@ class Study:
             question.get_by_role("button", name="Record as it is").click()
         expect(self._panel.get_by_role("button", name="Stop recording")).to_be_visible()
         begun = pylsl.local_clock()
-        expect(self._panel.locator(".state")).to_contain_text("recording, all streams grow")
+        standing = self._panel.locator(".state")
+        if called:
+            # It is said from the begin, and nothing else is.
+            expect(standing).to_contain_text("recording, but not all is well")
+            said = self._panel.get_by_role("alert").get_by_role("listitem")
+            expect(said).to_have_count(1)
+            expect(said).to_contain_text(f"the file is called {called}")
+        else:
+            expect(standing).to_contain_text("recording, all streams grow")
         marked = self._mark(participant, "begin")
         away = during()
         time.sleep(RECORDED_S)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import BATCH, Wish
 from biosensor_gateway.recording.export.exporter import Clock, Times
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
@@ -35,10 +35,11 @@ def exported(tmp_path: Path) -> Exporting:
         clock: Clock = Clock.LSL,
         output: Path | None = None,
         times: Times = Times.RECORDED,
+        batch: int = BATCH,
     ) -> Outcome:
         path = tmp_path / "study.xdf"
         path.write_bytes(content)
-        task = Task(formats, wish, clock, output, times=times)
+        task = Task(formats, wish, clock, output, times=times, batch=batch)
         return export(path, task, lambda _name, _s: lambda _done: None)
 
     return run

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +19,11 @@ from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.bag.importing import import_bag
 from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import verdict
+from tests.page.test_whose import Page
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S
 from tests.xdf import xdf_file as made
@@ -28,6 +32,8 @@ from tests.xdf.checking import check
 Array = NDArray[np.float64]
 
 RATE, COUNT, BURST = 130.0, 2600, 65
+BATCH = 150
+"""Exports take so many values at once, so that batches fill and gaps stand at their borders."""
 TEXTS = ["begin", "in the middle", "end"]
 MOMENTS = [0.5, 10.0, 19.5]
 
@@ -79,6 +85,30 @@ def _with_gap(at: int, step_s: float) -> bytes:
     return _signal(stamps)
 
 
+def _twice() -> bytes:
+    """A chunk of samples that was written twice, behind a header that was."""
+    stamps = _even()
+    header = made.stream_header(1, "ecg", kind="ECG", rate=RATE, source_id="id1")
+    return header + _signal(np.concatenate([stamps[:1000], stamps[900:1000], stamps[1000:]]))
+
+
+def _begun_again() -> bytes:
+    """The sender's computer was started again behind 1000 samples."""
+    stamps, number = _even(), 1
+    first, second = stamps[:1000].tolist(), (stamps[1000:] - stamps[1000] + 5.0).tolist()
+    values = np.sin(np.arange(COUNT, dtype=np.float32))[:, np.newaxis].tolist()
+    return b"".join(
+        (
+            made.stream_header(number, "ecg", kind="ECG", rate=RATE, source_id="id1"),
+            made.offsets(number, (first[0], first[-1])),
+            made.samples(number, "float32", values[:1000], first),
+            made.offsets(number, (second[0], second[-1]), float(stamps[1000]) - 5.0),
+            made.samples(number, "float32", values[1000:], second),
+            made.footer(number, COUNT),
+        )
+    )
+
+
 def _future() -> bytes:
     stamps = _even()
     stamps[1300] += 200_000.0
@@ -94,6 +124,8 @@ SHAPES: dict[str, Sequence[bytes]] = {
     "a clock that was set back": [_with_gap(1000, -5.0), _events()],
     "a step of half a second": [_with_gap(1000, 0.5), _events()],
     "a stamp from the future": [_future(), _events()],
+    "a chunk twice": [_twice(), _events()],
+    "a clock that began again": [_begun_again(), _events()],
     "two of one name": [_signal(_even()), _signal(_even(), 3), _events()],
     "lower-case markers": [_signal(_even()), _events(kind="markers")],
     "numbers as markers": [_signal(_even()), _events(kind="Trigger", fmt="int32")],
@@ -127,14 +159,15 @@ def test_all_agree(shape: str, exported: Exporting) -> None:
     content = made.xdf(*SHAPES[shape])
     report = check(content)
     signals = [each for each in report.streams if each.name == "ecg"]
-    outcome = exported(content, "csv", "edf", "kubios", "bids", "mcap")
+    outcome = exported(content, "csv", "edf", "kubios", "bids", "mcap", batch=BATCH)
     texts = TEXTS if shape != "numbers as markers" else ["1", "2", "3"]
     expected = [] if shape == "no marker" else texts
 
     # Every sample is in the table, whatever its stamp.
     table = _of(outcome, "csv")
     assert table is not None
-    rows = [len(path.read_text().splitlines()) - 1 for path in sorted(table.path.glob("ecg*.csv"))]
+    tables = sorted(table.path.glob("ecg*.csv"))
+    rows = [len(path.read_text().splitlines()) - 1 for path in tables]
     assert rows == [each.stream.sample_count for each in signals]
 
     # One file for each run, which is what check has found.
@@ -151,8 +184,18 @@ def test_all_agree(shape: str, exported: Exporting) -> None:
         assert kubios is not None
         texts_of_kubios = sorted(kubios.path.glob("ecg*.txt"))
         assert [each.stem for each in texts_of_kubios] == [each.stem for each in files]
-        lines = sum(len(each.read_text().split()) for each in texts_of_kubios)
-        assert lines == sum(rows)
+        # The samples of each stream, in their order, and none twice.
+        values = [float(value) for each in texts_of_kubios for value in each.read_text().split()]
+        columns = [np.loadtxt(each, skiprows=1, delimiter=",", ndmin=2)[:, 2] for each in tables]
+        assert values == pytest.approx(np.concatenate(columns).tolist())
+        told_hz = [
+            float(rate)
+            for note in kubios.notes
+            if "tell Kubios" in note
+            for rate in re.findall(r"([\d.]+) Hz", note)
+        ]
+        assert told_hz == pytest.approx([RATE] * len(told_hz), rel=2e-3)
+        assert len(told_hz) == sum(count > 0 for count in rows)
         told = {note.text for path in files for note in read_bdf(path).annotations} & set(expected)
         assert told == set(expected)
         for path in files:
@@ -168,6 +211,24 @@ def test_all_agree(shape: str, exported: Exporting) -> None:
     assert sum(each["Samples"] for each in sidecars) == sum(rows) or any(
         "ecg" in note for note in bids.notes
     ), bids.notes
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_page_has_the_verdict_and_the_markers_of_the_command(
+    shape: str, tmp_path: Path
+) -> None:
+    content = made.xdf(*SHAPES[shape])
+    path = tmp_path / "study.xdf"
+    path.write_bytes(content)
+    (tmp_path / "state").mkdir()
+    code, judged = Page(tmp_path / "state", "").ask("POST", "recordings/check", {"path": str(path)})
+    found = verdict(check(content))
+    assert (code, judged["colour"], judged["sentence"]) == (200, found.colour, found.sentence)
+    with open_contents(path) as contents:
+        expected = [text for _, text in markers(choose(contents, Wish()))]
+    assert [each["text"] for each in judged["markers"]] == expected
+    texts = ["1", "2", "3"] if shape == "numbers as markers" else TEXTS
+    assert expected == ([] if shape == "no marker" else texts)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -217,6 +278,8 @@ def test_features_read_each_signal_or_say_why_not(shape: str, tmp_path: Path) ->
         "overlaps": "even stamps",
         "a stamp from the future": "stamp",
         "a clock that was set back": "step",
+        "a chunk twice": "left out",
+        "a clock that began again": "step",
     }
     told = " ".join(computed.remarks)
     assert (needs[shape] in told) if shape in needs else not told, told

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from edfio import read_bdf
 
-from biosensor_gateway.recording.export import batches, kubios, runs
+from biosensor_gateway.recording.export import kubios, runs
 from biosensor_gateway.recording.export.edf import exporter as edf_exporter
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -60,13 +60,12 @@ def _edf(outcome: Outcome) -> dict[str, list[float]]:
 @pytest.mark.parametrize("step_s", [GAP_S, -GAP_S])
 @pytest.mark.parametrize("gap_at", [1, 9, 10, 19, 20, 21, 40, 59])
 def test_a_gap_may_be_at_the_begin_of_a_batch(
-    gap_at: int, step_s: float, exported: Exporting, monkeypatch: pytest.MonkeyPatch
+    gap_at: int, step_s: float, exported: Exporting
 ) -> None:
-    monkeypatch.setattr(batches, "BATCH", 2 * CHUNK)
     content = made.xdf(_stream(1, "a", _stamps(gap_at, step_s), 0))
     values = np.arange(COUNT, dtype=float).tolist()
     parts = {"a_run1": values[:gap_at], "a_run2": values[gap_at:]}
-    outcome = exported(content, "edf", "kubios")
+    outcome = exported(content, "edf", "kubios", batch=2 * CHUNK)
     assert _kubios(outcome) == {f"{name}.txt": told for name, told in parts.items()}
     # A record may be filled up behind the last sample.
     written = {name: told[: len(parts[Path(name).stem])] for name, told in _edf(outcome).items()}

@@ -24,6 +24,8 @@ from tests.fuzz.scratch import folder, written
 
 _PACKED = b"\x1f\x8b"
 _MOST_PACKED = 1024
+_BATCH = 4
+"""So many values at once, for what is fuzzed is small, and batches and sections are to fill."""
 _FORMATS = ("csv", "csv-long", "edf", "kubios", "ledalab", "bids", "mcap")
 
 
@@ -39,7 +41,8 @@ def check(data: bytes) -> None:
         try:
             # What it writes need not outlive the power.
             with patch.object(os, "fsync"):
-                outcome = export(path, Task([name], Wish(), output=target), lambda _f, _s: _ignore)
+                task = Task([name], Wish(), output=target, batch=_BATCH)
+                outcome = export(path, task, lambda _f, _s: _ignore)
         except GatewayError as error:
             ensure(str(error) != "" and "\n" not in str(error), "a refusal of no line", error)
             ensure(not any(target.iterdir()), "a refused export is left behind", name)

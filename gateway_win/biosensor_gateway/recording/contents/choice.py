@@ -18,6 +18,8 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 # 12.5, 1:02.5 or 1:00:02.5
 _SPAN = re.compile(r"(?:(?:(\d+):)?(\d{1,2}):)?(\d+(?:\.\d+)?)")
 _MOST_NAMES = 8
+BATCH = 1 << 14
+"""Values that are taken at once: fewer cost calls, more do not fit into a processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +56,15 @@ class Chosen:
         In the order of the file, also those without samples.
     begin_s, end_s
         On the recorder's LSL clock; `end_s` excluded, infinite for all to the end.
+    batch
+        How many values exports take at once.
     """
 
     contents: Contents
     streams: tuple[Stream, ...]
     begin_s: float
     end_s: float
+    batch: int = BATCH
 
     def samples(self, stream: Stream) -> Iterator[Samples]:
         """Give the samples of one stream in the span of time, chunk by chunk."""

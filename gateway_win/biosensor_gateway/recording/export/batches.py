@@ -9,13 +9,12 @@ import numpy as np
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 
-BATCH = 1 << 14
-"""Values that are taken at once: fewer cost calls, more do not fit into a processor's cache."""
+_BATCHES_IN_SECTION = 64
 
 
 def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
     """Give the samples of a stream, many chunks of the file at once."""
-    least = max(1, BATCH // stream.header.channel_count)
+    least = max(1, chosen.batch // stream.header.channel_count)
     kept: list[Samples] = []
     count = 0
     for samples in chosen.samples(stream):
@@ -26,6 +25,11 @@ def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
             kept, count = [], 0
     if kept:
         yield joined(kept)
+
+
+def section(chosen: Chosen) -> int:
+    """Return how many samples of a stream are looked at together for where its runs begin."""
+    return _BATCHES_IN_SECTION * chosen.batch
 
 
 def joined(parts: Sequence[Samples]) -> Samples:

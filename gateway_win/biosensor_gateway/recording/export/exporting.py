@@ -7,11 +7,11 @@ import os
 import shutil
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.recording.contents.choice import Chosen, Wish, choose
+from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
 from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress, Times
 from biosensor_gateway.recording.export.formats import FORMATS, GROWTH, USUAL_GROWTH
@@ -48,6 +48,8 @@ class Task:
         Who is right about the participant, its name or its sensors; None if nobody has said it.
     times
         Of regular streams.
+    batch
+        How many values are taken at once; results do not depend on it.
     """
 
     formats: Sequence[str]
@@ -58,6 +60,7 @@ class Task:
     session: str = ""
     whose: Whose | None = None
     times: Times = Times.RECORDED
+    batch: int = BATCH
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
@@ -78,7 +81,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         participant = participant_of(path) if task.whose is Whose.NAME else ""
         for each in contents.streams if participant else ():
             each.take_wearer(participant)
-        chosen = choose(contents, task.wish)
+        chosen = replace(choose(contents, task.wish), batch=task.batch)
         _require_samples(chosen)
         _require_clock(contents, task.clock)
         order = Order(task.clock, bare_name(path), task.task, task.session, participant, task.times)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.batches import batches, section
 from biosensor_gateway.recording.export.csv.tables import quoted
 from biosensor_gateway.recording.export.exporter import (
     Missing,
@@ -203,7 +203,7 @@ class _Told:
 
 def _behind_holes(chosen: Chosen, stream: Stream) -> NDArray[np.float64] | None:
     """Return the times of the samples before which some are missing; None if steps tell."""
-    cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
+    cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header, section(chosen))
     if cuts is None:
         return None
     times = np.concatenate([each.times for each in batches(chosen, stream)] or [np.empty(0)])

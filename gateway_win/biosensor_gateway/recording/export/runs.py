@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.batches import batches, section
 from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.fitted_line import FittedLine
 from biosensor_gateway.recording.export.markers import is_markers
@@ -119,7 +119,9 @@ class Runs:
     def __init__(self, chosen: Chosen, stream: Stream, times: Times = Times.RECORDED) -> None:
         self._chosen, self._stream = chosen, stream
         self._is_even = times is Times.EVEN
-        self.cuts = cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
+        self.cuts = cuts = cuts_of(
+            (each.times for each in batches(chosen, stream)), stream.header, section(chosen)
+        )
         self._usual_s = cuts.period_s if cuts else 1.0 / stream.header.rate
         self._lost_at = {each.at: each.lost for each in cuts.holes} if cuts else {}
         self._stray = np.array(cuts.stray if cuts else [], np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.pace import MOST_LOST, Cuts, Pace, find_pace
+from biosensor_gateway.recording.xdf.pace import MOST_LOST, SECTION, Cuts, Pace, find_pace
 from biosensor_gateway.recording.xdf.recording import RecordedStream
 from biosensor_gateway.recording.xdf.sender_clock import Offset, runs_of
 
@@ -173,13 +173,17 @@ def is_exact(header: RecordedHeader) -> bool:
     return header.is_ours or header.can_drop_samples
 
 
-def cuts_of(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Cuts | None:
+def cuts_of(
+    blocks: Iterable[NDArray[np.float64]], header: RecordedHeader, section: int = SECTION
+) -> Cuts | None:
     """Find where runs begin in a regular stream whose stamps say little one by one.
 
     Parameters
     ----------
     blocks
         Times of its samples, finite, in s; looked at only if the header makes it necessary.
+    section
+        How many samples are looked at together.
 
     Returns
     -------
@@ -188,7 +192,7 @@ def cuts_of(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Cu
     """
     if is_exact(header):
         return None
-    cuts = Cuts(header.rate)
+    cuts = Cuts(header.rate, section)
     for times in blocks:
         cuts.take(times)
     cuts.end()

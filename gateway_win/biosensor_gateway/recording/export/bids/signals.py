@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATION
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.batches import batches, section
 from biosensor_gateway.recording.export.bids import eeg, emg, sidecars
 from biosensor_gateway.recording.export.bids.brain_vision import is_exact as has_exact_numbers
 from biosensor_gateway.recording.export.bids.file_names import Entities
@@ -313,7 +313,8 @@ class SignalWriter:
         return self._write_table(stream, place, cuts, runs)
 
     def _cuts_of(self, stream: Stream) -> Cuts | None:
-        return cuts_of((each.times for each in self._batches(stream)), stream.header)
+        times = (each.times for each in self._batches(stream))
+        return cuts_of(times, stream.header, section(self._chosen))
 
     def _write_table(
         self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.choice import BATCH, Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import BATCH
 from biosensor_gateway.recording.export.edf.header import Facts, header
 from biosensor_gateway.recording.export.edf.layout import Channel, channel, layout
 from biosensor_gateway.recording.export.edf.records import (
