@@ -186,6 +186,24 @@ def test_a_bag_of_the_node_becomes_its_streams_and_the_same_topics_again(tmp_pat
     np.testing.assert_allclose(first.stamps, second.stamps, rtol=0, atol=1e-6)
 
 
+def test_texts_beside_numbers_are_said_to_be_left_out(tmp_path: Path) -> None:
+    diagnosed = TYPES["diagnostic_msgs/msg/DiagnosticStatus"](1, "motor", "hot", "U1", [])
+    joints = TYPES["sensor_msgs/msg/JointState"](
+        _header(BEGIN_NS), ["elbow"], np.array([0.5]), np.empty(0), np.empty(0)
+    )
+    made.write_bag(
+        tmp_path / "live",
+        [
+            ("/state", "diagnostic_msgs/msg/DiagnosticStatus", BEGIN_NS, diagnosed),
+            ("/joints", "sensor_msgs/msg/JointState", BEGIN_NS, joints),
+        ],
+    )
+    imported = import_bag(tmp_path / "live", tmp_path / "live.xdf")
+    # What only names numbers is in their labels.
+    assert {key.partition(".")[0] for key in imported.left_out} == {"/state"}
+    assert imported.left_out["/state.message"] == "it is text beside numbers"
+
+
 def test_the_nodes_list_of_streams_tells_what_its_topics_do_not(tmp_path: Path) -> None:
     topic = "/p01/biosensors/zephyr_left/ecg"
     pair = TYPES["diagnostic_msgs/msg/KeyValue"]

@@ -226,6 +226,8 @@ def study(programs: Programs, window: Callable[..., Page], tmp_path: Path) -> Ge
         )
         is_ready(trial)
         page.get_by_label("Folder").fill(str(tmp_path / "recordings"))
+        # Until the agent answers, nobody knows who wears its sensors.
+        expect(page.get_by_label("Participant now")).to_have_value("P01")
         yield Study(server, lab, page, trial)
 
 

@@ -181,7 +181,10 @@ class _Conversion:
                     self._survey.raw_type(name),
                 )
             else:
-                self._sinks[name] = AnyTopic(topic, self._new_stream_of(name), self._wall.to_lsl)
+                sink = AnyTopic(topic, self._new_stream_of(name), self._wall.to_lsl)
+                self._sinks[name] = sink
+                for path in sink.texts:
+                    self.left_out[f"{name}.{path}"] = "it is text beside numbers"
         except MessageError as error:
             self.left_out[name] = str(error)
 

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from biosensor_common.errors import SpecError
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.ros.fields import FieldKind, all_fields, bulk_of, fields_of, has_header
+from biosensor_common.ros.fields import (
+    NAMES,
+    Field,
+    FieldKind,
+    all_fields,
+    bulk_of,
+    fields_of,
+    has_header,
+)
 from biosensor_common.ros.layout import Layout, LayoutChangedError
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.bag.errors import MessageError, UnsuitableError
@@ -145,16 +153,34 @@ class StampedTopic:
         return [tuple(map(str, told))]  # pyright: ignore[reportUnknownArgumentType]
 
 
+def _is_label(field: Field) -> bool:
+    """Whether a text says what numbers are of, and nothing that happens."""
+    return field.name in NAMES or field.name.endswith("frame_id") or field.path.startswith("layout")
+
+
 class AnyTopic:
-    """A topic of any type that has numbers, or only text."""
+    """A topic of any type that has numbers, or only text.
+
+    Attributes
+    ----------
+    texts
+        Paths of its fields of text that are beside numbers, and so in no stream; without names of
+        elements and of frames.
+    """
 
     def __init__(self, topic: Topic, new_stream: NewStream, to_lsl: ToLsl) -> None:
         self._topic, self._kind = topic, MessageType(topic)
         definition = self._kind.definition
         self._has_header, self._bulk = has_header(definition), bulk_of(definition)
         self._fields = fields_of(definition)
-        leaves = (each for each in all_fields(self._fields) if each.kind is not FieldKind.MESSAGE)
+        leaves = [each for each in all_fields(self._fields) if each.kind is not FieldKind.MESSAGE]
         self._has_numbers = any(each.kind is not FieldKind.TEXT for each in leaves)
+        self.texts = tuple(
+            each.path
+            for each in leaves
+            if not self._bulk and self._has_numbers
+            if each.kind is FieldKind.TEXT and not _is_label(each)
+        )
         self._new_stream, self._to_lsl = new_stream, to_lsl
         self._writers: dict[tuple[tuple[str, str], ...], StreamWriter] = {}
         self._layout: Layout | None = None
