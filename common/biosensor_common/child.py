@@ -1,4 +1,4 @@
-"""Starts another process, ends it within a limit, and says how it ended and when to restart it."""
+"""Starts a child process, ends it within a time limit and reports its exit code in words."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import IO, Any
 
 LONGEST_DELAY_S = 30.0
 STABLE_AFTER_S = 60.0
-"""A process that lived so long did not die of its start."""
+"""A process that ran for this long did not fail at its start, so the back-off starts again."""
 
 if sys.platform == "win32":
     NO_WINDOW = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
 else:
     NO_WINDOW = 0
-"""Flags of a process that has neither a window nor this one's Ctrl-C."""
+"""Creation flags of a child that has no window and does not receive this process's Ctrl-C."""
 
 _CRASHES = 0xC0000000
-"""From here on Windows' exit codes are errors that end programs."""
+"""Exit codes of Windows from this number on are errors that ended the program."""
 
 
 def start(
@@ -35,9 +35,9 @@ def start(
     pass_fds: Sequence[int] = (),
     bufsize: int = -1,
 ) -> subprocess.Popen[bytes]:
-    """Start a process that has neither a window nor this one's terminal; raises ``OSError``.
+    """Start a child without a window and without this process's terminal; raises ``OSError``.
 
-    One whose input is a pipe, and that ends when its input ends, ends also if this one is killed.
+    A child that ends at the end of its stdin also ends if this process is killed: give it a pipe.
     """
     return subprocess.Popen(
         command,
@@ -49,13 +49,13 @@ def start(
         pass_fds=pass_fds,
         bufsize=bufsize,
         creationflags=NO_WINDOW,
-        # Ctrl-C at this one's terminal is meant for this one, which ends the other in good order.
+        # Ctrl-C in the terminal is meant for this process only, which then shuts the child down.
         start_new_session=True,
     )
 
 
 def send(process: subprocess.Popen[bytes], data: bytes) -> None:
-    """Write to its input; nothing happens if it has ended, which its exit code says."""
+    """Write to a child's stdin; do nothing if the child has ended."""
     assert process.stdin is not None
     with suppress(OSError):
         process.stdin.write(data)
@@ -63,14 +63,14 @@ def send(process: subprocess.Popen[bytes], data: bytes) -> None:
 
 
 def close_input(process: subprocess.Popen[bytes]) -> None:
-    """Ask a process to end that ends with its input; nothing happens if it has ended."""
+    """Ask a child to end by closing its stdin; do nothing if it has ended."""
     if process.stdin is not None:
         with suppress(OSError):
             process.stdin.close()
 
 
 def wait_or_kill(process: subprocess.Popen[Any], limit_s: float) -> bool:
-    """Wait for a process that was asked to end; return whether it had to be killed."""
+    """Wait for a child that was asked to end; return whether it had to be killed."""
     try:
         process.wait(limit_s)
     except subprocess.TimeoutExpired:
@@ -81,9 +81,9 @@ def wait_or_kill(process: subprocess.Popen[Any], limit_s: float) -> bool:
 
 
 def ending_in_words(code: int) -> str:
-    """Say how a process ended, by its exit code."""
+    """Return a sentence for an exit code."""
     if code >= _CRASHES:
-        # Windows' own names of what ends a program are of this form.
+        # Windows documents its status codes as hexadecimal numbers, so that people find them.
         return f"crash {code:#010X}".replace("0X", "0x")
     if code >= 0:
         return f"exit code {code}"
@@ -94,12 +94,12 @@ def ending_in_words(code: int) -> str:
 
 
 class Backoff:
-    """Says how long to wait before a process that has died is started again.
+    """Exponential back-off between the restarts of a child.
 
     Parameters
     ----------
     first_s
-        After the first death; then 1 s, 2 s, 4 s, up to `LONGEST_DELAY_S`.
+        Delay after the first failure; then 1 s, 2 s, 4 s, up to `LONGEST_DELAY_S`.
     """
 
     def __init__(self, first_s: float = 0.0) -> None:
@@ -107,7 +107,7 @@ class Backoff:
         self._last_s: float | None = None
 
     def next_s(self, lived_s: float) -> float:
-        """Return the delay after one that lived so long."""
+        """Return the delay before the next start, given how long the last child ran."""
         if self._last_s is None or lived_s >= STABLE_AFTER_S:
             self._last_s = self._first_s
         else:

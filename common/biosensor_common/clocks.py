@@ -1,4 +1,4 @@
-"""Follows packet numbers, spreads packets evenly over time, keeps stamps from running back.
+"""Unwraps packet numbers, smooths packet times and keeps stamps monotonic.
 
 The other clock arithmetic: `biosensor_common.device_clock` maps a device's clock to
 the LSL clock, `biosensor_common.ros_clock` the LSL clock to ROS time. None of it
@@ -12,17 +12,17 @@ from collections.abc import Iterable
 
 TIMELINE_GAIN = 1 / 16
 TIMELINE_TOLERANCE_S = 0.020
-"""Recorded stamps strayed 8 ms from their chain; a miscounted packet makes 250 ms or more."""
+"""In recordings, stamps strayed up to 8 ms from the chain; a miscounted packet makes 250 ms."""
 
 MONOTONIC_STEP_S = 1e-6
-"""Survives a float of any LSL clock and the rounding to ROS nanoseconds."""
+"""Still distinct as a float on any LSL clock and after rounding to ROS nanoseconds."""
 
 
 class PacketTimeline:
-    """Follows the numbers that a device gives its packets, over roll-overs and gaps.
+    """Unwraps the packet numbers of a device over roll-overs and gaps.
 
-    A number hides whole turns, so time has to say about how far it should have come: of the
-    steps that the number allows, the one nearest to that is taken.
+    A number is known only modulo its range. Of all step counts that it allows, the one nearest
+    to the number of packets expected from the elapsed time is taken.
 
     Parameters
     ----------
@@ -40,16 +40,16 @@ class PacketTimeline:
         self.newest: int | None = None
 
     def steps(self, number: int, expected: float = 1.0, least: int | None = 1) -> int | None:
-        """Return how many numbers a packet is behind the newest one: 1 if nothing is missing.
+        """Return by how many packets this one follows the newest one: 1 if nothing is missing.
 
         Parameters
         ----------
         number : int
             The packet's number.
         expected : float
-            How many it should be, by time.
+            Number of packets expected from the elapsed time.
         least : int or None
-            The smallest possible; None if a packet may come late, or twice.
+            Smallest possible step; None if packets may arrive late or twice.
 
         Returns
         -------
@@ -71,13 +71,13 @@ class PacketTimeline:
         return steps + (turns if least is None else max(0, turns)) * self._modulus
 
     def place(self, number: int, expected: float = 1.0, least: int | None = 1) -> int | None:
-        """Do the same, and take the packet for the newest one."""
+        """Return the same as `steps`, and make this packet the newest one."""
         steps = self.steps(number, expected, least)
         self.newest = number if self.newest is None or steps is None else self.newest + steps
         return steps
 
     def forget(self) -> None:
-        """Begin again with the next packet."""
+        """Start again with the next packet."""
         self.newest = None
 
 
@@ -117,7 +117,7 @@ class SampleTimeline:
 
     @property
     def reanchors(self) -> int:
-        """How often the chain was given up for a stamp."""
+        """How often the chain was restarted at a stamp."""
         return self._reanchors
 
     def place(self, stamp_s: float, n: int, lost: int = 0) -> float:
@@ -130,7 +130,7 @@ class SampleTimeline:
         n : int
             Samples in the packet.
         lost : int
-            Samples missing since the packet before.
+            Samples missing since the previous packet.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class SampleTimeline:
 
 
 class MonotonicStamps:
-    """Keeps the stamps of one stream strictly increasing, whatever the clocks did."""
+    """Keeps the stamps of one stream strictly increasing, even after a clock step."""
 
     def __init__(self) -> None:
         self._last = -math.inf
@@ -168,7 +168,7 @@ class MonotonicStamps:
         return self._corrections
 
     def apply(self, stamps: Iterable[float]) -> list[float]:
-        """Return the stamps; each that does not follow its predecessor is moved 1 us behind it.
+        """Return the stamps; one that is not later than its predecessor is moved 1 us after it.
 
         Raises
         ------

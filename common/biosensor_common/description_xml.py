@@ -1,4 +1,4 @@
-"""Puts a description into the XML of an LSL stream, and reads the XML of one."""
+"""Writes and parses the XML description of an LSL stream."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from xml.etree.ElementTree import Element, ParseError, fromstring
 
 from biosensor_common.errors import SpecError, SpecReason
 
-# What XML 1.0 cannot hold (https://www.w3.org/TR/xml/#charsets): LSL would write it all the same,
-# and no program could read the header, nor pyxdf the recording.
+# Characters that XML 1.0 forbids (https://www.w3.org/TR/xml/#charsets). liblsl writes them anyway,
+# and then no program can parse the header, and pyxdf cannot load the recording.
 _NO_XML = re.compile("[^\t\n\r\\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class XmlNode(Protocol):
-    """What of ``pylsl.XMLElement`` it takes."""
+    """The methods of ``pylsl.XMLElement`` that are used here."""
 
     def append_child(self, name: str, /) -> Self:
         """Append an element and return it."""
@@ -26,9 +26,9 @@ class XmlNode(Protocol):
 
 
 def append_children(parent: XmlNode, element: Element) -> None:
-    """Append all that is in an element; texts beside elements, and attributes, are left out.
+    """Append the children of an element, without attributes and mixed text.
 
-    What XML has no character for, as most control characters, becomes U+FFFD.
+    Characters that XML forbids, such as most control characters, become U+FFFD.
     """
     for child in element:
         if len(child):
@@ -38,26 +38,26 @@ def append_children(parent: XmlNode, element: Element) -> None:
 
 
 def xml_text(text: str) -> str:
-    """Return a text with U+FFFD for what XML has no character for."""
+    """Return a text with U+FFFD in place of characters that XML forbids."""
     return _NO_XML.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def read_xml(xml: str, most_characters: int) -> Element:
-    """Parse XML that somebody else has written.
+    """Parse XML from an untrusted source.
 
     Raises
     ------
     SpecError
-        ``TOO_LARGE`` or ``MALFORMED``, the latter also for a document type.
+        ``TOO_LARGE``; ``MALFORMED``, also if there is a document type.
     """
     if len(xml) > most_characters:
         message = f"the XML has {len(xml)} characters, more than {most_characters}"
         raise SpecError(SpecReason.TOO_LARGE, message)
     if "<!" in xml.replace("<!--", ""):
-        # Document types and entities have no place here and are how XML parsers are attacked.
+        # XML parsers are attacked by document types and entities, and no stream needs them.
         raise SpecError(SpecReason.MALFORMED, "the XML has a document type")
     try:
         return fromstring(xml)  # noqa: S314 - no document type, limited in size
     except (ParseError, ValueError) as error:
-        # ValueError: a lone surrogate, which has no UTF-8 form.
+        # ValueError: a lone surrogate cannot be encoded as UTF-8.
         raise SpecError(SpecReason.MALFORMED, f"the XML is not well-formed ({error})") from error

@@ -1,7 +1,7 @@
 """Maps the clock of one device to the LSL clock.
 
 A packet that was ready at device time ``d`` arrives at LSL time ``a``, and
-``a - d`` is the offset between the two clocks plus the delay of the way. The
+``a - d`` is the offset between the two clocks plus the transmission delay. The
 delay is never negative and often close to its minimum, so the offset runs along
 the *lower edge* of the points ``(d, a - d)``; averages would follow the radio's
 jitter. `DeviceClock` keeps a straight line under that edge and moves its output
@@ -19,59 +19,59 @@ from enum import Enum, unique
 from biosensor_common.lower_envelope import LateRun, LowerEnvelope, Patience
 
 READING_LIMIT_S = 1e11
-"""64 bits of nanoseconds end at 1.8e10 s: a larger number is not a time."""
+"""64 bits of nanoseconds end at 1.8e10 s, so a larger number is not a time."""
 BACKWARD_LIMIT_S = 2.5
-"""Interleaved packet kinds may lag up to 2 s behind each other; beyond, the clock stepped, or
-what comes had to wait."""
+"""Interleaved kinds of packets may lag up to 2 s behind each other; a larger lag is a clock step
+or a delayed packet."""
 TURNED_BACK_LIMIT_S = 0.1
-"""Packets of one kind keep their order; stamps that are counted or smoothed vary by less."""
+"""Packets of one kind keep their order, and counted or smoothed stamps vary by less than this."""
 BELOW_LIMIT_S = 1.0
 LONGEST_DELAY_S = 90.0
-"""What waited for an agent that did not run for a minute, as on a computer that slept, is late
-and no jump; links rarely outlive more."""
+"""Packets that waited while the computer slept for up to a minute are late; the clock did not step.
+Few connections survive a longer sleep."""
 FAR_ABOVE_LIMIT_S = LONGEST_DELAY_S
 SET_BACK = Patience(2.0, 5, spread=0.2)
-"""Among packets that waited there is a timely one before that, or they catch up."""
+"""Within this time a stall ends: a packet arrives on time, or the delays shrink."""
 STAYED_ABOVE_LIMIT_S = 0.5
 STAYED_ABOVE = Patience(5.0, 10)
 SLIGHTLY_ABOVE_LIMIT_S = 0.1
-"""Less than the 128 ms at which time services begin to step a clock."""
+"""Less than 128 ms, from which time services step a clock instead of slewing it."""
 SLIGHTLY_ABOVE_DELAYS = 4.0
-"""Of mean delays: those of ten half seconds are all as long in one case of e**40."""
+"""In mean delays. By chance, ten half seconds all have such delays once in e**40 cases."""
 SLIGHTLY_ABOVE = Patience(5.0, 20, spread=0.5)
 SLEW_TIME_CONSTANT_S = 1.0
 SLEW_LIMIT = 0.5
-"""Reached only by a step or a backlog at the start: usual errors make less than 1 %."""
+"""Reached only after a clock step or a backlog at the start: usual errors need less than 1 %."""
 SLEW_SHARE = 0.25
-"""Largest part of an error taken off in one segment: keeps the spacing at one packet a second."""
+"""Largest part of an error corrected in one segment; keeps the spacing at one packet per second."""
 SEGMENT_MIN_S = 0.05
 HISTORY_SEGMENTS = 512
-"""At least 12 s of mapping stay valid for late samples."""
+"""Late samples can be mapped for at least 12 s."""
 
 
 @unique
 class ReanchorReason(Enum):
-    """Why the mapping jumped."""
+    """Why the mapping was re-anchored."""
 
     DEVICE_BACKWARD = "device_backward"
     """Device time fell far behind the newest seen: a restart, or its clock was set."""
     BELOW = "below"
     """A packet came earlier than any delay explains: the device clock stepped forward."""
     FAR_ABOVE = "far_above"
-    """A packet is later than a stall can last."""
+    """A packet is later than any stall can make it."""
     STAYED_ABOVE = "stayed_above"
-    """Packets stay late: the device clock stepped back, or the way became longer."""
+    """Packets stay late: the device clock stepped back, or the transmission delay grew."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reanchor:
-    """A jump of the mapping.
+    """A step of the mapping.
 
     Attributes
     ----------
     reason : ReanchorReason
     size_s : float
-        Change of the observed device time's LSL time, in seconds; positive is ahead.
+        By how much the LSL time of the observed device time changed, in seconds.
     """
 
     reason: ReanchorReason
@@ -80,13 +80,13 @@ class Reanchor:
 
 @dataclass(frozen=True, slots=True)
 class ClockState:
-    """What a device clock knows, for diagnostics.
+    """State of a device clock, for diagnostics.
 
     Attributes
     ----------
     offset_s : float
         LSL time minus device time at the newest device time; NaN before the first
-        observation. Contains the smallest delay of the way.
+        observation. Includes the smallest transmission delay.
     drift_ppm : float
         LSL microseconds gained per device second: positive for a slow device clock;
         NaN before the first observation.
@@ -118,9 +118,9 @@ class DeviceClock:
 
     Notes
     -----
-    What cannot be seen from one side stays in the result: the smallest delay of
-    the way (constant) and, in the first seconds, the distance of the luckiest
-    packet so far from it. A step of less than 0.1 s that delays packets, or one of
+    One-way delays cannot show two errors: the smallest transmission delay (constant)
+    and, in the first seconds, how much later than that the fastest packet so far
+    arrived. A step of less than 0.1 s that delays packets, or one of
     less than four mean delays, is followed only as old points leave the window.
     """
 
@@ -137,7 +137,7 @@ class DeviceClock:
         self._observations = 0
 
     def restart(self) -> None:
-        """Forget the offset, as when the device is known to count again; counted as a re-anchor.
+        """Forget the offset, because the device's clock started again; counted as a re-anchor.
 
         The oscillator is the same, so the drift stays as a first guess. Nothing can be
         mapped before the next observation.
@@ -150,7 +150,7 @@ class DeviceClock:
     def observe(
         self, device_s: float, arrival_s: float, kind: str = "", own_delay_s: float = 0.0
     ) -> Reanchor | None:
-        """Take in one packet.
+        """Add the observation of one packet.
 
         Parameters
         ----------
@@ -160,16 +160,16 @@ class DeviceClock:
         arrival_s : float
             LSL clock when the packet arrived, in seconds.
         kind : str
-            Which kind of packets it is of, if those of one kind keep their order: then
-            the first one that is behind tells at once that the clock was set back.
+            Kind of the packet, if packets of one kind keep their order. The first one that is
+            behind then shows that the clock was set back.
         own_delay_s : float
-            How long the packet may have waited for this computer, in seconds: a delay of so
-            much is no sign that the device's clock was set.
+            How long the packet may have waited for this computer, in seconds. Such a delay is
+            not taken as a step of the device's clock.
 
         Returns
         -------
         Reanchor or None
-            The jump, if the mapping jumped.
+            The step, if the mapping was re-anchored.
 
         Raises
         ------
@@ -208,7 +208,7 @@ class DeviceClock:
         return self.all_to_lsl([device_s])[0]
 
     def all_to_lsl(self, device_times: Sequence[float]) -> list[float]:
-        """Do the same for the times of many samples; for none, nothing need be observed."""
+        """Map many device times; an empty list needs no observation before."""
         _require_readings(*device_times)
         if device_times and self._envelope is None:
             raise RuntimeError("a device clock maps nothing before its first observation")
@@ -242,7 +242,7 @@ class DeviceClock:
     def _jump(
         self, x: float, distance: float, delay: float, kind: str
     ) -> tuple[ReanchorReason, float] | None:
-        """Return why to jump, and how late packets are by the present line; None to stay."""
+        """Return why to re-anchor, and how late packets are by the line; None to keep it."""
         if delay < -BELOW_LIMIT_S:
             return ReanchorReason.BELOW, distance
         if x < self._newest_of_kind.get(kind, -math.inf) - TURNED_BACK_LIMIT_S:
@@ -251,7 +251,7 @@ class DeviceClock:
             is_behind = x < self._newest - BACKWARD_LIMIT_S
             reason = ReanchorReason.DEVICE_BACKWARD if is_behind else ReanchorReason.FAR_ABOVE
             return reason, distance
-        # The best packet of a late run, not its last one, tells the new offset.
+        # The fastest packet of a late run shows the new offset best.
         if self._late.began_behind and self._late.outlasts(SET_BACK):
             return ReanchorReason.DEVICE_BACKWARD, self._late.least
         if self._late.outlasts(STAYED_ABOVE) or self._slightly_late.outlasts(SLIGHTLY_ABOVE):
@@ -264,7 +264,7 @@ class DeviceClock:
         x = device_s - self._device_origin
         target = x + envelope.at(x) + late_s
         size = target - self._mapping.at(x)
-        # The oscillator is the same as before the jump, so its drift is a good first guess.
+        # The oscillator is the same as before the step, so its drift is a good first guess.
         self._envelope = self._anchor(device_s, self._lsl_origin + target, envelope.slope)
         self._reanchors += 1
         return Reanchor(reason, size)
@@ -307,7 +307,7 @@ class SlewedMapping:
         return self.all_at([x])[0]
 
     def all_at(self, times: Sequence[float], x0: float = 0.0, y0: float = 0.0) -> list[float]:
-        """Map times that count from `x0`, to such that count from `y0`."""
+        """Map times relative to `x0` to times relative to `y0`."""
         starts, values, rates = self._starts, self._values, self._rates
         mapped: list[float] = []
         for time in times:
@@ -317,14 +317,14 @@ class SlewedMapping:
         return mapped
 
     def advance(self, x: float, target: LowerEnvelope) -> None:
-        """Fix the map up to `x`, on the way to the target line."""
+        """Fix the map up to `x`, moving towards the target line."""
         start, value = self._starts[-1], self._values[-1]
         step = x - start
         if step <= 0.0:
             return
         drift_rate = 1.0 + target.slope
         if x - self._starts[-2] < SEGMENT_MIN_S:
-            # Packets of a few ms lengthen the piece at its rate, to bound the number of pieces.
+            # Packets a few ms apart extend the last piece, which bounds the number of pieces.
             value = self._values[-2] + self._rates[-2] * (x - self._starts[-2])
             self._starts[-1], self._values[-1], self._rates[-1] = x, value, drift_rate
             return
@@ -338,6 +338,6 @@ class SlewedMapping:
 
 
 def _slew(error: float, step: float) -> float:
-    """Return the rate, in s/s, at which to take off an error over the next `step` seconds."""
+    """Return the rate, in s/s, that corrects an error over the next `step` seconds."""
     share = min(1.0 - math.exp(-step / SLEW_TIME_CONSTANT_S), SLEW_SHARE)
     return min(max(error * share / step, -SLEW_LIMIT), SLEW_LIMIT)

@@ -1,4 +1,4 @@
-"""Ends a process that was asked to end, whatever its threads wait for."""
+"""Ends a process within a time limit, even if some of its threads hang."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import threading
 from contextlib import suppress
 
 END_S = 5.0
-"""How long a program may take to end by itself."""
+"""How long a program may take to exit by itself."""
 _STDERR = 2
 
 
 def end_within(limit_s: float = END_S) -> None:
-    """End this process after so long, with exit code 1, unless it has ended by then.
+    """End this process with exit code 1 after a time limit, unless it has exited by then.
 
-    A thread that hangs in a library would be waited for without a limit at the end.
+    At its exit the interpreter waits for every thread, also for one that hangs in a library.
     """
     timer = threading.Timer(limit_s, _end, [limit_s])
     timer.daemon = True
@@ -23,7 +23,7 @@ def end_within(limit_s: float = END_S) -> None:
 
 def _end(limit_s: float) -> None:
     sentence = f"it has not ended by itself within {limit_s:g} s, so it is ended now\n"
-    # Whoever reads it may be gone.
+    # The reader of stderr may be gone.
     with suppress(OSError):
         os.write(_STDERR, sentence.encode())
     os._exit(1)

@@ -26,15 +26,15 @@ class TransportReason(Enum):
     """Why bytes do not flow."""
 
     ABSENT = "absent"
-    """Nothing is there yet: no such port, connection refused, no advertisement."""
+    """The device is not there: no such port, connection refused, no advertisement."""
     BUSY = "busy"
-    """Another program holds it."""
+    """Another program uses it."""
     DENIED = "denied"
     """The operating system refuses access."""
     LOST = "lost"
-    """It was there and went away."""
+    """The connection was lost."""
     SILENT = "silent"
-    """The link stands but no byte arrives."""
+    """The link is up, but no byte arrives."""
     UNAVAILABLE = "unavailable"
     """This machine lacks the radio or service."""
     EXHAUSTED = "exhausted"
@@ -68,7 +68,7 @@ class SpecReason(Enum):
     """Over the size limit."""
     UNKNOWN_VERSION = "unknown_version"
     CONTRADICTORY = "contradictory"
-    """The description does not fit the stream that carries it."""
+    """The description contradicts the stream's core fields."""
 
 
 @unique
@@ -81,9 +81,9 @@ class ConfigReason(Enum):
     UNKNOWN_KEY = "unknown_key"
     WRONG_VALUE = "wrong_value"
     EXISTS = "exists"
-    """A file is in the way and would be overwritten."""
+    """A file exists and would be overwritten."""
     IN_USE = "in_use"
-    """Another agent works with the same state folder."""
+    """Another agent uses the same state folder."""
 
 
 @unique
@@ -98,7 +98,7 @@ _ReasonT = TypeVar("_ReasonT", bound=Enum)
 
 
 class GatewayError(Exception):
-    """Base of every error of this project; ``reason`` says what to decide on."""
+    """Base class of this project's errors; callers decide by ``reason``."""
 
     def __init__(self, reason: Enum, message: str) -> None:
         super().__init__(message)
@@ -106,7 +106,7 @@ class GatewayError(Exception):
 
     @property
     def reason(self) -> Enum:
-        """What went wrong, as one of the class's reasons."""
+        """The reason, a member of the class's enum."""
         return self._reason
 
 
@@ -143,7 +143,7 @@ class CredentialError(_ReasonedError[CredentialReason]):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return `` (did you mean 'NAME'?)``, to go behind a name; empty if none is like it."""
+    """Return `` (did you mean 'NAME'?)`` to append to a sentence; empty if no name is similar."""
     by_lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1)
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""

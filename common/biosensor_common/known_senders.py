@@ -1,7 +1,7 @@
-"""LSL streams of other programs that are known by name: which sensor they come from.
+"""Maps LSL streams of known programs to sensor names.
 
-A stream says its own name, but not in words that make a good topic: Pupil Labs' app calls its
-gaze ``lab phone_Neon Gaze``. What is not in this table keeps the names that it says.
+A stream's own name often makes a poor topic: Pupil Labs' app calls its gaze
+``lab phone_Neon Gaze``. Streams that are not in this table keep their own names.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ class KnownStream:
     Attributes
     ----------
     program
-        What people call it.
+        Common name of the program.
     name, content_type, source_id
-        Patterns that what the stream says must match whole. A group ``unit`` in one of them is
-        what tells devices of a kind apart; without one it is the host.
+        Patterns that must match the stream's fields whole. A group ``unit`` in one of them
+        identifies the device; without one, the host does.
     sensor, data_name
-        What it becomes.
+        Names that the stream gets.
     labels
-        One a channel, for a stream of as many channels that names none.
+        One per channel, for a stream with this number of channels and no labels.
     units
-        By label, for channels that say none.
+        By label, for channels without a unit.
     source
-        Where its fields are described.
+        Reference for the stream's fields.
     """
 
     program: str
@@ -49,7 +49,7 @@ class KnownStream:
     def identity(
         self, name: str, content_type: str, source_id: str, hostname: str
     ) -> DeviceIdentity | None:
-        """Return whose stream this is; None if it is not this one."""
+        """Return the identity of a stream; None if it is not this one."""
         pairs = (
             (self.name, name),
             (self.content_type, content_type),
@@ -64,11 +64,11 @@ class KnownStream:
         return DeviceIdentity(self.sensor, unit)
 
     def labelled(self, labels: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the channels' labels; its own where the stream names no channel."""
+        """Return the channels' labels; those of this table if the stream has none."""
         return self.labels if len(self.labels) == len(labels) and not any(labels) else labels
 
     def with_units(self, labels: tuple[str, ...], units: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the channels' units; its own where the stream says none."""
+        """Return the channels' units; those of this table where the stream has none."""
         return tuple(
             unit or self.units.get(label, "") for label, unit in zip(labels, units, strict=True)
         )
@@ -92,7 +92,7 @@ _TITTA_STREAMS = {
     "time_?[sS]ync": "time_sync",
     "positioning": "positioning",
 }
-# Of all headsets: EPOC's, then what Flex can have besides.
+# Electrodes of all headsets: EPOC's first, then those that only Flex can have.
 _ELECTRODES = (
     *("AF3", "AF4", "F3", "F4", "F7", "F8", "FC5", "FC6", "T7", "T8", "P7", "P8", "O1", "O2", "Pz"),
     *("AFz", "Cz", "Fz", "Oz", "C3", "C4", "CP1", "CP2", "CP5", "CP6", "FC1", "FC2", "Fp1", "Fp2"),
@@ -176,7 +176,7 @@ KNOWN: tuple[KnownStream, ...] = (
 def known_stream(
     name: str, content_type: str, source_id: str, hostname: str
 ) -> tuple[KnownStream, DeviceIdentity] | None:
-    """Return the known stream that this is, and its device; None for one that is not known."""
+    """Return the entry of a known stream and its device's identity; None if it is unknown."""
     for stream in KNOWN:
         identity = stream.identity(name, content_type, source_id, hostname)
         if identity is not None:

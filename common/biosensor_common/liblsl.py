@@ -1,7 +1,7 @@
-"""Finds liblsl where pylsl brings none, and says what to do where there is none at all.
+"""Finds liblsl where pylsl does not include it, and reports how to install it.
 
-pylsl's wheel for Linux holds it for x86-64 with glibc 2.35 or newer; on ARM and with an older glibc
-pip takes the one without.
+pylsl's Linux wheel includes it for x86-64 with glibc 2.35 or newer. On ARM, and with an older
+glibc, pip installs the wheel without it.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from importlib.util import find_spec
 from pathlib import Path
 
 VARIABLE = "PYLSL_LIB"
-"""By which pylsl is told the library."""
+"""Environment variable from which pylsl takes the library's path."""
 _BROUGHT = (("biosensor_liblsl", "liblsl.so"), ("mne_lsl", "lsl/lib/liblsl.so*"))
-"""Packages with a library that is new enough: the one of our wheels for Linux, and another's."""
+"""Packages with a library that is new enough: our own wheels for Linux, and mne-lsl."""
 _GLIBC_OF_PYLSL, _GLIBC_OF_OTHERS = (2, 35), (2, 26)
 _RELEASES = "https://github.com/sccn/liblsl/releases"
 
 
 def provide(environment: MutableMapping[str, str]) -> None:
-    """Name the library for pylsl and all programs to come, if pylsl brings none and another does.
+    """Set the variable for pylsl, here and in child processes, if another package has the library.
 
-    It stays as it is if a person has named one. One of the system is not asked: it may be old.
+    A value that the user has set stays. The system's library is not used: it may be old.
     """
     if sys.platform != "linux" or environment.get(VARIABLE) or any(_files("pylsl", "lib/*lsl*.so")):
         return
@@ -35,7 +35,7 @@ def provide(environment: MutableMapping[str, str]) -> None:
 
 
 def what_is_missing(error: BaseException) -> str:
-    """Say it in a sentence if the error means that pylsl has no library; else empty."""
+    """Return a sentence if the error means that pylsl found no liblsl, else an empty text."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -50,7 +50,7 @@ def what_is_missing(error: BaseException) -> str:
 
 @contextmanager
 def needed_by(program: str) -> Generator[None]:
-    """End the process with one sentence if what runs in the context lacks the library."""
+    """Exit with one sentence if the code in the context finds no liblsl."""
     try:
         yield
     except (OSError, RuntimeError) as error:
@@ -62,12 +62,12 @@ def needed_by(program: str) -> Generator[None]:
 
 
 def remedy(install_pylsl: str = "") -> str:
-    """Say what brings the library.
+    """Return how to install the library.
 
     Parameters
     ----------
     install_pylsl
-        What installs pylsl again, where pylsl has the library for this computer.
+        Command that installs pylsl, for computers for which its wheel includes the library.
     """
     pip = f"{sys.executable} -m pip install"
     if sys.platform != "linux" or _brings(platform.machine() == "x86_64", _GLIBC_OF_PYLSL):
@@ -96,7 +96,7 @@ def _files(package: str, pattern: str) -> Iterator[Path]:
 
 
 def _folders(package: str) -> Iterator[Path]:
-    # It is not imported: that may take seconds, or be what does not work.
+    # Importing the package may take seconds, or may be what fails.
     found = find_spec(package)
     for folder in (found.submodule_search_locations if found else None) or ():
         yield Path(folder)

@@ -1,6 +1,6 @@
 """Fits a line under a sliding window of points: clock skew from one-way delays.
 
-Where packets stay late for good, `LateRun` says from when the line no longer holds.
+`LateRun` detects when packets stay late, so that the line no longer holds.
 
 Notes
 -----
@@ -15,8 +15,8 @@ oscillator tenfold). So the slope has a prior, and the line is the mean of all l
 under the points, each weighted by how likely it is: the estimate with the least
 expected square error [3]_, where the most likely line alone turns from one edge of
 the hull to the next. Delays of neighbouring packets are alike, and rare just above
-their minimum, so that points tell less than as many independent ones: their
-likelihood is raised to a power below 1, as is usual where a model is only nearly
+their minimum, so that points carry less information than as many independent ones:
+their likelihood is raised to a power below 1, as is usual where a model is only nearly
 true [4]_.
 
 .. [1] S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from
@@ -40,30 +40,30 @@ from statistics import fmean, median
 
 BIN_S = 0.5
 WINDOW_BINS = 240
-"""Two minutes, or more where packets are rare: after a pause, the bins from before it
-are still the best knowledge of the drift."""
+"""Two minutes, or more where packets are rare: after a pause, the bins before it are still the
+best estimate of the drift."""
 SLOPE_LIMIT = 250e-6
 SLOPE_STEP = 10e-6
 SLOPES = tuple(step * SLOPE_STEP for step in range(-40, 41))
-"""What is averaged over: beyond the limit on both sides, or the average would shy away from it."""
+"""Slopes that are averaged; they exceed the limit on both sides, or the mean would be biased."""
 USUAL_SLOPE = 20e-6
-"""SD of the slopes of good oscillators: it takes two clocks, each of which may be off."""
+"""SD of the slopes of good oscillators; a slope is the difference of two clocks' errors."""
 UNUSUAL_SHARE = 0.2
-"""So many of all slopes may be anything: a poor oscillator's must not be pulled back."""
+"""Share of the prior that is uniform, so that a poor oscillator's slope is not pulled to 0."""
 POWER = 0.31
-"""Of the likelihood: over a real radio, three half seconds tell as much as one would if delays were
-independent. Above it the line turns too soon, below it large drifts are followed late."""
+"""Power of the likelihood: over a real radio, three half seconds carry as much information as one
+with independent delays. With more the line turns too early, with less it follows drift late."""
 NEAR_S = 1.0
-"""Points further above the line say nothing of it, and so must not shift the middle, either."""
+"""Points further above the line say nothing about it, so they must not shift the middle."""
 DELAY_FLOOR_S = 1e-4
-"""Added to the mean delay: no computer tells an arrival more exactly."""
+"""Added to the mean delay: no computer measures an arrival more exactly."""
 DELAY_CEILING_S = 0.1
-"""Largest mean delay assumed: a longer one is not a radio's jitter, but packets that are
-held back and come together, of which the last is hardly late."""
+"""Largest mean delay assumed. A longer one is not radio jitter: packets were held back and came
+together, and the last of them is hardly late."""
 EDGE_SHARE, EDGE_POINTS = 0.1, 4
-"""How many of the lowest points tell how dense the delays are at their edge, at least."""
+"""Least number of lowest points from which the density of delays at their edge is estimated."""
 FORGET_BELOW_S = 0.2
-"""A point this far under the line is a step of the clock: what was before misleads."""
+"""A point this far under the line is a clock step, so earlier points are discarded."""
 
 Point = tuple[float, float]
 
@@ -71,11 +71,11 @@ Point = tuple[float, float]
 class LowerEnvelope:
     """The line under the lowest points of the recent past; starts with the point (0, 0).
 
-    It runs a little below the lowest points: by what the best of so many delays is
-    expected to miss the smallest possible one.
+    It runs a little below the lowest points: by the expected difference between the
+    smallest of so many delays and the smallest possible one.
 
-    Keeps the lowest point of each half second, so memory and work are bounded
-    whatever the packet rate.
+    Keeps the lowest point of each half second, so that memory and work are bounded
+    at any packet rate.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class LowerEnvelope:
 
     @property
     def mean_delay(self) -> float:
-        """By how much the lowest points of each half second are late in the mean, in seconds."""
+        """Mean delay of the lowest points of each half second, in seconds."""
         return self._mean_delay
 
     def at(self, x: float) -> float:
@@ -112,7 +112,7 @@ class LowerEnvelope:
         return math.sqrt(math.fsum(squares) / len(self._x))
 
     def add(self, x: float, y: float) -> None:
-        """Take in one point.
+        """Add one point.
 
         The line is fitted again when a bin is complete or the point is under the
         line.
@@ -132,7 +132,7 @@ class LowerEnvelope:
             self._fit()
 
     def _put(self, x: float, y: float) -> bool:
-        """Keep the point if it is the lowest of its bin; tell whether the bin is new."""
+        """Keep the point if it is the lowest of its bin; return whether the bin is new."""
         number = math.floor(x / BIN_S)
         place = len(self._bins)
         while place and self._bins[place - 1] > number:
@@ -162,7 +162,7 @@ class LowerEnvelope:
         middle = (near or self._x)[len(near) // 2]
         hull = [(x - middle, y) for x, y in self._hull()]
         heights = [min(y - slope * u for u, y in hull) for slope in SLOPES]
-        # Through two of them goes the line, whatever their delays.
+        # Two points define the line exactly, so they hold no information about delays.
         density = POWER * max(count - 2, 0) / (self._mean_delay + DELAY_FLOOR_S)
         logs = [
             density * height + log for height, log in zip(heights, self._log_prior, strict=True)
@@ -189,7 +189,7 @@ class LowerEnvelope:
 
 
 def _log_prior(drift: float) -> float:
-    """Return the logarithm of the density of a normal and a uniform distribution, mixed."""
+    """Return the log density of a mixture of a normal and a uniform distribution."""
     usual = math.exp(-0.5 * (drift / USUAL_SLOPE) ** 2) / (USUAL_SLOPE * math.sqrt(2 * math.pi))
     unusual = 1 / (SLOPES[-1] - SLOPES[0])
     return math.log((1 - UNUSUAL_SHARE) * usual + UNUSUAL_SHARE * unusual)
@@ -198,15 +198,15 @@ def _log_prior(drift: float) -> float:
 def _mean_delay(heights: Sequence[float]) -> float:
     """Estimate the mean of exponential delays from points in rising order.
 
-    By the median, because a mean would follow every stall; and by the lowest tenth alone,
-    since what counts is how dense the delays are at their edge [5]_: where packets are
-    held and come together, half of them may be late by seconds, and the others not at
-    all. The smaller estimate is taken.
+    One estimate uses the median, because a mean would follow every stall. The other uses
+    the lowest tenth alone, since the density of delays at their edge is what counts [5]_:
+    where packets are held back and come together, half of them may be seconds late and
+    the others not at all. The smaller estimate is taken.
     """
     lowest, count = heights[0], len(heights)
     by_median = (median(heights) - lowest) / math.log(2)
     edge = min(max(EDGE_POINTS, round(EDGE_SHARE * count)), count)
-    # Two of them say where the line is.
+    # Two of the points define the line.
     if edge <= 2:
         return 0.0
     waited = math.fsum(height - lowest for height in heights[:edge])
@@ -219,17 +219,17 @@ SAME_MOMENT_S = 0.002
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """For how long late packets pass for a stall, once they are not less and less late.
+    """How long late packets count as a stall, once their delays no longer shrink.
 
     Attributes
     ----------
     seconds : float
-        They have come over so many seconds, at least.
+        Least time over which they came.
     observations : int
-        They came at so many moments, at least: what waited together comes at one.
+        Least number of moments at which they came; packets that waited together come at one.
     spread : float
-        The earliest packets of each second differ by no more than this part of their least
-        lateness: after a clock was set all are late by the same time, after a stall they are not.
+        Largest difference between the earliest packets of each second, as a part of their least
+        delay: after a clock step all are late by the same time, after a stall they are not.
     """
 
     seconds: float
@@ -238,14 +238,14 @@ class Patience:
 
 
 class LateRun:
-    """The present run of packets that are late, without a timely one in between.
+    """The present run of consecutive late packets.
 
     Attributes
     ----------
     began_behind : bool
-        The first of them was measured long before others that had come already.
+        Whether the first of them was measured long before packets that had already arrived.
     least : float
-        Least lateness of them, in seconds; infinite if no packet is late.
+        Their smallest lateness, in seconds; infinite if no packet is late.
     """
 
     def __init__(self) -> None:
@@ -255,14 +255,14 @@ class LateRun:
         self._count = 0
         self._least_of_second = math.inf
         self._largest_least = -math.inf
-        # Of the packet with which patience began.
+        # Lateness of the packet at which the waiting began.
         self._settled = math.inf
 
     def add(self, late_s: float, limit_s: float, arrival_s: float, *, behind: bool = False) -> None:
-        """Take in a packet; one that is not late by more than the limit ends the run.
+        """Add a packet; one that is not late by more than the limit ends the run.
 
-        One that is less late than all before it, by more than the limit, is of a backlog that
-        catches up: patience begins again with it.
+        A packet that is less late than all before it, by more than the limit, belongs to a
+        backlog that is catching up: the waiting starts again with it.
         """
         if late_s <= limit_s:
             self.least = math.inf
@@ -277,7 +277,7 @@ class LateRun:
             self._second, self._least_of_second = arrival_s, math.inf
         if late_s < self._settled - limit_s:
             self._settled, self._since, self._count = late_s, arrival_s, 0
-        # After a clock was set, packets come one by one as ever.
+        # After a clock step packets arrive one by one, as before; after a stall they come together.
         if self._count == 0 or arrival_s > self._until + SAME_MOMENT_S:
             self._count += 1
         self._until = arrival_s
@@ -285,7 +285,7 @@ class LateRun:
         self.least = min(self.least, late_s)
 
     def outlasts(self, patience: Patience) -> bool:
-        """Whether this is no stall any more."""
+        """Whether the run is too long for a stall."""
         return (
             self._count >= patience.observations
             and self._until - self._since >= patience.seconds

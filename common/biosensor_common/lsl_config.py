@@ -1,8 +1,7 @@
-"""Configures LSL for this process: the user's own file, overlaid by ours.
+"""Configures LSL for this process: the user's file, overlaid with our settings.
 
-liblsl reads one file and takes all or nothing. Both programs pass their
-configuration in memory before the first LSL call, so they must carry over what
-the user had put into ``lsl_api.cfg``.
+liblsl reads exactly one configuration. Both programs pass theirs in memory before
+the first LSL call, so they must merge in the user's settings from ``lsl_api.cfg``.
 """
 
 from __future__ import annotations
@@ -16,32 +15,32 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason
 
 CONFIG_NAME = "lsl_api.cfg"
-# Two ports an outlet; liblsl's default of 32 hides every stream beyond the 16th.
+# An outlet takes two ports, so liblsl's default of 32 hides every stream beyond the 16th.
 DEFAULT_PORT_RANGE = 256
-# What liblsl takes where its file says nothing else.
+# liblsl's defaults.
 LSL_BASE_PORT, LSL_DISCOVERY_PORT = 16572, 16571
 LSL_SESSION = "default"
 _MOST_DIGITS = 9
-# liblsl writes to stderr beside our own log; only what went wrong belongs there.
+# liblsl writes to stderr, where our own log is: it shall write warnings and errors only.
 _LOG_WARNINGS = -1
 _SEARCH_PAUSES = ("MulticastMinRTT", "UnicastMinRTT")
 
 
 @dataclass(frozen=True, slots=True)
 class LslOverrides:
-    """What our settings say; an empty value leaves the user's own.
+    """Values from our settings; an empty one leaves the user's own value.
 
     Attributes
     ----------
     session_id
-        Other sessions neither see nor are seen; LabRecorder must use the same.
+        Programs see streams of their own session only; LabRecorder must use the same.
     known_peers
         Hosts to ask directly where multicast does not reach.
     port_range
         Number of ports from 16572 on; without it the user's own, but at least 256.
     search_pause_s
         Seconds that a search waits between asking by multicast and asking known peers, and
-        before it asks again; where the user's file says nothing. liblsl's own are 0.5 and 0.75.
+        before it asks again, unless the user's file sets it. liblsl's defaults are 0.5 and 0.75.
     """
 
     session_id: str = ""
@@ -51,7 +50,7 @@ class LslOverrides:
 
 
 def config_places(environment: Mapping[str, str], home: Path, folder: Path) -> tuple[Path, ...]:
-    """Return where liblsl looks for its file; it reads the first that is there.
+    """Return the places where liblsl looks for its file; it reads the first that exists.
 
     Order of https://labstreaminglayer.readthedocs.io/info/lslapicfg.html: the
     variable ``LSLAPICFG``, the working folder, the home folder, the system.
@@ -66,27 +65,27 @@ def config_places(environment: Mapping[str, str], home: Path, folder: Path) -> t
 
 
 def home_config_file(home: Path) -> Path:
-    """Return the user's own place for the file, in the home folder."""
+    """Return the path of the user's own file, in the home folder."""
     return home / "lsl_api" / CONFIG_NAME
 
 
 def user_config_file(environment: Mapping[str, str], home: Path, folder: Path) -> Path | None:
-    """Find the file that liblsl itself would read."""
+    """Return the file that liblsl itself would read."""
     places = config_places(environment, home, folder)
     return next((path for path in places if is_there(path)), None)
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is a file that this program may read."""
+    """Whether a file exists that this program may read."""
     try:
         return path.is_file()
     except OSError:
-        # In a folder that may not be looked into, where liblsl finds none, either.
+        # The folder is not readable; liblsl finds no file there, either.
         return False
 
 
 def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
-    """Text for ``pylsl.set_config_content``.
+    """Return the text for ``pylsl.set_config_content``.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def _own_port_range(parser: configparser.ConfigParser) -> int:
 
 
 def whole_number(text: str, default: int) -> int:
-    """Read a number of a configuration; the default if it is none, or no C integer."""
+    """Parse a number of a configuration; the default if it is not a C integer."""
     return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else default
 
 

@@ -1,8 +1,8 @@
 """Writes and reads a stream's declaration and its channels as LSL description XML.
 
-Beside the XDF fields that LabRecorder users, MNE-LSL and EEGLAB read, the
-description carries one versioned block, from which any node knows where the
-stream belongs without having heard of the sensor before::
+In addition to the XDF fields that LabRecorder users, MNE-LSL and EEGLAB read, the
+description has one versioned block, from which any node can map the stream even if
+it does not know the sensor::
 
     <biosensor>
       <version>1</version> <sensor>zephyr</sensor> <unit>BHT012345</unit>
@@ -11,14 +11,13 @@ stream belongs without having heard of the sensor before::
       <is_state>false</is_state>
     </biosensor>
 
-A channel whose meaning agent or node act on has a ``<role>`` beside its label and
-unit. Both ``<role>`` and ``<is_state>`` are optional: a channel without the one means
-nothing in particular, a stream without the other is no state.
+A channel whose meaning matters to agent or node has a ``<role>`` in addition to its
+label and unit. Both ``<role>`` and ``<is_state>`` are optional: without the first, the
+channel has no special meaning; without the second, the stream is not a state.
 
-What is read comes from the network and is not trusted: it is limited in size,
-names are checked, and a block that does not fit the stream that carries it is
-refused as a whole. Elements that version 1 does not know are ignored, and so are
-roles that this reader does not know, or that come in another unit.
+Descriptions come from the network and are not trusted: their size is limited, names
+are checked, and a block that contradicts its stream is refused as a whole. Unknown
+elements are ignored, and so are roles that are unknown or have another unit.
 """
 
 from __future__ import annotations
@@ -51,14 +50,14 @@ from biosensor_common.stream_header import (
 
 
 class Channels(NamedTuple):
-    """What a description says of the channels, in channel order.
+    """The description of the channels, in channel order.
 
     Attributes
     ----------
     labels, units
-        Empty text where it says nothing.
+        Empty text where there is none.
     roles
-        None where it says none, none that is known, or one in another unit.
+        None where there is none, an unknown one, or one with another unit.
     """
 
     labels: tuple[str, ...]
@@ -67,7 +66,7 @@ class Channels(NamedTuple):
 
 
 def read_channels(root: ET.Element, count: int) -> Channels:
-    """Return what is said; nothing where the description has another number of channels."""
+    """Return the channels; empty fields if the description has another number of them."""
     nodes = root.findall("desc/channels/channel")
     if len(nodes) != count:
         blank = ("",) * count
@@ -86,7 +85,7 @@ def _role(text: str, unit: str) -> ChannelRole | None:
     try:
         role = ChannelRole(text)
     except ValueError:
-        # None, or one of a later version.
+        # No role, or one of a later version.
         return None
     return role if role.unit == unit else None
 
@@ -97,7 +96,7 @@ MAX_CHANNELS = 4096
 
 _E = TypeVar("_E", Category, MessageType)
 
-# Channel types by the XDF wiki's words where they differ from the stream's type.
+# Channel types of the XDF wiki, where they differ from the stream's type.
 _CHANNEL_TYPES = {ContentType.RESPIRATION: "RESP", ContentType.TEMPERATURE: "TEMPERATURE"}
 
 
@@ -129,7 +128,7 @@ def describe(stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> 
     synchronization = ET.SubElement(desc, "synchronization")
     _append(synchronization, offset_mean="0")
     if stream.is_regular:
-        # Without it pyxdf smears a drop-out of less than 500 samples over the recording.
+        # Without this flag pyxdf spreads a gap of less than 500 samples over the whole recording.
         _append(synchronization, can_drop_samples="true")
     _append(
         ET.SubElement(desc, "biosensor"),
@@ -273,7 +272,7 @@ def _member(core: CoreFields, kind: type[_E], text: str) -> _E:
 
 
 def _check(core: CoreFields, header: StreamHeader) -> None:
-    """Refuse a block with bad names, or one that claims what its stream is not."""
+    """Refuse a block that has invalid names or contradicts its stream."""
     identity, message_type = header.identity, header.message_type
     names = (identity.sensor, header.data_name, header.chunk or "ok")
     if not all(is_data_name(name) for name in names):
@@ -294,7 +293,7 @@ def _check(core: CoreFields, header: StreamHeader) -> None:
 
 
 def _is_too_narrow(message_type: MessageType, channel_format: ChannelFormat) -> bool:
-    """Whether an array of integers would have to hold fractions, or larger integers."""
+    """Whether an integer array type cannot hold all values of a format."""
     if message_type is MessageType.INT64_MULTI_ARRAY:
         return channel_format.is_float
     is_int32 = message_type is MessageType.INT32_MULTI_ARRAY

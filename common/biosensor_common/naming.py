@@ -5,10 +5,10 @@ is escaped: what ROS or LSL forbids becomes ``_xHH``, one for each UTF-8 byte.
 Two different fields never give one token, and ordinary ones stay as they are.
 
 A topic's sensor part, ``<sensor>[_<label>]``, is read by people and therefore
-plain. It tells all pairs apart as long as no sensor is named like another one
-plus a label, which holds for the built-in sensors. Where it does not hold (a
-stream of another program called ``zephyr_left``) and where two devices of a kind
-meet, :func:`resolve_topics` moves all of them to longer names.
+plain. It is unique as long as no sensor is named like another one plus a label,
+which holds for the built-in sensors. Where it is not unique (a stream of another
+program called ``zephyr_left``, or two devices of one kind), :func:`resolve_topics`
+gives all of them longer names.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import TypeVar
 from biosensor_common.known_senders import known_stream
 from biosensor_common.spec import DeviceIdentity
 
-# What stays: letters, digits, and an underscore between two of them that does
+# Kept as it is: letters, digits, and an underscore between two of them that does
 # not look like the start of an escape.
 _FORBIDDEN = re.compile(
     r"(?:(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|_(?=x[0-9A-F]{2})|[^A-Za-z0-9_])", re.DOTALL
@@ -32,33 +32,33 @@ _MARKER = "x0"
 _TAKEN_SUFFIX = re.compile(r"_(chunk|stamped)\Z")
 _TOKEN_LENGTH = 64
 _HASH_LENGTH = 16
-# Escaped letters: no field contains them, because letters stay as they are.
+# Escaped letters never occur in an escaped field, because letters are not escaped.
 _HASH_MARK = "_x68"
 _FIELD_MARK = "_x75"
 
 Key = TypeVar("Key", bound=Hashable)
 
 AGENT = "gateway"
-"""Sensor of an agent's own streams; its unit is the computer, so there are as many as computers."""
+"""Sensor name of an agent's own streams; their unit is the computer."""
 NODE = "lsl_to_ros"
-"""Sensor of a node's own streams; its unit is the computer, too."""
+"""Sensor name of a node's own streams; their unit is the computer, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicName:
-    """Where one stream is published.
+    """The topic on which one stream is published.
 
     Attributes
     ----------
     base
-        Relative name of the sensor, ``[<participant>/]<prefix>/<sensor>``; the
-        device's other topics are beside it.
+        Relative name of the sensor, ``[<participant>/]<prefix>/<sensor>``, which all topics
+        of the device share.
     data
         Last part of the name.
     conflict
-        Another device would have had the same base: both carry their unit.
+        Whether another device would have the same base; then both names include the unit.
     duplicate
-        Another stream claims to be this one, of the same device.
+        Whether another stream of the same device claims the same name.
     """
 
     base: str
@@ -72,14 +72,14 @@ class TopicName:
         return f"{self.base}/{self.data}"
 
     def frame_id(self, prefix: str) -> str:
-        """Name of the sensor as in the topic, without the prefix: ``p01/zephyr_left``."""
+        """Return the sensor's part of the topic, without the prefix: ``p01/zephyr_left``."""
         parts = self.base.split("/")
         before = parts[: len(parts) - len(prefix.split("/") if prefix else []) - 1]
         return "/".join([*before, parts[-1]])
 
 
 def sanitise(text: str) -> str:
-    """Turn any string into one token of a ROS name, different strings into different ones.
+    """Escape any string as one token of a ROS name; different strings give different tokens.
 
     Letters, digits and single inner underscores stay. Every other byte of the
     UTF-8 form becomes ``_xHH``, and so does an underscore that is doubled, at an
@@ -88,7 +88,7 @@ def sanitise(text: str) -> str:
     string is ``x0``.
 
     A token of more than 64 characters is cut and ends in ``_x68`` and 16 hex
-    digits of its SHA-256: beyond that length only the hash tells strings apart.
+    digits of its SHA-256: longer strings differ by their hash only.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def sensor_topic_name(identity: DeviceIdentity, *, by_unit: bool = False) -> str
     """Return the topic part of a device: ``<sensor>[_<label>][_<unit>]``.
 
     Different (sensor, label) pairs give different names if no sensor's name is
-    another's followed by an underscore and more; see the module's text.
+    another's followed by an underscore and more; see the module's docstring.
     """
     return _names(identity)[1 if by_unit else 0]
 
@@ -115,7 +115,7 @@ def topic(
     Parameters
     ----------
     prefix
-        Valid ROS name, taken as it is; left out if empty.
+        Valid ROS name, used unchanged; left out if empty.
     by_unit
         Append the unit to the sensor: ``zephyr_BHT012345``.
     """
@@ -129,11 +129,11 @@ def resolve_topics(
     *,
     gone: Iterable[DeviceIdentity] = (),
 ) -> dict[Key, TopicName]:
-    """Give every stream its topic, such that no two devices ever share one.
+    """Assign a topic to every stream, such that no two devices ever share one.
 
-    Devices that would share a name all get the next longer one: first with the
-    unit, and if even that is another's, one with every field kept apart. The
-    result depends on the set of devices alone, never on their order.
+    Devices that would share a name all get the next longer one: first with the unit,
+    and if that is not unique either, one that separates every field. The result
+    depends only on the set of devices, never on their order.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def resolve_topics(
     prefix
         As in :func:`topic`.
     gone
-        Devices that were here before; their names are not given to others.
+        Devices that were present before; no other device gets their names.
     """
     ranks = _ranks({identity for identity, _ in streams.values()}.union(gone))
     claims = Counter(streams.values())
@@ -160,7 +160,7 @@ def resolve_topics(
 def lsl_name(identity: DeviceIdentity, data_name: str) -> str:
     """Return an outlet's name, ``[<participant>-]<sensor>[__<label>]-<unit>-<data>``.
 
-    Fields hold neither ``-`` nor ``__``, so the name tells all five apart. It
+    Fields contain neither ``-`` nor ``__``, so all five can be read back. The name
     consists of ASCII letters, digits, ``_`` and ``-``.
     """
     participant = f"{_escape(identity.participant)}-" if identity.participant else ""
@@ -172,10 +172,10 @@ def lsl_name(identity: DeviceIdentity, data_name: str) -> str:
 def source_id(identity: DeviceIdentity, data_name: str) -> str:
     """Return an outlet's source id, by which LSL recovers a stream.
 
-    With a participant or a label the place on the body is what counts, so that
-    a replaced strap continues its stream: ``[<participant>@]<sensor>[.<label>]-<data>``.
-    Else it is the device: ``<sensor>-<unit>-<data>``. It holds neither quotes
-    nor blanks, which would break LSL queries.
+    With a participant or a label it identifies the place on the body, so that a
+    replaced strap continues its stream: ``[<participant>@]<sensor>[.<label>]-<data>``.
+    Otherwise it identifies the device: ``<sensor>-<unit>-<data>``. It has neither
+    quotes nor blanks, which would break LSL queries.
     """
     sensor, data = _escape(identity.sensor), _escape(data_name)
     if not (identity.participant or identity.label):
@@ -190,10 +190,9 @@ def foreign_identity(
 ) -> tuple[DeviceIdentity, str]:
     """Return identity and data name of a stream that another program offers.
 
-    Those of a :mod:`known program <.known_senders>` have good ones. Else the stream's name
-    stands for the sensor, its type (``data`` if empty) for the data, its source id (the host if
-    empty) for the unit. All keep their case and characters; :func:`topic` makes ROS names of
-    them.
+    Streams of a :mod:`known program <.known_senders>` get theirs from a table. Otherwise the
+    stream's name becomes the sensor, its type (``data`` if empty) the data name, and its source
+    id (the host if empty) the unit. Case and characters are kept; :func:`topic` escapes them.
     """
     known = known_stream(name, content_type, source_id, hostname)
     if known is not None:
@@ -202,7 +201,7 @@ def foreign_identity(
 
 
 def _escape(text: str) -> str:
-    # A lone surrogate has no UTF-8 form, but a hostile stream may send one.
+    # A lone surrogate cannot be encoded as UTF-8, but a hostile stream may send one.
     one_char_a_byte = text.encode("utf-8", "surrogatepass").decode("latin-1")
     return _FORBIDDEN.sub(lambda match: f"_x{ord(match[0]):02X}", one_char_a_byte)
 
@@ -220,7 +219,7 @@ def _cut(token: str) -> str:
 
 
 def _data_token(data_name: str) -> str:
-    """Sanitise a data name; ``_chunk`` and ``_stamped`` belong to the topics made from it."""
+    """Escape a data name; the suffixes ``_chunk`` and ``_stamped`` are reserved."""
     return _cut(_TAKEN_SUFFIX.sub(r"_x5F\1", _marked(_escape(data_name))))
 
 
@@ -230,7 +229,7 @@ def _base(identity: DeviceIdentity, sensor: str, prefix: str) -> str:
 
 
 def _names(identity: DeviceIdentity) -> tuple[str, str, str]:
-    """Names of a device from plain to unmistakable; the last is unlike any of the others."""
+    """Return the names of a device, from plain to unique; the last differs from all others."""
     plain = f"{identity.sensor}_{identity.label}" if identity.label else identity.sensor
     fields = (identity.sensor, identity.label, identity.unit)
     return (
@@ -241,10 +240,10 @@ def _names(identity: DeviceIdentity) -> tuple[str, str, str]:
 
 
 def _ranks(devices: Iterable[DeviceIdentity]) -> dict[DeviceIdentity, int]:
-    """Choose which of its names each device gets: 0 plain, 1 with the unit, 2 unmistakable.
+    """Choose which of its names each device gets: 0 plain, 1 with the unit, 2 unique.
 
-    A name that was too short for one device is closed to all, so that a listener
-    never hears another device on a topic that it knows.
+    A name that was ambiguous once is given to no device, so that a subscriber never
+    receives another device on a topic that it knows.
     """
     names = {device: _names(device) for device in devices}
     ranks = dict.fromkeys(names, 0)

@@ -1,7 +1,7 @@
-"""Queues lines for an output that may take none for a while.
+"""Queues lines for an output that may block for a while.
 
-A terminal stops taking output by Ctrl-S, by a selection in a Windows console or by a
-network that stalls, a disk by hanging. Whoever writes then waits for as long as it lasts.
+Ctrl-S, a selection in a Windows console or a stalled network blocks a terminal, and a disk may
+hang. A thread that wrote to it directly would be blocked for as long.
 """
 
 from __future__ import annotations
@@ -15,36 +15,36 @@ MOST_BYTES = 1_000_000
 
 
 def missing(count: int, name: str) -> str:
-    """Return the sentence about lines that an output could not take."""
+    """Return the sentence about lines that were dropped because the output was blocked."""
     lines = "line is" if count == 1 else "lines are"
     return f"{count} {lines} missing here: the {name} took no output"
 
 
 class Outflow:
-    """A bounded queue of lines, written by a thread of its own; all may be called by any thread.
+    """A bounded queue of lines that a separate thread writes; all methods are thread-safe.
 
-    The thread may wait in a write for ever. It is a daemon, so a process can end meanwhile:
-    ``write`` must use nothing that the end of the interpreter waits for, such as the locks of
-    buffered files.
+    The thread may block in a write for ever. It is a daemon, so that the process can exit
+    meanwhile. ``write`` must therefore use nothing that the interpreter waits for at its exit,
+    such as the locks of buffered files.
 
     Parameters
     ----------
     name
-        What the output is called, "console" for instance.
+        Name of the output, for instance "console".
     write
-        Writes whole lines to the output. What it refuses by an ``OSError``, or by the
-        ``ValueError`` of a closed file, is given up.
+        Writes whole lines to the output. Lines are dropped if it raises ``OSError``, or the
+        ``ValueError`` of a closed file.
     end
         Called in the thread after the last line.
     most_bytes
-        How much may wait; what does not fit is left out and counted.
+        Limit of the queue; lines that do not fit are dropped and counted.
 
     Attributes
     ----------
     notice
-        Makes the line that takes the place of so many others. It must not call this object.
+        Returns the line that replaces a number of dropped ones. It must not call this object.
     shape
-        Makes what is written of what was put, in the thread; it may keep some back, or add.
+        Transforms the queued lines before they are written, in the thread.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Outflow:
         self.shape: Callable[[bytes], bytes] = lambda lines: lines
         self._write, self._end = write, end
         self._most_bytes = most_bytes
-        # Reentrant: a signal handler may log in the middle of a call.
+        # Reentrant, because a signal handler may log in the middle of a call.
         self._changed = threading.Condition()
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = self._left_out = 0
@@ -70,9 +70,9 @@ class Outflow:
         self._thread.start()
 
     def put(self, lines: bytes) -> None:
-        """Have lines written soon; never waits. After `close` they are lost."""
+        """Queue lines without waiting. After `close` they are lost."""
         with self._changed:
-            # Once it was full it has to be half empty, or every other line would be a notice.
+            # A queue that was full must first be half empty, or every other line would be a notice.
             room = self._most_bytes // (2 if self._left_out else 1)
             if self._waiting and self._waiting_bytes + len(lines) > room:
                 self._left_out += max(1, lines.count(b"\n"))
@@ -83,9 +83,9 @@ class Outflow:
             self._changed.notify_all()
 
     def put_if_idle(self, lines: bytes) -> bool:
-        """Have lines written now, or leave them out, uncounted, if anything else is waiting.
+        """Queue lines only if the queue is empty; dropped lines are not counted.
 
-        For what is soon outdated. Of empty lines `shape` may make something.
+        For lines that are soon outdated. Empty lines let `shape` add its own.
         """
         with self._changed:
             if not self._is_idle():
@@ -96,24 +96,24 @@ class Outflow:
 
     @property
     def is_behind(self) -> bool:
-        """Whether there is more to write than what is being written."""
+        """Whether lines are waiting besides those that are being written."""
         return bool(self._waiting)
 
     @property
     def held_for_s(self) -> float:
-        """How long the output has been taking what it takes now; 0 if nothing is being written."""
+        """For how many seconds the present write has lasted; 0 if nothing is being written."""
         began = self._write_began_s
         return 0.0 if began is None else time.monotonic() - began
 
     def flush(self, limit_s: float) -> bool:
-        """Wait until all is written, at most so long; return whether it is."""
+        """Wait until all lines are written or the time is over; return whether they are written."""
         with self._changed:
             return self._changed.wait_for(self._is_idle, limit_s)
 
     def close(self, limit_s: float) -> bool:
         """End the thread after the last line, and wait for it; return whether it has ended.
 
-        Only the limit of the first call counts, so whoever comes later does not wait again.
+        Only the first call's limit counts, so that later calls do not wait again.
         """
         with self._changed:
             if self._deadline_s is None:
@@ -141,12 +141,12 @@ class Outflow:
             try:
                 self._write(self.shape(lines))
             except (OSError, ValueError):
-                # Its reader has gone, or it was closed; there is nobody to tell here.
+                # The output is gone or closed, so the error cannot be reported there, either.
                 continue
         self._end()
 
     def _next(self) -> bytes | None:
-        """Wait for lines; None at the end."""
+        """Wait for lines and return them; None at the end."""
         with self._changed:
             self._write_began_s = None
             self._changed.notify_all()

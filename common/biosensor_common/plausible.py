@@ -1,46 +1,46 @@
-"""Bounds of what a body, a sensor on it and its radio can show, for declarations.
+"""Plausible ranges of physiological and device values, for declarations.
 
-They are wide: nothing that a person has ever shown is outside, nor what an electrode shows that
-has come off or touches another one. What is outside is a count that stepped back, a field that was
-misread, or damage on the way.
+The ranges are wide: they include every value that a person has ever had, and those of an electrode
+that has come off or touches another one. A value outside is a wrapped counter, a misread field or
+a transmission error.
 """
 
 from __future__ import annotations
 
 HEART_RATE_BPM = (0.0, 300.0)
-"""A chamber of the heart conducts no more than 300 beats a minute."""
+"""The heart's ventricles beat at most 300 times a minute."""
 BEAT_INTERVAL_S = (0.1, 64.0)
-"""From twice the fastest rate to the longest that a field of 1/1024 s can tell."""
+"""From half the shortest interval to the longest that a 16-bit field of 1/1024 s can hold."""
 BEAT_UNCERTAINTY_S = (0.0, 64.0)
 VARIABILITY_MS = (0.0, 32_000.0)
-"""A standard deviation is at most half of the span of the intervals."""
+"""A standard deviation is at most half of the range of the intervals."""
 BREATHING_RATE_BPM = (0.0, 200.0)
-"""Who pants as fast as possible stays below it."""
+"""Even the fastest panting stays below this rate."""
 TEMPERATURE_C = (-50.0, 100.0)
 SATURATION_PERCENT = PERCENT = (0.0, 100.0)
 CONDUCTANCE_US = (-100.0, 10_000.0)
-"""Below zero by offset of an amplifier; electrodes that touch each other come to thousands."""
+"""An amplifier's offset may give negative values, and touching electrodes give thousands."""
 BIOPOTENTIAL_UV = (-1e6, 1e6)
 """The potential of a metal on the skin is below a volt."""
 BAND_POWER_UV2_PER_HZ = (0.0, 1e9)
 RESISTANCE_OHM = (0.0, 1e9)
 PULSE_PROBE_MV = (-5000.0, 5000.0)
-"""No converter of a wearable has a wider supply."""
+"""No converter in a wearable has a higher supply voltage."""
 FORCE_N = (-100.0, 200.0)
-"""A belt is made for 50 N; beyond 200 it tears."""
+"""A belt is made for 50 N and tears above 200 N."""
 ACCELERATION_G = (-64.0, 64.0)
 """Twice the widest range of the chips in wearables."""
 ROTATION_DEG_S = (-8000.0, 8000.0)
 MAGNETIC_FIELD_UT = (-20_000.0, 20_000.0)
-"""The same; a magnet beside the sensor saturates it."""
+"""Twice the widest range, too; a magnet close to the sensor saturates it."""
 ANGLE_DEG = (-360.0, 360.0)
 ACTIVITY_G = (0.0, 64.0)
 SPEED_M_S = (0.0, 50.0)
 """180 km/h: no cyclist and no runner is faster on a road."""
 CADENCE_RPM = (0.0, 300.0)
-"""Track sprinters come to 200, runners to 300 steps."""
+"""Track cyclists reach 200 revolutions, runners 300 steps."""
 POWER_W = (-1000.0, 5000.0)
-"""The best sprinters come to 2500 W; a meter with an offset is below zero."""
+"""The best sprinters reach 2500 W; a meter with an offset gives negative values."""
 SIGNAL_STRENGTH_DBM = (-127.0, 20.0)
-"""What Bluetooth can tell; 127 means that it is not known."""
+"""The range of Bluetooth's RSSI; its value 127 means unknown."""
 PRESSURE_PA = (0.0, 1e7)

@@ -1,12 +1,12 @@
-"""Finds what is wrong on this computer and how to fix it: what both programs have of it.
+"""Finds problems of this computer and how to fix them; the part that both programs share.
 
-`check` has the list of all checks, `report` runs them side by side and shows what they found. A
-program says in a `Context` what it is and what it needs, and has checks of its own in a room of
-its own. A check is a function of its name, and a line of the list::
+`check` has the list of all checks, `report` runs them in parallel and prints their findings. A
+program describes itself and its needs in a `Context`, and keeps its own checks in its own package.
+A check is a function with the check's name and an entry in the list::
 
     def clock(context: Context) -> Iterator[Finding]: ...
 
-Its module imports what is heavy, or may fail to import (pylsl, psutil), inside of functions; it
-may raise and it may hang. Whatever LSL does, it does in a process of its own (`probe`), with
-a configuration of its own.
+Its module imports packages that are large or may fail to import (pylsl, psutil) inside functions.
+A check may raise and may hang. LSL is used in a separate process (`probe`) with its own
+configuration.
 """

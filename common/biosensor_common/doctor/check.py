@@ -1,4 +1,4 @@
-"""A check: for whom it looks, what it finds, and the one list of all of them."""
+"""Checks, their context and findings, and the list of all checks."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from biosensor_common.lsl_config import LslOverrides, effective_config, user_con
 AGENT, NODE = "agent", "node"
 
 Examine = Callable[[Any], Iterable["Finding"]]
-"""Takes the context of the program that it is a check of."""
+"""A check, which gets the context of the program that runs it."""
 
 
 @unique
 class Level(StrEnum):
-    """How bad a finding is."""
+    """Severity of a finding."""
 
     OK = "ok"
-    """Looked at, and right."""
+    """Checked, and right."""
     NOTE = "note"
     """Good to know before a study."""
     WARNING = "warning"
-    """It works, but something will go wrong in a case that is named."""
+    """It works, but it will fail in a case that the finding names."""
     ERROR = "error"
     """It does not work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that a check looked at: what is the case, why it matters, and what to do.
+    """One result of a check: what was found, why it matters, and what to do.
 
-    The fix is an exact command or click. The name of the check is filled in when it is run.
+    The fix is an exact command or click. The check's name is filled in when the check is run.
 
     Raises
     ------
     ValueError
-        If something that is not right comes without a reason or a remedy.
+        If a finding that is not OK has no reason or no fix.
     """
 
     level: Level
@@ -59,44 +59,44 @@ class Finding:
 
 
 def ok(what: str) -> Finding:
-    """Return what is right."""
+    """Return a finding of something that is right."""
     return Finding(Level.OK, what)
 
 
 def note(what: str, why: str, fix: str) -> Finding:
-    """Return what is good to know."""
+    """Return a finding that is good to know."""
     return Finding(Level.NOTE, what, why, fix)
 
 
 def warning(what: str, why: str, fix: str) -> Finding:
-    """Return what will go wrong in a case that is named."""
+    """Return a finding of something that will fail in a named case."""
     return Finding(Level.WARNING, what, why, fix)
 
 
 def error(what: str, why: str, fix: str) -> Finding:
-    """Return what does not work."""
+    """Return a finding of something that does not work."""
     return Finding(Level.ERROR, what, why, fix)
 
 
 @dataclass(frozen=True, slots=True)
 class Guide:
-    """The words of one program; the remedies are exact commands or clicks.
+    """Texts of one program for its findings; the fixes are exact commands or clicks.
 
     Attributes
     ----------
     program
-        What a sentence calls it: ``"the agent"``.
+        Its name in a sentence: ``"the agent"``.
     libraries
-        Import names of what else it cannot run without, with the way to install each.
+        Import names of its required packages, with how to install each.
     ask_itself, ask_others
-        Have LSL programs of this computer ask this computer directly, or another one;
-        ``{peer}`` stands for an address of this one.
+        How LSL programs of this computer, and of another one, are made to ask this computer
+        directly; ``{peer}`` is replaced by an address of this computer.
     correct_file
-        Bring a ``lsl_api.cfg`` that is there already in line with the program.
+        How to adapt an existing ``lsl_api.cfg`` to the program.
     edit
-        Change the settings of the program.
+        How to change the program's settings.
     alone
-        Run one check, ``{check}``, and report it if it fails.
+        How to run only the check ``{check}``, and to report it if it fails.
     """
 
     program: str
@@ -114,20 +114,20 @@ class Guide:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """The program on whose behalf this computer is examined."""
+    """The program for which this computer is checked."""
 
     guide: Guide
     overrides: LslOverrides = field(default_factory=LslOverrides)
-    """What its settings put over the user's own LSL configuration."""
+    """LSL settings of the program, which override the user's own configuration."""
 
     @property
     def lsl_file(self) -> Path | None:
-        """The user's own LSL configuration that LSL programs started here would read."""
+        """The user's LSL configuration file that LSL programs started here would read."""
         return user_config_file(os.environ, Path.home(), Path.cwd())
 
     @property
     def config(self) -> str:
-        """The LSL configuration of the program, without the user's file if that is damaged."""
+        """The program's LSL configuration; a damaged file of the user is left out."""
         try:
             return effective_config(self.lsl_file, self.overrides)
         except ConfigError:
@@ -135,18 +135,18 @@ class Context:
 
     @property
     def streams_to_open(self) -> int:
-        """How many streams the program is going to open here."""
+        """How many streams the program will open on this computer."""
         return 0
 
     @property
     def offered(self) -> frozenset[str]:
-        """The source_ids of the streams that the program says it has open here."""
+        """The source_ids of the streams that the program reports as open here."""
         return frozenset()
 
 
 @unique
 class Category(StrEnum):
-    """What a check is about; findings are shown by it, in this order."""
+    """Subject of a check; findings are grouped by it, in this order."""
 
     PROGRAM = "Program"
     LSL = "Lab Streaming Layer"
@@ -157,16 +157,16 @@ class Category(StrEnum):
 
 
 class Check(NamedTuple):
-    """One check: its name for ``--only``, and what it looks at, for the help.
+    """One check: its name for ``--only``, and its help text.
 
     Attributes
     ----------
     module
-        Which has a function of the same name; it is imported when the check is run.
+        Module with a function of the check's name; it is imported when the check is run.
     limit_s
-        How long it may take.
+        Time limit of the check.
     program
-        The only one that has it; empty for all.
+        The only program that has the check; empty for all.
     """
 
     name: str
@@ -177,11 +177,11 @@ class Check(NamedTuple):
     program: str = ""
 
     def load(self) -> Examine:
-        """Import the check."""
+        """Import the check's function."""
         return cast("Examine", getattr(import_module(self.module), self.name))
 
     def mark(self, finding: Finding) -> Finding:
-        """Return a finding as one of this check."""
+        """Return a finding with this check's name."""
         return replace(finding, check=self.name)
 
 
@@ -237,11 +237,11 @@ CHECKS = (
         "power", Category.COMPUTER, "sleep, battery, power saving of Bluetooth", f"{_AGENT}.power"
     ),
 )
-"""All there are, in the order in which they are shown."""
+"""All checks, in the order in which they are shown."""
 
 
 def checks_of(program: str) -> tuple[Check, ...]:
-    """Return the checks that a program has; the agent has the node's where that is installed."""
+    """Return the checks of a program; the agent also has the node's, if the node is installed."""
     own = {"", program}
     if program == AGENT and all(map(find_spec, ("rclpy", "lsl_to_ros"))):
         own.add(NODE)

@@ -17,16 +17,16 @@ from biosensor_common import process_limits as files
 from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
 
 _OLDEST_LIBLSL = 117
-# Between two of what liblsl tells of its build; a branch has slashes of its own.
+# Separates the parts of liblsl's build information; a branch name contains slashes itself.
 _DETAIL = re.compile(r"/(?=\w+:)")
 _PLAIN = re.compile(r"[A-Za-z0-9._-]+")
 ENOUGH = 100
 """Streams of about a dozen devices."""
 MAX_ERROR_S = 0.05
-"""A clock that may be further off than this is no clock for stamps of two computers."""
+"""With a larger error, stamps of two computers cannot be compared."""
 _NTP = ("chronyd", "ntpd", "ntpsec", "openntpd", "systemd-timesyncd")
 _PTP, _TO_SYSTEM, _MASTER = "ptp4l", "phc2sys", "timemaster"
-# The kernel keeps 15 characters of a name.
+# The kernel cuts process names to 15 characters.
 _KERNEL_NAME = 15
 _WHY_TIME = (
     "Stamps of ROS messages, logs and file dates of two computers drift apart. Streams within LSL "
@@ -36,7 +36,7 @@ _WINDOWS_SERVICE = "w32time"
 
 
 def versions(context: Context) -> Iterator[Finding]:
-    """Say what runs here."""
+    """Report the versions of the programs and libraries."""
     guide = context.guide
     yield ok(f"{platform.platform()}, {platform.machine()}")
     yield _program(guide)
@@ -47,7 +47,7 @@ def versions(context: Context) -> Iterator[Finding]:
 
 
 def _program(guide: Guide) -> Finding:
-    # The folder of the package; a frozen program's is beside its exe.
+    # The folder of the package; that of a frozen program is next to its exe.
     place = Path(import_module(guide.package).__file__ or "").parent
     try:
         return ok(f"{guide.distribution} {version(guide.distribution)}, {place}")
@@ -61,7 +61,7 @@ def _program(guide: Guide) -> Finding:
 
 def _lsl(guide: Guide) -> Iterator[Finding]:
     try:
-        # Without its library, importing it fails.
+        # Importing pylsl fails without liblsl.
         import pylsl
         from pylsl.lib import lib
     except (ImportError, OSError, RuntimeError) as problem:
@@ -73,7 +73,7 @@ def _lsl(guide: Guide) -> Iterator[Finding]:
         return
     yield ok(f"pylsl {version('pylsl')}, {Path(pylsl.__file__).parent}")
     number = pylsl.library_version()
-    # One word of 120 letters would be broken anywhere.
+    # One word of 120 letters would be wrapped at any place.
     details = _DETAIL.sub(", ", pylsl.library_info())
     what = f"liblsl {number // 100}.{number % 100} ({details}), {lib._name}"  # noqa: SLF001 - ctypes has no other name for it
     if number >= _OLDEST_LIBLSL and hasattr(lib, "lsl_set_config_content"):
@@ -90,7 +90,7 @@ def _lsl(guide: Guide) -> Iterator[Finding]:
 def _library(name: str, install: str, guide: Guide) -> Finding:
     try:
         module = import_module(name)
-    except Exception as problem:  # noqa: BLE001 - parts of the system may be missing to it
+    except Exception as problem:  # noqa: BLE001 - parts of the system may be missing
         return error(
             f"{name} cannot be used: {_first_line(problem)}",
             f"{guide.program.capitalize()} cannot start without it.",
@@ -112,12 +112,12 @@ def _first_line(problem: BaseException) -> str:
 
 
 def host_name(_context: Context) -> Iterator[Finding]:
-    """Look for characters that LSL programs stumble over."""
+    """Check the host name for characters that some LSL programs cannot handle."""
     yield judge_name(socket.gethostname())
 
 
 def judge_name(name: str) -> Finding:
-    """Judge a name."""
+    """Check a host name."""
     if _PLAIN.fullmatch(name):
         return ok(f"this computer is called {name}")
     return warning(
@@ -131,12 +131,12 @@ def judge_name(name: str) -> Finding:
 
 
 def open_files(context: Context) -> Iterator[Finding]:
-    """Ask the system; this program has raised its own limit already, as the others do."""
+    """Check the limit of open files; this program has raised its own already, as the others do."""
     yield judge_limit(files.limit(), context.streams_to_open)
 
 
 def judge_limit(limit: int | None, streams: int) -> Finding:
-    """Judge how many files a program may open (None: no limit) by the streams to open."""
+    """Check whether the limit of open files (None: no limit) is enough for the streams to open."""
     if limit is None:
         return ok("the system does not limit how many files a program opens")
     sent, received = (files.fitting(limit, each) for each in (files.OUTLET, files.INLET))
@@ -154,20 +154,20 @@ def judge_limit(limit: int | None, streams: int) -> Finding:
 
 
 class Tracking(NamedTuple):
-    """What chrony says of itself."""
+    """Status of chrony."""
 
     source: str
-    """What it follows; empty for nothing."""
+    """Its time source; empty if none."""
     offset_s: float
-    """How far the clock is off, by its estimate."""
+    """Estimated error of the clock."""
     bound_s: float
-    """How far it can be off at most: offset, root dispersion and half the root delay."""
+    """Largest possible error of the clock: offset, root dispersion and half the root delay."""
 
 
 def clock(_context: Context) -> Iterator[Finding]:
-    """Ask what keeps the time of day right: NTP (chrony and others) or PTP (linuxptp).
+    """Check what synchronises the system clock: NTP (chrony and others) or PTP (linuxptp).
 
-    LSL's own clock does not depend on it; file dates, the log and the stamps of ROS do.
+    LSL's clock does not depend on it; file dates, the log and ROS stamps do.
     """
     if sys.platform == "linux":
         said = system_programs.output_of(
@@ -182,7 +182,7 @@ def clock(_context: Context) -> Iterator[Finding]:
 def judge_clock(
     running: Collection[str], timedatectl: str, chrony: Tracking | None = None
 ) -> Iterator[Finding]:
-    """Judge the programs that run, what timedatectl shows and what chrony says."""
+    """Check the running time services and the output of timedatectl and chrony."""
     there = [each for each in (*_NTP, _PTP, _TO_SYSTEM) if each[:_KERNEL_NAME] in running]
     ntp = [each for each in there if each in _NTP]
     lines = [line.partition("=") for line in timedatectl.splitlines()]
@@ -207,7 +207,7 @@ def judge_clock(
 
 
 def tracking(said: str) -> Tracking | None:
-    """Read what ``chronyc -c tracking`` says; None if it is something else."""
+    """Parse the output of ``chronyc -c tracking``; None if it is something else."""
     fields = said.strip().split(",")
     try:
         reference, name, *_, leap = fields
@@ -220,7 +220,7 @@ def tracking(said: str) -> Tracking | None:
 
 def _quarrel(setting: list[str]) -> Iterator[Finding]:
     if len(setting) > 1:
-        # What is named last is the more exact one.
+        # The one named last is the more exact one.
         yield warning(
             f"{' and '.join(setting)} set the clock at the same time",
             "Each undoes what the other does: the time of day jumps, and stamps of ROS with it.",
@@ -272,7 +272,7 @@ def _running_programs() -> set[str]:
 
 def _windows() -> Finding:
     said = system_programs.output_of("sc", "query", _WINDOWS_SERVICE) or ""
-    # Number and constant are the same in every language of Windows.
+    # Words of the output are translated; its numbers and constants are the same in every language.
     if "4  RUNNING" in said:
         return ok("the Windows time service runs")
     return note(

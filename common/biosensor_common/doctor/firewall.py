@@ -1,4 +1,4 @@
-"""Says what lets LSL through the firewall of this or another computer, and which ones are on."""
+"""Returns the commands that open firewalls for LSL, and detects which firewalls are on."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from biosensor_common.lsl import api_file
 from biosensor_common.lsl.api_file import Ports
 
 WINDOWS_RULE = "Biosensor Gateway"
-"""Name of the rule that the installer can add."""
+"""Name of the rule that the installer adds on request."""
 NEIGHBOURS = "LocalSubnet"
-"""What Windows calls the computers of the same network."""
+"""Windows' name for the computers of the same network."""
 MAC = "System Settings > Network > Firewall > Options: allow incoming connections"
 UDP, TCP = "udp", "tcp"
 
 
 class Way(NamedTuple):
-    """Ports that are to be open: *protocol* is ``udp`` or ``tcp``; the last one is included."""
+    """A range of ports to open, including the last one; *protocol* is ``udp`` or ``tcp``."""
 
     protocol: str
     first: int
     last: int
 
     def range(self, hyphen: str) -> str:
-        """Return the ports as firewalls write them: one, or two and what stands between."""
+        """Return the ports in a firewall's syntax: one number, or two joined by *hyphen*."""
         if self.first == self.last:
             return str(self.first)
         return f"{self.first}{hyphen}{self.last}"
 
 
 def listed(ways: Sequence[Way]) -> str:
-    """Return ports as a sentence has them: ``UDP 16571, 16572 to 16827 and TCP 5 to 9``."""
+    """Return ports for a sentence: ``UDP 16571, 16572 to 16827 and TCP 5 to 9``."""
     return " and ".join(
         f"{protocol.upper()} {ports}" for protocol, ports in _by_protocol(ways, ", ", " to ")
     )
 
 
 def every(ports: Ports) -> tuple[Way, ...]:
-    """Return all that LSL needs: discovery, and UDP and TCP of the streams."""
+    """Return all ports that LSL needs: discovery, and UDP and TCP of the streams."""
     return (
         Way(UDP, ports.discovery, ports.discovery),
         Way(UDP, ports.first, ports.last),
@@ -50,7 +50,7 @@ def every(ports: Ports) -> tuple[Way, ...]:
 
 
 def opening(ports: Ports) -> str:
-    """Return what opens the ports on this system, one command a line."""
+    """Return the commands that open the ports on this system, one per line."""
     if sys.platform == "win32":
         return windows(ports)
     if sys.platform == "darwin":
@@ -73,7 +73,7 @@ def firewalld(ways: Sequence[Way]) -> str:
 def nftables(ways: Sequence[Way]) -> str:
     """Return the command for plain nftables, with table and chain as Linux systems name them.
 
-    It holds until the next start of the computer.
+    The rule is lost at the next start of the computer.
     """
     return " && ".join(
         f"sudo nft insert rule inet filter input {protocol} dport '{{ {ports} }}' accept"
@@ -82,7 +82,7 @@ def nftables(ways: Sequence[Way]) -> str:
 
 
 def netsh(ways: Sequence[Way], who: str = NEIGHBOURS) -> str:
-    """Return the commands for Windows that open ports to *who*, one a line."""
+    """Return the commands for Windows that open ports to *who*, one per line."""
     return "\nand: ".join(
         f"{_add()} protocol={protocol.upper()} localport={ports} {_where(who)}"
         for protocol, ports in _by_protocol(ways, ",")
@@ -92,8 +92,8 @@ def netsh(ways: Sequence[Way], who: str = NEIGHBOURS) -> str:
 def windows(ports: Ports) -> str:
     """Return the command for Windows, for a Command Prompt that is run as administrator.
 
-    The installed program is allowed as such, as its installer does; from source, Python
-    would be, so that the ports are opened instead.
+    For an installed program the program itself is allowed, as by its installer. From source
+    that would allow Python, so the ports are opened instead.
     """
     if getattr(sys, "frozen", False):
         return f'as administrator: {_add()} program="{sys.executable}" {_where(NEIGHBOURS)}'
@@ -120,13 +120,13 @@ BY_FIREWALL: dict[str, Callable[[Sequence[Way]], str]] = {
     "firewalld": firewalld,
     "nftables": nftables,
 }
-"""What opens ports, by the names of services of Linux."""
-# Both are made of nftables themselves.
+"""Functions that return the commands, by the name of the Linux service."""
+# Both build on nftables, so plain nftables is used only without them.
 _FRONT_ENDS = ("ufw", "firewalld")
 
 
 def active_firewalls() -> tuple[str, ...]:
-    """Return which of `BY_FIREWALL` are on here, as far as systemd knows."""
+    """Return which of `BY_FIREWALL` are active here, according to systemd."""
     if sys.platform != "linux":
         return ()
     ask = system_programs.succeeds
@@ -134,14 +134,14 @@ def active_firewalls() -> tuple[str, ...]:
 
 
 def opening_on(system: str, firewalls: Sequence[str], ways: Sequence[Way], who: str) -> str:
-    """Return what lets *who* in at ports of a computer, one command a line.
+    """Return the commands that open ports of a computer to *who*, one per line.
 
     Parameters
     ----------
     system
-        Of that computer, as ``sys.platform`` has it.
+        ``sys.platform`` of that computer.
     firewalls
-        Which of `BY_FIREWALL` are on there, as far as it knows.
+        Which of `BY_FIREWALL` are active there.
     """
     if system == "win32":
         return (

@@ -1,4 +1,4 @@
-"""Checks the LSL configuration in force: its place, its content, its mistakes."""
+"""Checks the LSL configuration in use: its place, its content, its mistakes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SAME_SESSION = "LSL programs see only streams of their own session."
 
 
 def lsl_config(context: Context) -> Iterator[Finding]:
-    """Look at the user's file, then at what the program makes of it."""
+    """Check the user's file, then the configuration that the program makes of it."""
     file = context.lsl_file
     yield from _places(file)
     own = LslApiFile("", "")
@@ -118,7 +118,7 @@ def _peers(context: Context) -> Iterator[Finding]:
 def _range(context: Context, own: LslApiFile) -> Iterator[Finding]:
     ports = own.ports
     count = ports.last - ports.first + 1
-    # Without an entry, what it says of itself is one port.
+    # Without an entry, `LslApiFile` reports a single port, and liblsl uses its default.
     count = LSL_PORT_RANGE if count == 1 else count
     wanted = context.overrides.port_range or DEFAULT_PORT_RANGE
     if own.known_peers and count < wanted:

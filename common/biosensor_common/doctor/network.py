@@ -1,4 +1,4 @@
-"""Checks the network adapters, the way of LSL's multicast, and the ports of LSL."""
+"""Checks the network adapters, the route of LSL's multicast, and the ports of LSL."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class Interface:
     name: str
     addresses: tuple[str, ...]
     has_multicast: bool
-    """False only if the system says so."""
+    """False only if the system reports that it has no multicast."""
 
     @property
     def is_loopback(self) -> bool:
-        """Whether it leads nowhere but to this computer."""
+        """Whether it reaches this computer only."""
         return all(ip_address(each).is_loopback for each in self.addresses)
 
     @property
     def is_virtual(self) -> bool:
-        """Whether its name is one of containers, virtual machines or VPNs."""
+        """Whether its name is typical of containers, virtual machines or VPNs."""
         return _VIRTUAL.match(self.name) is not None
 
     def __str__(self) -> str:
@@ -50,13 +50,13 @@ class Interface:
 
 
 PORTS_A_STREAM = 2
-"""Of TCP and of UDP: one for IPv4, one for IPv6."""
+"""Ports per stream, of TCP and of UDP each: one for IPv4, one for IPv6."""
 _KINDS = {"TCP": socket.SOCK_STREAM, "UDP": socket.SOCK_DGRAM}
 _UNKNOWN = "a program of somebody else"
 
 
 def interfaces(context: Context) -> Iterator[Finding]:
-    """List the adapters and judge what LSL can do with them."""
+    """List the adapters and check whether LSL can use them."""
     every = adapters()
     network = [each for each in every if not each.is_loopback]
     if not network:
@@ -86,17 +86,17 @@ def adapters() -> list[Interface]:
         addresses = tuple(each.address for each in entries if each.family == socket.AF_INET)
         state = states.get(name)
         if state is not None and state.isup and addresses:
-            # Windows has no flags; there every adapter has multicast.
+            # Windows reports no flags; there every adapter has multicast.
             has_multicast = not state.flags or "multicast" in state.flags.split(",")
             found.append(Interface(name, addresses, has_multicast))
     return found
 
 
 def route() -> str:
-    """Return this computer's address on the way to LSL's multicast group, empty if none."""
+    """Return this computer's address on the route to LSL's multicast group; empty if none."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            # Nothing is sent by this.
+            # Connecting a UDP socket selects a route and sends nothing.
             probe.connect((LSL_GROUP, 16571))
         except OSError:
             return ""
@@ -116,14 +116,14 @@ def _only_loopback(context: Context) -> Finding:
 
 
 def _asks_itself(context: Context) -> bool:
-    """Whether the user's file does what the guide asks for."""
+    """Whether the user's file already has the setting that the guide asks for."""
     file = context.lsl_file
     if file is None:
         return False
     try:
         own = LslApiFile(file.read_bytes().decode("utf-8", "replace"), str(file))
     except (OSError, ConfigError):
-        # The check lsl_config says what is wrong with it.
+        # The check lsl_config reports the error.
         return False
     ports = api_file.ports(context.config)
     return LOOPBACK in own.known_peers and own.ports.last >= ports.last
@@ -153,7 +153,7 @@ def _virtual(found: list[Interface], guide: Guide) -> Iterator[Finding]:
 
 
 def _route(network: list[Interface], address: str, guide: Guide) -> Iterator[Finding]:
-    """Judge the way that the system prefers; LSL before 1.16 takes that one only."""
+    """Check the preferred multicast route; LSL before 1.16 uses only that one."""
     way = next((each for each in network if address in each.addresses), None)
     old = "LSL programs older than 1.16 ask there only; newer ones ask by every adapter."
     if way is not None and not way.is_virtual:
@@ -184,7 +184,7 @@ def _add_route(adapter: Interface) -> str:
 
 
 def ports(context: Context) -> Iterator[Finding]:
-    """Try to have each port for an instant."""
+    """Check that LSL's ports are free, by binding each of them briefly."""
     used = api_file.ports(context.config)
     yield _discovery(used.discovery)
     needed = PORTS_A_STREAM * context.streams_to_open
@@ -238,11 +238,11 @@ def _is_free(kind: socket.SocketKind, port: int, *, shared: bool = False) -> boo
 
 
 def _held(kind: str, ports: Sequence[int]) -> dict[int, str]:
-    """Return who holds which of the ports; what the other checks hold for a moment is free."""
+    """Return which program holds which port; ports of the other checks count as free."""
     held = [port for port in ports if not _is_free(_KINDS[kind], port)]
     owners = _owners(kind, held)
     probes = _probes()
-    # A port without an owner may be free again by now.
+    # A port without an owner may have been freed meanwhile.
     return {
         port: _program(owners.get(port))
         for port in held
@@ -251,7 +251,7 @@ def _held(kind: str, ports: Sequence[int]) -> dict[int, str]:
 
 
 def _owners(kind: str, ports: Sequence[int]) -> dict[int, int | None]:
-    """Return the processes that hold ports, None for one that may not be known."""
+    """Return the processes that hold ports; None for one that this user may not see."""
     import psutil
 
     wanted, owners = set(ports), dict[int, int | None]()
@@ -260,7 +260,7 @@ def _owners(kind: str, ports: Sequence[int]) -> dict[int, int | None]:
     try:
         connections = psutil.net_connections(kind.lower())
     except psutil.Error:
-        # macOS tells the administrator only.
+        # macOS shows them to the administrator only.
         return owners
     for each in connections:
         if each.laddr and each.laddr[1] in wanted:
@@ -270,7 +270,7 @@ def _owners(kind: str, ports: Sequence[int]) -> dict[int, int | None]:
 
 
 def _probes() -> set[int]:
-    """Return the processes in which other checks use LSL at this moment."""
+    """Return the processes in which other checks are using LSL now."""
     import psutil
 
     marks, found = probe_command()[1:], set[int]()
@@ -279,7 +279,7 @@ def _probes() -> set[int]:
             if child.cmdline()[1:] == marks:
                 found.add(child.pid)
         except psutil.Error:
-            # It has ended.
+            # The process has ended meanwhile.
             continue
     return found
 

@@ -1,16 +1,16 @@
-"""Another process for a check: LSL, or ROS, with a configuration of its own.
+"""Runs LSL or ROS for a check in a separate process with its own configuration.
 
-A library may block for long, take one configuration for the life of a process, or end the
-process that it is in. So whatever is asked of it is asked in a process of its own. The
-request is one line of JSON on stdin, the answer one line on stdout::
+A library may block for long, accept only one configuration per process, or end its process.
+So each request to it runs in a separate process. The request is one line of JSON on stdin, the
+answer one line on stdout::
 
     {"role": "find", "config": "[lab]...", "source_id": "doctor-5f", "timeout_s": 4}
     {"found": true}
 
 The process ends by itself after ``life_s`` at the latest, and reads stdin no further: on
-Windows, libraries that are loaded wait for whoever reads from it.
+Windows, loading a library blocks while another thread reads from stdin.
 
-`Probe` is the side that asks, `serve` the other one: for LSL `biosensor_common.doctor.survey`.
+`Probe` is the client; `serve` is the server, for LSL in `biosensor_common.doctor.survey`.
 """
 
 from __future__ import annotations
@@ -31,25 +31,24 @@ from biosensor_common.child import wait_or_kill
 
 Request = Mapping[str, Any]
 PROBE_COMMAND = "doctor-probe"
-"""Hidden command of the frozen program, which is its own Python."""
+"""Hidden command of the frozen program, which has no separate Python."""
 _LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
 
 
 @dataclass(slots=True)
 class SurveyedStream:
-    """One stream as this computer sees it.
+    """One stream as seen from this computer.
 
     Attributes
     ----------
     ports
-        Of its data and of its service.
+        Its data ports and service ports.
     offset_s
-        What its clock must be corrected by, in s; None if that could not be measured.
+        Correction of its clock in s; None if it could not be measured.
     round_trip_s
-        Of the best measurement.
+        Round trip of the best measurement.
     stamp_error_s
-        Corrected stamp of a fresh sample minus the time of its arrival, in s; None if no
-        sample came.
+        Corrected stamp of a new sample minus its arrival time, in s; None if no sample came.
     data_port
         TCP port of its data over IPv4; 0 if it has none.
     """
@@ -68,29 +67,29 @@ class SurveyedStream:
 
 
 class ProbeError(Exception):
-    """The other process did not answer; says what it said last."""
+    """The process did not answer; the message has its last line of output."""
 
 
 def probe_command() -> list[str]:
-    """Command line of the other process for LSL, from source or frozen."""
+    """Return the command line of the LSL process, from source or frozen."""
     if getattr(sys, "frozen", False):
         return [sys.executable, PROBE_COMMAND]
     return [sys.executable, "-P", "-m", "biosensor_common.doctor.survey"]
 
 
 class Probe:
-    """The other process; a context manager.
+    """Client of a process that runs one request; a context manager.
 
     Parameters
     ----------
     role
-        What it does.
+        Name of the request.
     limit_s
-        How long it may live.
+        Time limit of the process.
     command
-        What it runs; `biosensor_common.doctor.survey` unless something else is said.
+        Its command line; by default that of `biosensor_common.doctor.survey`.
     request
-        What the role needs; for LSL ``config`` first of all.
+        Arguments of the role; for LSL always ``config``.
     """
 
     def __init__(
@@ -125,25 +124,25 @@ class Probe:
         self._limit.cancel()
         self._end()
         for pipe in (self.process.stdin, self.process.stdout):
-            # What could not be written any more is of no use.
+            # A request that was not written in full does not matter now.
             with contextlib.suppress(OSError):
                 if pipe is not None:
                     pipe.close()
 
     def answer(self) -> dict[str, Any]:
-        """Pass on the request and wait for the answer.
+        """Send the request and wait for the answer.
 
         Raises
         ------
         ProbeError
-            The process ended, or was ended because its time was over.
+            The process ended, or was ended at its time limit.
         """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         try:
             self.process.stdin.write(self._request + "\n")
             self.process.stdin.flush()
-            # pylsl prints remarks of its own.
+            # pylsl may print messages to stdout, too.
             while line := self.process.stdout.readline():
                 if line.startswith("{"):
                     return json.loads(line)
@@ -152,7 +151,7 @@ class Probe:
         raise ProbeError(f"a second process gave no answer{self._last_words()}")
 
     def _end(self) -> None:
-        # What takes its leave from a network does so now.
+        # Time to announce its end in the network, as ROS nodes do.
         self.process.terminate()
         wait_or_kill(self.process, _END_PATIENCE_S)
 
@@ -168,17 +167,17 @@ class Probe:
 
 
 def serve(roles: Mapping[str, Callable[[Request], None]]) -> None:
-    """Do what stdin says, and end the process."""
+    """Run the request from stdin, and exit."""
     request: dict[str, Any] = json.loads(sys.stdin.readline())
     life = threading.Timer(request["life_s"], os._exit, args=(1,))
     life.daemon = True
     life.start()
     roles[request["role"]](request)
-    # Threads of libraries that wait for the network would hold up the end.
+    # Threads of libraries that wait for the network would delay a normal exit.
     os._exit(0)
 
 
 def answer(content: object) -> None:
-    """Send the answer."""
+    """Write the answer to stdout."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()

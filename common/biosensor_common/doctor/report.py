@@ -1,4 +1,4 @@
-"""Runs checks side by side, and shows what they found: as text for people, JSON for scripts."""
+"""Runs checks in parallel, and formats their findings as text for people or JSON for scripts."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from biosensor_common.doctor.check import Category, Check, Context, Finding, Lev
 from biosensor_common.terminal import wrapped
 
 FORMAT_VERSION = 1
-"""Of the JSON."""
+"""Format version of the JSON."""
 
 _UNKNOWN = "What it would have found is unknown."
 _ON_A_BUSY_COMPUTER = 3
-"""So many times as long is waited where several checks are late: then they hold each other up."""
+"""Factor of the time limits where several checks are late, because they then slow each other."""
 _MARKS = {
     Level.OK: "[ok]     ",
     Level.NOTE: "[note]   ",
@@ -30,7 +30,7 @@ _INDENT = " " * 12
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """All findings, in the order of the checks that were run, and how long that took."""
+    """All findings, in the order of the checks, and the total time."""
 
     checks: tuple[Check, ...]
     findings: tuple[Finding, ...]
@@ -43,16 +43,16 @@ class Report:
 
     @property
     def counts(self) -> dict[Level, int]:
-        """How many findings there are of each level."""
+        """Number of findings of each level."""
         counted = Counter(finding.level for finding in self.findings)
         return {level: counted[level] for level in Level}
 
 
 def run_checks(checks: Sequence[Check], context: Context) -> Report:
-    """Run checks at once, each for as long as it may take.
+    """Run checks in parallel, each with its time limit.
 
-    A check that raises, or has not ended in time, has a finding that says so, behind what it
-    has found until then. One that hangs goes on in a daemon thread until the program ends.
+    A check that raises or exceeds its limit gets a finding about it, after the findings that it
+    had until then. A check that hangs stays in a daemon thread until the program ends.
     """
     begun = time.monotonic()
     running = [_Running(check, context) for check in checks]
@@ -65,7 +65,7 @@ def run_checks(checks: Sequence[Check], context: Context) -> Report:
 
 
 class _Running:
-    """A check in its thread."""
+    """A check that runs in a thread."""
 
     def __init__(self, check: Check, context: Context) -> None:
         self._check = check
@@ -78,13 +78,13 @@ class _Running:
         self._thread.start()
 
     def has_ended(self, begun: float, times_as_long: int = 1) -> bool:
-        """Wait until the check ends or its time is over; return whether it has ended."""
+        """Wait for the check until its time limit; return whether it has ended."""
         self._waited_s = times_as_long * self._check.limit_s
         self._thread.join(max(0.0, begun + self._waited_s - time.monotonic()))
         return not self._thread.is_alive()
 
     def result(self) -> list[Finding]:
-        """Return what the check has found by now."""
+        """Return what the check has found so far."""
         is_late = self._thread.is_alive()
         found = self._findings.copy()
         if is_late:
@@ -107,7 +107,7 @@ def as_json(report: Report) -> str:
 
 
 def content(report: Report) -> dict[str, Any]:
-    """Return what a script is told of a report."""
+    """Return a report as a dictionary for JSON."""
     categories = {check.name: check.category.value for check in report.checks}
     return {
         "version": FORMAT_VERSION,
@@ -122,7 +122,7 @@ def content(report: Report) -> dict[str, Any]:
 
 
 def as_text(report: Report, encoding: str = "utf-8", width: int | None = None) -> str:
-    """Return the report as lines that a console of that encoding, and width, can show."""
+    """Return the report as text for a console of this encoding and width."""
     lines = [*_lines(report), _summary(report)]
     text = "\n".join(wrapped(line, width, hang=len(_INDENT)) for line in lines)
     return text.encode(encoding, "replace").decode(encoding)
@@ -161,5 +161,5 @@ def _summary(report: Report) -> str:
 
 
 def printable(text: str) -> str:
-    """Keep what a stranger wrote, such as a stream's name, from steering the terminal."""
+    """Remove control characters from foreign text, such as a stream's name, for the terminal."""
     return "".join(char if char.isprintable() else "?" for char in text)

@@ -1,4 +1,4 @@
-"""Checks that streams can be found, told apart, recorded and aligned: the own and all others."""
+"""Checks that all streams can be found, distinguished, recorded and aligned."""
 
 from __future__ import annotations
 
@@ -18,28 +18,27 @@ from biosensor_common.lsl_config import LSL_BASE_PORT
 
 OWN_SEARCH_S = 4.0
 _LIMIT_S = 12.0
-# The groups of LSL's scope "site" that IPv4 has.
+# The IPv4 multicast groups of LSL's scope "site".
 _GROUPS = "{255.255.255.255, 224.0.0.183, 239.255.172.215}"
-# Where nobody is asked, so that one way does not help the other.
+# Addresses at which nobody answers, so that one way of discovery does not help the other.
 _AWAY_PORT = "61440"
 SEARCH_S, LISTEN_S = 3.0, LIMIT_S
-"""A sender's clock is asked for again every 2 s, and the first answers may be late."""
+"""liblsl measures a sender's clock again every 2 s, and the first answers may be late."""
 _LISTENING_ENDS_S, _ENDS_S = 8.0, 18.0
 MAX_STAMP_ERROR_S = 30.0
-"""A stamp further off is not on the LSL clock at all (Unix time, the device's time)."""
+"""With a larger error, a stamp is not on the LSL clock at all (Unix time, device time)."""
 MAX_ROUND_TRIP_S = 0.1
 _SHOWN = 5
-# pylsl makes it of Python's hash, which is another one at every start.
+# pylsl generates it from Python's hash, which differs at every start.
 _GENERATED_ID = re.compile(r"-?\d{15,20}")
 _BY_AUTHOR = "ask the author of that program; in pylsl it is StreamInfo(..., source_id='...')"
 
 
 def discovery(context: Context) -> Iterator[Finding]:
-    """Offer a stream, and look for it by multicast and by unicast.
+    """Offer a stream, and search for it by multicast and by unicast.
 
-    Both ways are tried apart from each other: LSL programs of the same computer also find
-    each other by a question to their ports, so that a stream that is found says nothing of
-    multicast unless that is made impossible.
+    Each way is tried with the other one disabled: LSL programs of one computer also find each
+    other by unicast to their ports, so a stream that is found does not show that multicast works.
     """
     config = context.config
     alone = api_file.keeps_to_itself(config)
@@ -83,7 +82,7 @@ def by_unicast(config: str, peer: str = LOOPBACK) -> str:
 
 def _is_found(offering: str, finding: str) -> bool:
     name = f"doctor-{uuid.uuid4().hex}"
-    # In a session of its own, nobody records it.
+    # In a separate session, so that nobody records it.
     session = {("lab", "SessionID"): name}
     with (
         Probe(
@@ -126,7 +125,7 @@ def _multicast(found: bool, config: str, guide: Guide) -> Finding:
 
 
 def streams(context: Context) -> Iterator[Finding]:
-    """Look for streams as the program does, and judge them."""
+    """Search for streams as the program does, and check them."""
     seen, elsewhere = _survey(context)
     if not seen:
         yield ok("no LSL stream is there at the moment")
@@ -136,12 +135,12 @@ def streams(context: Context) -> Iterator[Finding]:
 
 
 def find(context: Context) -> list[SurveyedStream]:
-    """Return the streams of the program's session; this computer is asked directly, too."""
+    """Return the streams of the program's session; this computer is also asked by unicast."""
     return _survey(context)[0]
 
 
 def _survey(context: Context) -> tuple[list[SurveyedStream], list[SurveyedStream]]:
-    """Return the streams of the session, and those of others that have a source_id of these."""
+    """Return the session's streams, and streams of other sessions with the same source_ids."""
     config = context.config
     names = dict.fromkeys((*api_file.known_peers(config), LOOPBACK))
     asking = api_file.changed(config, {PEERS: "{" + ", ".join(names) + "}"})
@@ -159,7 +158,7 @@ def _survey(context: Context) -> tuple[list[SurveyedStream], list[SurveyedStream
 
 
 def _unseen(context: Context, seen: Sequence[SurveyedStream]) -> Iterator[Finding]:
-    """Miss what the program says that it streams."""
+    """Report streams that the program offers and that were not found."""
     offered, guide = context.offered, context.guide
     missing = sorted(offered - {each.source_id for each in seen})
     if missing:
@@ -172,14 +171,14 @@ def _unseen(context: Context, seen: Sequence[SurveyedStream]) -> Iterator[Findin
 
 
 def judge(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
-    """Apply all rules."""
+    """Check the streams by all rules."""
     yield from _hosts(streams)
     for rule in (_names, _source_ids, _empty_ids, _generated_ids, _int64, _clocks, _far_ports):
         yield from rule(streams)
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return the first names, and how many more there are."""
+    """Return the first names as text, and the number of further ones."""
     every = list(names)
     more = f" and {len(every) - _SHOWN} more" if len(every) > _SHOWN else ""
     return ", ".join(every[:_SHOWN]) + more
@@ -237,7 +236,7 @@ def _source_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
 
 
 def judge_elsewhere(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
-    """Judge streams of other sessions that have a source_id of the own one."""
+    """Report streams of other sessions that have a source_id of this session."""
     for source_id, same in _grouped(streams, lambda each: each.source_id).items():
         where = listed(sorted(f"{e.name} on {e.host} in session {e.session!r}" for e in same))
         yield error(

@@ -1,6 +1,6 @@
-"""The other process of a check: LSL with a configuration of its own, see `probe`.
+"""The LSL process of a check, with its own configuration; see `probe`.
 
-Offers a stream, looks for one or for all of them, and listens to them.
+Offers a stream, searches for one or all streams, and receives from them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from biosensor_common.lsl.network import search
 from biosensor_common.lsl.predicates import IN_ANY_SESSION, equals
 
 MAX_EXAMINED = 256
-"""So many streams are listened to; all are listed."""
+"""Largest number of streams to receive from; all are listed."""
 _PERIOD_S = 0.1
 _THREADS = 64
 _MAX_HEADER = 100_000
@@ -42,7 +42,7 @@ _FORMATS = {
 
 
 def main() -> None:
-    """Do what stdin says."""
+    """Run the request from stdin."""
     serve({"offer": _offer, "find": _find, "survey": _survey, "list": _list, "meet": _meet})
 
 
@@ -51,7 +51,7 @@ def _configure(request: Request) -> None:
 
 
 def _offer(request: Request) -> None:
-    """Have an outlet, and send with it, until this process is ended."""
+    """Offer a stream and send samples until this process is ended."""
     _configure(request)
     source_id = request["source_id"]
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo(source_id, "Doctor", 1, 0.0, "float32", source_id))
@@ -62,7 +62,7 @@ def _offer(request: Request) -> None:
 
 
 def _find(request: Request) -> None:
-    """Look for a stream."""
+    """Search for a stream."""
     _configure(request)
     wanted = equals("source_id", request["source_id"])
     found = pylsl.resolve_bypred(wanted, 1, request["timeout_s"])
@@ -70,33 +70,33 @@ def _find(request: Request) -> None:
 
 
 def _survey(request: Request) -> None:
-    """Look at all streams."""
+    """Survey all streams."""
     _configure(request)
     answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
 
 
 def _list(request: Request) -> None:
-    """List all streams, and listen to none."""
+    """List all streams without receiving from them."""
     _configure(request)
     answer(list_streams(request["search_s"]))
 
 
 def _meet(request: Request) -> None:
-    """Look for a stream and receive it."""
+    """Search for a stream and receive from it."""
     _configure(request)
     answer(meet(request["source_id"], request["search_s"], request["listen_s"]))
 
 
 def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
-    """Look for streams for so long, then listen to each of them.
+    """Search for streams for *search_s*, then receive from each of them.
 
-    Each step of listening may take *listen_s*; after *limit_s* none begins any more.
+    Each step of receiving may take *listen_s*; after *limit_s* no step is started.
 
     Returns
     -------
     dict
-        ``streams``, each as a `SurveyedStream`, and ``elsewhere``: those of other sessions that
-        have a source_id of these.
+        ``streams``, each as a `SurveyedStream`, and ``elsewhere``: streams of other sessions
+        with the same source_ids.
     """
     deadline_s = time.monotonic() + limit_s
     of_all_sessions = pylsl.ContinuousResolver(pred=IN_ANY_SESSION, forget_after=60.0)
@@ -122,7 +122,7 @@ def _claimed(
 
 
 def list_streams(search_s: float) -> dict[str, Any]:
-    """Look for streams for so long; return ``streams`` as `survey` does, without listening."""
+    """Search for streams; return ``streams`` as `survey` does, without receiving from them."""
     return {"streams": [asdict(_described(info)) for info in _found(search_s)]}
 
 
@@ -131,13 +131,14 @@ def _found(search_s: float) -> list[pylsl.StreamInfo]:
 
 
 def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:
-    """Look for one stream, and receive it.
+    """Search for one stream, and receive from it.
 
     Returns
     -------
     dict
-        ``found``; and if it was: ``received`` (whether a sample came), ``address`` (from where;
-        empty if none did), ``offset_s`` and ``round_trip_s`` as of a `SurveyedStream`.
+        ``found``, and for a stream that was found: ``received`` (whether a sample came),
+        ``address`` (of its sender; empty without a sample), and ``offset_s`` and
+        ``round_trip_s`` as in a `SurveyedStream`.
     """
     infos = pylsl.resolve_bypred(equals("source_id", source_id), 1, search_s)
     if not infos:
@@ -165,7 +166,7 @@ def _has_sample(inlet: pylsl.StreamInlet, limit_s: float) -> bool:
 
 
 def _peer(ports: Sequence[int]) -> str:
-    """Return the address to which this process is connected; liblsl does not tell."""
+    """Return the address to which this process is connected; liblsl does not report it."""
     import psutil
 
     connections = psutil.Process().net_connections("tcp")
@@ -189,7 +190,7 @@ def _described(info: pylsl.StreamInfo) -> SurveyedStream:
 
 
 def _fields(header: str) -> ET.Element | None:
-    """Read a header; a resolver's has no description, so it is small."""
+    """Parse a header; a resolver's one has no description, so it is small."""
     try:
         return read_xml(header, _MAX_HEADER)
     except SpecError:
@@ -212,7 +213,7 @@ def _listen(
         inlet.open_stream(limit_s)
         _, stamp = inlet.pull_sample(limit_s)
     except RuntimeError:
-        # Time out, or the stream has ended meanwhile.
+        # The time limit is over, or the stream has ended meanwhile.
         return
     if stamp is not None and seen.offset_s is not None:
         seen.stamp_error_s = stamp + seen.offset_s - pylsl.local_clock()
@@ -231,7 +232,7 @@ def _measure_clock(inlet: pylsl.StreamInlet, seen: SurveyedStream, limit_s: floa
         ctypes.byref(code),
     )
     if code.value == 0:
-        # What liblsl calls uncertainty is the round trip of its best packet.
+        # liblsl's "uncertainty" is the round trip of its best packet.
         seen.offset_s, seen.round_trip_s = offset_s, uncertainty_s.value
 
 

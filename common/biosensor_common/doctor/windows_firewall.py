@@ -1,7 +1,7 @@
-r"""Checks that the firewall of Windows lets other computers in.
+r"""Checks that the Windows firewall lets other computers in.
 
-Rules and settings are read from the registry: netsh tells them in the language of the system,
-the registry has the same words everywhere. Format of a rule: [MS-GPFAS] 2.2.2.19, for instance
+Rules and settings are read from the registry, because netsh prints them in the language of the
+system. Format of a rule: [MS-GPFAS] 2.2.2.19, for instance
 ``v2.31|Action=Allow|Active=TRUE|Dir=In|Protocol=17|Profile=Private|LPort=16571|App=C:\x.exe|
 Name=LSL|``. Settings of a kind of network: [MS-GPFAS] 2.2.3.
 """
@@ -27,14 +27,14 @@ _OF_DEVICE_MANAGEMENT = rf"{_FOLDER}\Mdm"
 _MANAGED = (_OF_DOMAIN, _OF_DEVICE_MANAGEMENT)
 _RULES = "FirewallRules"
 _VARIABLE = re.compile(r"%([^%]+)%")
-# Rules for a service, or for a packaged app, are for no ordinary program.
+# Rules with these keys apply to a service or a packaged app, not to ordinary programs.
 _FOR_OTHERS = ("Svc", "AppPkgId", "PFN")
 _ANY_PROTOCOL = 256
 
 
 @unique
 class Protocol(IntEnum):
-    """What LSL is carried by, with the numbers of IP."""
+    """The transport protocols of LSL, with their IP protocol numbers."""
 
     TCP = 6
     UDP = 17
@@ -42,7 +42,7 @@ class Protocol(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One rule for what comes in: it lets in, or blocks.
+    """One inbound rule, which allows or blocks.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Rule:
     profiles
         ``Private``, ``Domain``, ``Public``; all of them if none is named.
     is_local
-        Whether this PC has it, not its domain or device management.
+        Whether the rule is set on this PC, not by its domain or device management.
     """
 
     name: str
@@ -66,15 +66,15 @@ class Rule:
     is_local: bool = True
 
     def holds_in(self, profile: str) -> bool:
-        """Whether it is for networks of a kind."""
+        """Whether the rule applies to networks of this kind."""
         return not self.profiles or profile in self.profiles
 
     def is_for(self, program: str) -> bool:
-        """Whether it concerns a program, given by its full path."""
+        """Whether the rule applies to a program, given by its full path."""
         return not self.program or same_file(self.program, program)
 
     def opened(self, wanted: Iterable[int]) -> set[int]:
-        """Return those of the ports that it concerns."""
+        """Return the ports among these to which the rule applies."""
         if self.ports is None:
             return set(wanted)
         return {each for each in wanted if any(low <= each <= high for low, high in self.ports)}
@@ -88,11 +88,11 @@ class Treatment:
     lets_in: bool = True
     """Whether rules can let anything in at all."""
     heeds_local_rules: bool = True
-    """Whether those of this PC are in force, and not only those of its domain."""
+    """Whether rules of this PC apply, and not only those of its domain."""
 
 
 _NETWORKS = r"SOFTWARE\Microsoft\Windows NT\CurrentVersion\NetworkList\Profiles"
-# Where the installer's rule is meant to hold.
+# The kinds of networks to which the installer's rule applies.
 _PROFILES = ["Private", "Domain"]
 _WHY = (
     "Other computers see the streams of this one only if it lets them in; LabRecorder on this "
@@ -102,7 +102,7 @@ _WHY = (
 
 @unique
 class Network(IntEnum):
-    """What Windows takes a network for, as in the registry."""
+    """Windows' category of a network, as in the registry."""
 
     PUBLIC = 0
     PRIVATE = 1
@@ -110,7 +110,7 @@ class Network(IntEnum):
 
 
 def same_file(one: str, other: str) -> bool:
-    """Whether two paths of Windows are the same, apart from upper and lower case."""
+    """Whether two Windows paths are equal, ignoring case."""
     return _plain(one) == _plain(other)
 
 
@@ -119,9 +119,9 @@ def _plain(path: str) -> str:
 
 
 def read_rule(text: str, variables: Mapping[str, str] = os.environ) -> Rule | None:
-    """Read a rule as the registry has it; None if it is for nothing that LSL sends to a program.
+    """Parse a rule of the registry; None if it does not apply to LSL traffic of a program.
 
-    The variables stand for names such as ``%ProgramFiles%`` in the program's path.
+    The variables replace names such as ``%ProgramFiles%`` in the program's path.
     """
     fields: dict[str, list[str]] = {}
     for entry in text.split("|"):
@@ -155,7 +155,7 @@ def _ports(written: list[str]) -> tuple[tuple[int, int], ...] | None:
     if not written:
         return None
     ranges = [each.partition("-") for each in written]
-    # There are words, too, such as RPC: ports that LSL does not use.
+    # Words such as RPC name ports that LSL does not use.
     return tuple(
         (int(low), int(high or low))
         for low, _, high in ranges
@@ -169,7 +169,7 @@ def _expanded(path: str, variables: Mapping[str, str]) -> str:
 
 
 def local_and_managed_rules() -> list[Rule] | None:
-    """Return the rules of this PC and of who manages it; None where they cannot be read."""
+    """Return the rules of this PC and those of its management; None if they cannot be read."""
     local = _values(rf"{_FOLDER}\{_RULES}")
     if local is None:
         return None
@@ -182,14 +182,14 @@ def local_and_managed_rules() -> list[Rule] | None:
 
 def treatment(profile: str) -> Treatment:
     """Return how networks of a kind are treated: ``Private``, ``Domain`` or ``Public``."""
-    # The private one has the name that it had before there were three.
+    # The key of the private profile still has its name from before there were three.
     own = {"Private": "Standard"}.get(profile, profile)
     local = _values(rf"{_FOLDER}\{own}Profile") or {}
     return merged(local, [_values(rf"{each}\{profile}Profile") or {} for each in _MANAGED])
 
 
 def merged(local: Mapping[str, object], managed: Sequence[Mapping[str, object]]) -> Treatment:
-    """Join the settings of a PC with those of who manages it, which come first."""
+    """Merge the settings of a PC with those of its management, which take precedence."""
     settings = dict(local)
     for each in managed:
         settings |= each
@@ -201,7 +201,7 @@ def merged(local: Mapping[str, object], managed: Sequence[Mapping[str, object]])
 
 
 def _values(path: str) -> dict[str, object] | None:
-    """Return what is in a key of the registry; None if it cannot be read."""
+    """Return the values of a registry key; None if it cannot be read."""
     if sys.platform != "win32":
         return None
     import winreg  # Windows only
@@ -215,7 +215,7 @@ def _values(path: str) -> dict[str, object] | None:
 
 
 def windows_firewall(context: Context) -> Iterator[Finding]:
-    """Look for rules that let this program in or block it, and what the network is taken for."""
+    """Check the rules that allow or block this program, and the category of the network."""
     if sys.platform != "win32":
         return
     latest = latest_network()
@@ -232,7 +232,7 @@ def windows_firewall(context: Context) -> Iterator[Finding]:
 
 
 def _own_program() -> str:
-    # The python.exe of a virtual environment only starts the one that it was made of.
+    # The python.exe of a virtual environment only starts the base interpreter.
     own = sys.executable
     return own if getattr(sys, "frozen", False) else getattr(sys, "_base_executable", own)
 
@@ -248,17 +248,17 @@ def judge_rules(
     network: Network | None,
     treatments: Mapping[str, Treatment],
 ) -> Iterator[Finding]:
-    """Judge which rules let a program, by its full path, receive what LSL needs.
+    """Check which rules let a program, by its full path, receive what LSL needs.
 
-    Rules are None if they cannot be read, and the network if nobody knows what Windows takes it
-    for. A kind of network that is not among the treatments is an ordinary one.
+    Rules are None if they cannot be read; the network is None if its category is unknown. Kinds
+    of networks that are not among the treatments have default settings.
     """
     opening = firewall.windows(ports) + "\nor install again with 'Firewall rule' ticked"
     if rules is None:
         yield note("the rules of Windows' firewall cannot be read", _WHY, opening)
         return
     treated = {each: treatments.get(each, Treatment()) for each in _profiles(network)}
-    # One that is off needs no rule.
+    # A firewall that is off needs no rule.
     on = {profile: treatment for profile, treatment in treated.items() if treatment.is_on}
     if not on:
         yield ok(
@@ -343,7 +343,7 @@ def _blocked(rule: Rule) -> Finding:
 
 
 def _nearly(rules: Iterable[Rule], program: str, profiles: Iterable[str]) -> str:
-    """Say why the installer's rule, if it is there, is none for this program and network."""
+    """Return why the installer's rule, if it exists, does not apply to this program and network."""
     rule = next((each for each in rules if each.name == firewall.WINDOWS_RULE), None)
     if rule is None:
         return ""
@@ -361,7 +361,7 @@ def _nearly(rules: Iterable[Rule], program: str, profiles: Iterable[str]) -> str
 
 
 def judge_network(name: str, network: Network) -> Finding:
-    """Judge what Windows takes the network for."""
+    """Check Windows' category of the network."""
     if network is not Network.PUBLIC:
         return ok(f"Windows takes the network {name} for {network.name.lower()}")
     return warning(
@@ -372,7 +372,7 @@ def judge_network(name: str, network: Network) -> Finding:
 
 
 def latest_network() -> tuple[str, Network] | None:
-    """Return the network that was connected last, which most often is the present one."""
+    """Return the network that was connected last, which is usually the present one."""
     if sys.platform != "win32":
         return None
     import winreg  # Windows only
@@ -393,6 +393,6 @@ def latest_network() -> tuple[str, Network] | None:
 
 
 def sortable(system_time: bytes) -> bytes:
-    """Make a SYSTEMTIME comparable: year, month, (weekday,) day, and the time of the day."""
+    """Return a SYSTEMTIME without its weekday, so that it can be compared."""
     fields = [system_time[at : at + 2][::-1] for at in range(0, len(system_time), 2)]
     return b"".join(fields[:2] + fields[3:])

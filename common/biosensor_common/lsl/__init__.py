@@ -1,1 +1,1 @@
-"""Finds and opens streams of LSL in the same way in all programs."""
+"""Finds and opens LSL streams, in the same way in all programs."""

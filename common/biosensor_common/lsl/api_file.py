@@ -1,6 +1,6 @@
 """Reads and changes the text of an ``lsl_api.cfg``.
 
-What is a line in `LslApiFile` follows liblsl's own reader
+`LslApiFile` parses lines as liblsl's own reader does
 (https://github.com/sccn/liblsl/blob/main/src/util/inireader.cpp), which ignores a whole
 file for one line that it does not understand. The functions take what `effective_config`
 has made, which is always understood.
@@ -24,7 +24,7 @@ from biosensor_common.lsl_config import (
 
 LOOPBACK = "127.0.0.1"
 LSL_PORT_RANGE = 32
-"""What liblsl takes where nothing else is said: 16 streams."""
+"""liblsl's default: enough for 16 streams."""
 
 SESSION, PEERS = ("lab", "SessionID"), ("lab", "KnownPeers")
 PORT_RANGE, BASE_PORT = ("ports", "PortRange"), ("ports", "BasePort")
@@ -41,7 +41,7 @@ class Ports(NamedTuple):
 
 @dataclass(slots=True)
 class Line:
-    """A line with its end, and the setting in it if there is one."""
+    """A line with its line ending, and the setting in it, if any."""
 
     text: str
     section: str
@@ -57,12 +57,12 @@ class LslApiFile:
     text
         The whole file.
     source
-        What to call it in messages.
+        Its name in error messages.
 
     Raises
     ------
     ConfigError
-        ``MALFORMED``, if liblsl would not understand it and therefore ignore it.
+        ``MALFORMED``, if liblsl could not parse the file and would therefore ignore it.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -70,12 +70,12 @@ class LslApiFile:
 
     @property
     def session_id(self) -> str:
-        """Its session."""
+        """The session."""
         return self._get(SESSION) or LSL_SESSION
 
     @property
     def known_peers(self) -> tuple[str, ...]:
-        """Hosts that are asked directly."""
+        """Hosts that liblsl asks directly."""
         names = self._get(PEERS).removeprefix("{").removesuffix("}").split(",")
         return tuple(name.strip() for name in names if name.strip())
 
@@ -126,12 +126,12 @@ def _malformed(source: str, number: int, what: str) -> ConfigError:
 
 
 def value(config: str, section: str, key: str) -> str:
-    """Return a setting, empty if it is not there."""
+    """Return a setting's value, empty if it is not set."""
     return _parser_of(config).get(section, key, fallback="").strip()
 
 
 def changed(config: str, settings: Mapping[tuple[str, str], str]) -> str:
-    """Return the configuration with these settings, by section and key."""
+    """Return the configuration with these settings changed, by section and key."""
     parser = _parser_of(config)
     for (section, key), text in settings.items():
         if not parser.has_section(section):
@@ -143,12 +143,12 @@ def changed(config: str, settings: Mapping[tuple[str, str], str]) -> str:
 
 
 def session(config: str) -> str:
-    """Return the session that it is in."""
+    """Return the session of a configuration."""
     return value(config, *SESSION) or LSL_SESSION
 
 
 def known_peers(config: str) -> list[str]:
-    """Return the hosts that are asked directly."""
+    """Return the hosts that liblsl asks directly."""
     peers = value(config, *PEERS).strip("{}").split(",")
     return [peer.strip() for peer in peers if peer.strip()]
 

@@ -1,4 +1,4 @@
-"""Reads what an LSL stream announces and describes of itself, and judges what can be used."""
+"""Reads the core fields and the description of an LSL stream, and rejects unusable ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 MAX_RATE_HZ = 1e6
 
-# By the numbers that liblsl gives them, lsl_channel_format_t.
+# In the order of liblsl's enum lsl_channel_format_t.
 _FORMATS = {
     1: ChannelFormat.FLOAT32,
     2: ChannelFormat.DOUBLE64,
@@ -27,7 +27,7 @@ _FORMATS = {
 
 
 def read_core(info: pylsl.StreamInfo) -> CoreFields:
-    """Return what a stream announces of itself.
+    """Return the core fields that a stream announces.
 
     Raises
     ------
@@ -55,10 +55,10 @@ def read_core(info: pylsl.StreamInfo) -> CoreFields:
 
 
 def header_or_foreign(xml: str, core: CoreFields) -> tuple[StreamHeader, str]:
-    """Return the header of a full description, and why it cannot be read.
+    """Return the header of a full description, and the error if it cannot be read.
 
-    What cannot be read does not say whose it is: the header is then that of another program's
-    stream, with what LSL itself says.
+    A description that cannot be read does not identify its program. The stream then gets the
+    header of a foreign stream, made from the core fields.
     """
     try:
         return read_header(xml), ""
@@ -67,7 +67,7 @@ def header_or_foreign(xml: str, core: CoreFields) -> tuple[StreamHeader, str]:
 
 
 def decoded(text: bytes) -> str:
-    """Decode text as pylsl does names: UTF-8, else what a Windows program means by it."""
+    """Decode text as pylsl decodes names: as UTF-8, else in the code page of Windows programs."""
     try:
         return text.decode()
     except UnicodeDecodeError:

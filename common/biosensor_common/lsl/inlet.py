@@ -1,9 +1,9 @@
-"""Makes inlets that wait for nothing without a limit, and takes samples out of them in blocks.
+"""Makes inlets that never wait without a time limit, and pulls blocks of samples from them.
 
 The first pull of an inlet that was never opened waits for its outlet as long as liblsl recovers
-lost streams, for ever if the outlet is gone. And liblsl recovers by name, type and source_id
-alone: it goes on with an outlet of another session or with another header. So liblsl never
-recovers here. Whoever lost a stream looks for it again, by a resolver of the own session, and
+lost streams: for ever, if the outlet is gone. And liblsl recovers by name, type and source_id
+alone, so it may continue with an outlet of another session or with another header. Recovery is
+therefore switched off: a receiver that lost a stream resolves it again in its own session, and
 reads its header again.
 """
 
@@ -23,22 +23,22 @@ from pylsl.lib import lib
 from biosensor_common.lsl.header import decoded
 
 LAST_ENTRY_S = 0.1
-"""From a loss until the last entry of the queue is surely there, see `undelivered`."""
+"""After this time a lost stream's queue has its last entry, see `undelivered`."""
 MOST_BUFFERED = 4_000_000
 """Samples. liblsl reserves 16 bytes for each at once, and programs may announce any rate."""
 
 Stamps = NDArray[np.float64]
-"""LSL times in seconds, one a sample."""
+"""LSL times in seconds, one per sample."""
 
-# Calls through it keep the interpreter's lock. Giving it up takes longer than these
-# calls do, and the next of many reading threads would take it.
+# Calls through PyDLL keep the GIL. Releasing it takes longer than these calls themselves,
+# and another of many reading threads would then take it.
 _quick = ctypes.PyDLL(None, handle=lib._handle)  # noqa: SLF001 - the way that ctypes documents
 _quick.lsl_local_clock.restype = ctypes.c_double
 _quick.lsl_samples_available.restype = ctypes.c_uint32
 _quick.lsl_samples_available.argtypes = (ctypes.c_void_p,)
-# These give it up while they wait.
+# These calls wait, so they release the GIL.
 _waiting = ctypes.CDLL(None, handle=lib._handle)  # noqa: SLF001 - as above
-# int64 is left to pylsl: which of C's types it is depends on the system.
+# int64 is left to pylsl: its C type depends on the system.
 _LETTERS = {"f4": "f", "f8": "d", "i4": "i", "i2": "s", "i1": "c"}
 _PULLS: dict[np.dtype[Any], tuple[Callable[..., int], Callable[..., float]]] = {}
 for _kind, _letter in _LETTERS.items():
@@ -67,8 +67,8 @@ class Block(NamedTuple):
     Attributes
     ----------
     samples
-        Shape [samples, channels], in the stream's own format; for text an array of
-        objects that holds ``str``.
+        Shape [samples, channels], in the stream's own format; text is an object array of
+        ``str``.
     stamps
         Times on the sender's LSL clock.
     """
@@ -83,21 +83,21 @@ def local_clock() -> float:
 
 
 def samples_available(inlet: pylsl.StreamInlet) -> int:
-    """Count the samples that an inlet holds; 0 also for one whose stream is lost."""
+    """Return the number of samples in an inlet's buffer; 0 also if its stream is lost."""
     return _quick.lsl_samples_available(inlet.obj)
 
 
 def buffer_length(rate: float, length: int, most: int = MOST_BUFFERED) -> int:
-    """Return how much an inlet is to buffer.
+    """Return the ``max_buflen`` of an inlet.
 
     Parameters
     ----------
     rate
         Of the stream, in Hz.
     length
-        In seconds, or hundreds of samples where the rate is 0, as liblsl has it.
+        In seconds, or in hundreds of samples where the rate is 0, as in liblsl.
     most
-        Samples of a regular stream.
+        Largest number of samples of a regular stream.
     """
     return length if rate * length <= most else max(1, int(most / rate))
 
@@ -105,7 +105,7 @@ def buffer_length(rate: float, length: int, most: int = MOST_BUFFERED) -> int:
 def unopened_inlet(
     info: pylsl.StreamInfo, max_buflen: int = 1, *, as_numpy: bool = False
 ) -> pylsl.StreamInlet:
-    """Return an inlet that asks for a header or a clock; to be opened with a limit before a pull.
+    """Return an inlet for a header or a clock; open it with a time limit before a pull.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def unopened_inlet(
 def open_inlet(
     info: pylsl.StreamInfo, limit_s: float, max_buflen: int = 1, *, as_numpy: bool = False
 ) -> pylsl.StreamInlet:
-    """Return an inlet that gets what is sent from now on.
+    """Return an inlet that receives all samples sent from now on.
 
     Raises
     ------
@@ -132,10 +132,10 @@ def open_inlet(
 
 
 def read_description(inlet: pylsl.StreamInlet, uid: str, limit_s: float) -> pylsl.StreamInfo:
-    """Return what the outlet of an inlet says of its stream, with its description.
+    """Return the full header of an inlet's stream, with its description.
 
-    An outlet that appears takes the port of one that has just ended, and answers whoever asks
-    there, so that its header would be taken for that of the other stream.
+    A new outlet may take the port of one that has just ended, and would answer with its own
+    header. So the uid of the answer is checked.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def read_description(inlet: pylsl.StreamInlet, uid: str, limit_s: float) -> pyls
 
 
 def fetch_description(info: pylsl.StreamInfo, limit_s: float) -> str:
-    """Return the full description of a stream, by a connection for a moment and without data.
+    """Return the full description of a stream, through a short connection without data.
 
     Raises
     ------
@@ -160,30 +160,30 @@ def fetch_description(info: pylsl.StreamInfo, limit_s: float) -> str:
 
 
 def undelivered(inlet: pylsl.StreamInlet) -> int:
-    """Return how many samples liblsl drops of a lost stream, `LAST_ENTRY_S` after it was lost.
+    """Return how many samples of a lost stream liblsl drops, `LAST_ENTRY_S` after the loss.
 
-    The last entry of its queue is no sample: it wakes who waits. A thread of liblsl puts it there
-    after it has called the stream lost, on a busy machine some time after, and nothing tells when.
+    The last entry of the queue is not a sample: it wakes the reader. A thread of liblsl adds it
+    after it has marked the stream as lost, on a busy machine some time later.
     """
     return max(0, inlet.flush() - 1)
 
 
 class Connection:
-    """An inlet that is opened by a thread, and whose sender's clock other inlets measure.
+    """An inlet that a thread opens; its sender's clock is measured by other inlets.
 
     Parameters
     ----------
     info
-        As a resolver gave it.
+        Result of a resolver.
     pool
-        Opens it; a sender that does not answer keeps the thread for `limit_s`.
+        Opens the inlet; a sender that does not answer blocks the thread for `limit_s`.
 
     Attributes
     ----------
     is_ready
         Whether its sender's clock can be measured, see `biosensor_common.lsl.sender_clocks`.
     correction
-        What was measured last, in seconds to add to stamps; None before the first time.
+        Latest clock correction, in seconds to add to stamps; None before the first measurement.
     """
 
     def __init__(
@@ -204,7 +204,7 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether it receives."""
+        """Whether the inlet is open."""
         opening = self._opening
         return opening.done() and not opening.cancelled() and opening.exception() is None
 
@@ -230,25 +230,25 @@ class Connection:
         return unopened_inlet(self._info)
 
     def take_correction(self, correction: float) -> None:
-        """Take in a measurement."""
+        """Store a measured clock correction."""
         self.correction = correction
 
     def close(self) -> None:
-        """Close it; one that is being opened closes by itself."""
+        """Close the inlet; one that is being opened closes as soon as it is open."""
         if not self._opening.cancel() and self.is_open:
             self._opening.result().close_stream()
 
 
 class Puller:
-    """Takes samples out of one inlet, which gives numpy arrays; for one thread at a time.
+    """Pulls samples from one inlet as numpy arrays; for one thread at a time.
 
-    Numbers are written where they are written each time, and copied from there: to make an array
-    and ask for its address takes several times as long as liblsl takes for a few samples.
+    liblsl always writes numbers to the same array, from which they are copied: making an array and
+    taking its address costs several times as much as pulling a few samples.
 
     Parameters
     ----------
     most
-        Samples that are ever asked for at once.
+        Largest number of samples in one pull.
     """
 
     def __init__(self, inlet: pylsl.StreamInlet, most: int) -> None:
@@ -259,11 +259,11 @@ class Puller:
 
     @property
     def waiting(self) -> int:
-        """Samples that have come and that nobody has taken yet."""
+        """Number of samples in the inlet's buffer."""
         return _quick.lsl_samples_available(self._inlet.obj)
 
     def pull(self, count: int) -> Block:
-        """Take at most *count* samples of those that have come, without waiting; maybe none.
+        """Pull at most *count* buffered samples, without waiting; possibly none.
 
         Raises
         ------
@@ -276,10 +276,10 @@ class Puller:
         return Block(_decoded(samples) if self._is_text else samples, stamps)
 
     def pull_waiting(self) -> Block:
-        """Take what has come, without waiting; maybe nothing.
+        """Pull all buffered samples, without waiting; possibly none.
 
-        No more than there is is asked for: at the end of a lost stream liblsl throws away the
-        rest. And at least one sample is, because only a pull finds out about a loss.
+        Never asks for more than is buffered, because liblsl then discards the rest of a lost
+        stream. Always asks for at least one sample, because only a pull detects a loss.
 
         Raises
         ------
@@ -289,7 +289,7 @@ class Puller:
         return self.pull(min(max(1, self.waiting), self._most))
 
     def wait(self, limit_s: float) -> Block | None:
-        """Wait for a sample, and take what has come with it; None if nothing comes in time.
+        """Wait for a sample and pull all that came with it; None after the time limit.
 
         Raises
         ------
@@ -301,7 +301,7 @@ class Puller:
             if not taken:
                 return None  # nothing is dropped: nothing has come
             more = min(self.waiting, self._most - taken)
-            # Whether the stream is lost the next pull finds out, too.
+            # The next pull detects a lost stream, too.
             taken += self._numbers.take(taken, more, may_be_lost=True) if more else 0
             return self._numbers.block(taken)
         sample, stamp = self._inlet.pull_sample(limit_s)
@@ -321,7 +321,7 @@ class Puller:
 
 
 class _Numbers:
-    """The place of one inlet to which liblsl writes its samples."""
+    """The arrays to which liblsl writes one inlet's samples."""
 
     def __init__(self, inlet: pylsl.StreamInlet, kind: np.dtype[Any], most: int) -> None:
         self._samples: NDArray[Any] = np.empty((most, inlet.channel_count), kind)
@@ -335,7 +335,7 @@ class _Numbers:
         self._error_at = ctypes.addressof(self._error)
 
     def wait(self, limit_s: float) -> int:
-        """Write the next sample to the first place; return whether there is one."""
+        """Wait for the next sample, write it to the first row, and return whether there was one."""
         stamp = self._wait(self._inlet, self._samples_at, self._channels, limit_s, self._error_at)
         if self._error.value:
             pylsl.util.handle_error(self._error)
@@ -343,7 +343,7 @@ class _Numbers:
         return 1 if stamp else 0
 
     def take(self, place: int, count: int, *, may_be_lost: bool = False) -> int:
-        """Write at most *count* samples that have come, from a place on; return how many."""
+        """Write at most *count* buffered samples, starting at a row; return how many."""
         values = self._pull(
             self._inlet,
             self._samples_at + place * self._sample_size,
@@ -360,7 +360,7 @@ class _Numbers:
         return values // self._channels
 
     def block(self, count: int) -> Block:
-        """Return a copy of what is written at the first places."""
+        """Return a copy of the first rows."""
         return Block(self._samples[:count].copy(), self._stamps[:count].copy())
 
 

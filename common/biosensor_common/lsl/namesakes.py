@@ -1,8 +1,8 @@
-"""Numbers live senders that claim to be one stream, so that each has a topic of its own.
+"""Numbers live senders with the same stream identity, so that each gets its own topic.
 
 People copy a source_id from an example into several scripts. The first sender has the stream's
-own name, the second ``<name>_2`` and so on. The number belongs to the sender's computer, format
-and shape, as far as these differ: it gets it back whenever it or the node starts again.
+own name, the second ``<name>_2`` and so on. A number is bound to the sender's computer, format and
+shape, if these differ, so that the sender gets it again after a restart of it or the node.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def numbered(header: StreamHeader, number: int) -> StreamHeader:
-    """Return the header of one of several streams that claim to be the same."""
+    """Return the header of a stream with its number appended to the name."""
     if number == 1:
         return header
     name = f"{header.data_name}_{number}"
@@ -26,7 +26,7 @@ def numbered(header: StreamHeader, number: int) -> StreamHeader:
 
 
 class _Place(NamedTuple):
-    """What stays the same of a sender when it starts again."""
+    """Properties of a sender that stay the same over a restart."""
 
     host: str
     format: int
@@ -41,7 +41,7 @@ class _Number:
 
 
 class Namesakes:
-    """The numbers of all senders, by what their streams claim to be."""
+    """The numbers of all senders, by stream identity."""
 
     def __init__(self) -> None:
         self._numbers: dict[tuple[str, str, str], list[_Number]] = {}
@@ -52,9 +52,9 @@ class Namesakes:
         Parameters
         ----------
         info
-            As a resolver gave it.
+            Result of a resolver.
         live
-            Uids of the senders that are served or shown now; their numbers are taken.
+            Uids of the senders that are served or shown now; their numbers are in use.
         """
         uid, place = info.uid(), _place_of(info)
         given = self._numbers.setdefault((info.source_id(), info.name(), info.type()), [])
@@ -69,7 +69,7 @@ class Namesakes:
 
 
 def by_start(info: pylsl.StreamInfo) -> tuple[float, str]:
-    """Return what sorts senders by their start, whichever was found first."""
+    """Return a key that sorts senders by their start time, not by when they were found."""
     return info.created_at(), info.uid()
 
 

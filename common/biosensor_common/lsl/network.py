@@ -1,6 +1,6 @@
 """Finds streams on the network, once or for as long as a program runs.
 
-They answer in waves, and of many some answer late, so nobody relies on one look.
+Streams answer in waves, and some of many answer late, so a single query is not enough.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from biosensor_common.lsl_config import LslOverrides, effective_config, user_con
 
 LOOK_EVERY_S = 0.1
 FORGET_AFTER_S = 5.0
-"""An outlet that has just died is still reported for so long."""
+"""liblsl still reports an outlet for this long after it has ended."""
 
 Streams = Mapping[str, pylsl.StreamInfo]
-"""By their uids."""
+"""Streams by their uids."""
 
 
 def configure_lsl(overrides: LslOverrides) -> Path | None:
@@ -33,7 +33,7 @@ def configure_lsl(overrides: LslOverrides) -> Path | None:
     Returns
     -------
     Path or None
-        The user's own file that was taken over, if there is one.
+        The user's own file that was merged in, if there is one.
 
     Raises
     ------
@@ -46,24 +46,24 @@ def configure_lsl(overrides: LslOverrides) -> Path | None:
 
 
 class Network:
-    """Follows the streams that fit a predicate, in threads of liblsl, until it is deleted."""
+    """Tracks the streams that match a predicate, in threads of liblsl, until it is deleted."""
 
     def __init__(self, predicate: str = EVERYTHING) -> None:
         self._resolver = pylsl.ContinuousResolver(pred=predicate, forget_after=FORGET_AFTER_S)
 
     def streams(self) -> list[pylsl.StreamInfo]:
-        """Return those that are there, without descriptions, in the order of their start.
+        """Return the present streams, without descriptions, in the order of their start.
 
-        So every program has them in the same order, whichever was found first. An outlet that
-        has ended is among them for some seconds.
+        All programs therefore have them in the same order. An outlet that has ended is still
+        included for some seconds.
         """
         return sorted(self._resolver.results(), key=by_start)
 
 
 def matches_query(info: pylsl.StreamInfo, query: str) -> bool:
-    """Whether a stream fits an LSL query, such as ``type='EEG' and starts-with(name,'p01')``.
+    """Whether a stream matches an LSL query, such as ``type='EEG' and starts-with(name,'p01')``.
 
-    A query that liblsl cannot read fits nothing.
+    A query that liblsl cannot parse matches nothing.
     """
     function = lib.lsl_stream_info_matches_query
     function.restype = ctypes.c_int32
@@ -72,7 +72,7 @@ def matches_query(info: pylsl.StreamInfo, query: str) -> bool:
 
 
 def is_query(query: str) -> bool:
-    """Whether liblsl can read a query (XPath 1.0 over the fields of a stream)."""
+    """Whether liblsl can parse a query (XPath 1.0 over the fields of a stream)."""
     any_stream = pylsl.StreamInfo("any", "any", 1, 0.0, "float32", "any")
     try:
         return matches_query(any_stream, any_of(of_user(query), EVERYTHING))
@@ -83,19 +83,19 @@ def is_query(query: str) -> bool:
 def search(
     is_enough: Callable[[Streams, float], bool], predicate: str = EVERYTHING
 ) -> list[pylsl.StreamInfo]:
-    """Look until it is enough; return all streams that answered, also those that have ended since.
+    """Search until *is_enough* returns true; return all streams that answered, also ended ones.
 
     Parameters
     ----------
     is_enough
-        Is given what has answered so far, and since how many seconds it is looked for.
+        Called with the streams that have answered so far and the seconds since the start.
     """
     network = Network(predicate)
     begun_s = time.monotonic()
     found: dict[str, pylsl.StreamInfo] = {}
     while True:
         time.sleep(LOOK_EVERY_S)
-        # A resolver gives a stream again at each look.
+        # A resolver returns the same stream again at each call.
         found |= {info.uid(): info for info in network.streams()}
         if is_enough(found, time.monotonic() - begun_s):
             return list(found.values())

@@ -1,4 +1,4 @@
-"""An LSL outlet whose end is safe."""
+"""An LSL outlet that can be destroyed safely."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from biosensor_common.process_limits import OUTLET, require
 
 REST_S = 0.02
-"""From the last push to the end of an outlet. LSL's own thread has begun to send by then; liblsl
-1.18 hangs for ever, or crashes, if an outlet ends at that very moment: see
+"""Pause between the last push and the end of an outlet. liblsl's thread has begun to send by then;
+liblsl 1.18 hangs or crashes if an outlet is destroyed at that very moment: see
 docs/liblsl-closing-outlets.md."""
 
 
 class LslOutlet(pylsl.StreamOutlet):
-    """An outlet that, to be destroyed, waits until what was pushed last is on its way.
+    """An outlet that, before it is destroyed, waits until the last sample is on its way.
 
     Raises
     ------
@@ -52,10 +52,10 @@ class LslOutlet(pylsl.StreamOutlet):
         self.note_push()
 
     def note_push(self) -> None:
-        """Note that something was pushed by another function than those above."""
+        """Record the time of a push that did not go through the methods above."""
         self._pushed_s = time.monotonic()
 
     def __del__(self) -> None:
-        """Destroy it, `REST_S` after the last push at the earliest."""
+        """Destroy the outlet, at the earliest `REST_S` after the last push."""
         time.sleep(max(0.0, self._pushed_s + REST_S - time.monotonic()))
         super().__del__()

@@ -2,7 +2,7 @@
 
 liblsl puts ``session_id='..' and`` before a predicate and no brackets around it, so that all
 but the first term of ``A or B`` find streams of every session. Each predicate that is built here
-stands in brackets, and no value ends its own quotes.
+is in brackets, and values are quoted safely.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ Field = Literal["name", "type", "source_id"]
 EVERYTHING = Predicate("(true())")
 NOTHING = Predicate("(false())")
 IN_ANY_SESSION = Predicate("false() or true()")
-"""Finds all streams of all sessions: on purpose without brackets."""
+"""Finds all streams of all sessions, because it has no brackets."""
 
 _CLOSES = {")": "(", "]": "["}
 
 
 def equals(field: Field, value: str) -> Predicate:
-    """Find streams of which a field has this value."""
-    # No header of a stream holds a NUL, where liblsl would stop to read.
+    """Match streams whose field has this value."""
+    # liblsl would stop reading at a NUL, and no header holds one.
     return NOTHING if "\0" in value else Predicate(f"({field}={_quoted(value)})")
 
 
 def ends_with(field: Field, ending: str) -> Predicate:
-    """Find streams of which a field ends so; XPath 1.0 has no function for it."""
+    """Match streams whose field ends with a text; XPath 1.0 has no function for it."""
     if "\0" in ending:
         return NOTHING
     # liblsl's XPath counts the bytes of UTF-8.
@@ -40,32 +40,32 @@ def ends_with(field: Field, ending: str) -> Predicate:
 
 
 def has(path: str) -> Predicate:
-    """Find streams whose description has this element, such as ``desc/ros``."""
+    """Match streams whose description has this element, such as ``desc/ros``."""
     return Predicate(f"({path})")
 
 
 def any_of(*predicates: Predicate) -> Predicate:
-    """Find streams that fit at least one of the predicates."""
+    """Match streams that match at least one of the predicates."""
     return Predicate(f"({' or '.join(predicates)})") if predicates else NOTHING
 
 
 def all_of(*predicates: Predicate) -> Predicate:
-    """Find streams that fit all predicates."""
+    """Match streams that match all predicates."""
     return Predicate(f"({' and '.join(predicates)})") if predicates else EVERYTHING
 
 
 def none_of(*predicates: Predicate) -> Predicate:
-    """Find streams that fit none of the predicates."""
+    """Match streams that match none of the predicates."""
     return Predicate(f"(not{any_of(*predicates)})")
 
 
 def of_user(text: str) -> Predicate:
-    """Take what a person wrote; liblsl alone knows whether it is XPath.
+    """Make a predicate from a user's text; only liblsl can check whether it is valid XPath.
 
     Raises
     ------
     SpecError
-        ``INVALID``, if a bracket or a quote in it is open, or closes one that stands before it.
+        ``INVALID``, if its brackets or quotes are not balanced.
     """
     if not _is_closed(text):
         message = f"the LSL query {text!r} has a bracket or a quote without its partner; add it"
@@ -90,7 +90,7 @@ def _is_closed(text: str) -> bool:
 
 
 def _quoted(text: str) -> str:
-    """Write a text for XPath, which knows no escapes."""
+    """Quote a text for XPath, which has no escape characters."""
     for quote in ("'", '"'):
         if quote not in text:
             return f"{quote}{text}{quote}"

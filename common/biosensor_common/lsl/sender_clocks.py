@@ -1,8 +1,8 @@
-"""Measures the clocks of senders, each time by an inlet that lives for that measurement.
+"""Measures the clocks of senders, with a separate inlet for each measurement.
 
-An inlet of liblsl that was once asked for its sender's clock measures it for the rest of
-its life, in a thread of its own, and keeps some memory of each time. So the inlets that
-bring data are never asked (docs/liblsl-time-receiver.md).
+Once an inlet of liblsl was asked for its sender's clock, it measures it for the rest of its
+life in an additional thread, and each measurement leaks some memory. So the inlets for data
+are never asked (docs/liblsl-time-receiver.md).
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     import pylsl
 
-# As LabRecorder does, so that stamps are as good in ROS as in a recording.
+# As often as LabRecorder, so that stamps are as good in ROS as in a recording.
 PERIOD_S = 5.0
 STEP_S = 0.1
 # liblsl sends eight probes, 64 ms apart, and waits 128 ms for the answers.
 PROBES_S = 0.64
-# By then it has tried twice: it begins again every 2 s, unless the user's lsl_api.cfg has another
-# TimeUpdateInterval.
+# By then liblsl has tried twice: it starts again every 2 s, unless the user's lsl_api.cfg has
+# another TimeUpdateInterval.
 LIMIT_S = 3.0
 
 
 class Sender(Protocol):
-    """A stream whose sender's clock is to be known."""
+    """A stream whose sender's clock is to be measured."""
 
     @property
     def is_ready(self) -> bool:
-        """Whether it is there to be measured."""
+        """Whether its clock can be measured now."""
         ...
 
     @property
     def correction(self) -> float | None:
-        """What was measured last; None before the first time."""
+        """Latest measurement; None before the first one."""
         ...
 
     def open_clock(self) -> pylsl.StreamInlet:
@@ -51,17 +51,17 @@ class Sender(Protocol):
         ...
 
     def take_correction(self, correction: float) -> None:
-        """Take in a measurement, in seconds to add to the sender's stamps."""
+        """Store a measurement, in seconds to add to the sender's stamps."""
         ...
 
 
 class Measurement:
-    """One measurement, which liblsl makes in a thread of its own.
+    """One measurement, which liblsl makes in a separate thread.
 
     Parameters
     ----------
     inlet
-        For this measurement alone.
+        Used for this measurement only.
     """
 
     def __init__(self, inlet: pylsl.StreamInlet) -> None:
@@ -71,11 +71,11 @@ class Measurement:
 
     @property
     def is_late(self) -> bool:
-        """Whether nothing will come of it any more."""
+        """Whether the measurement has failed: it takes too long."""
         return monotonic() - self._begun_s > LIMIT_S
 
     def result(self) -> float | None:
-        """Return the seconds to add to the sender's stamps, None while they are not known."""
+        """Return the seconds to add to the sender's stamps, None while unknown."""
         return self._ask() if monotonic() - self._begun_s > PROBES_S else None
 
     def _ask(self) -> float | None:
@@ -86,12 +86,12 @@ class Measurement:
 
 
 class SenderClocks:
-    """Measures the clock of each sender as soon as it is ready, and again and again.
+    """Measures the clock of each sender as soon as it is ready, and then periodically.
 
     Parameters
     ----------
     senders
-        Returns the present ones, one per stream; called in a thread of its own.
+        Returns the present senders, one per stream; called in a separate thread.
     period_s
         From one measurement of a clock to the next.
     """
@@ -141,15 +141,15 @@ class SenderClocks:
             for sender in present
             if sender not in self._running and now >= self._due_s.get(sender, 0.0)
         ]
-        # What has never been measured holds stamped messages back.
+        # Senders without a measurement come first: their stamped messages are waiting for it.
         new = [sender for sender in due if sender.correction is None]
         known = [sender for sender in due if sender.correction is not None]
         known.sort(key=lambda sender: self._due_s.get(sender, 0.0))
-        # Streams that came at once shall not be measured at once for ever.
+        # Spreads the measurements of streams that were found together.
         at_once = math.ceil(len(present) * STEP_S / self._period_s)
         for sender in new + known[:at_once]:
             self._due_s[sender] = now + self._period_s
-            # There may be no descriptor or thread left; the next time there may be.
+            # No file descriptor or thread may be left now; it is tried again later.
             # nothing is dropped: the next time there may be a descriptor or thread
             with suppress(RuntimeError):
                 self._running[sender] = Measurement(sender.open_clock())
