@@ -46,6 +46,7 @@ def _kubios(outcome: Outcome) -> dict[str, list[float]]:
     return {
         path.name: [float(each) for each in path.read_text().split()]
         for path in written.path.iterdir()
+        if path.name != "README.txt"
     }
 
 
@@ -54,6 +55,7 @@ def _edf(outcome: Outcome) -> dict[str, list[float]]:
     return {
         path.name: np.round(read_bdf(path).signals[0].data).tolist()
         for path in written.path.iterdir()
+        if path.name != "README.txt"
     }
 
 

@@ -75,6 +75,10 @@ def export_recording(
             "where a gap is an event and ends no file."
         ),
     ] = exporter.Times.RECORDED,
+    wide: Annotated[
+        bool,
+        typer.Option("--wide", help="For csv; also one table for each rate, streams side by side."),
+    ] = False,
     task: Annotated[
         str, typer.Option(help="For bids; else from the recording's name, or study.")
     ] = "",
@@ -113,12 +117,15 @@ def export_recording(
             hint = did_you_mean(each, FORMATS)
             message = f"there is no format {each!r}{hint}; there is {', '.join(FORMATS)}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    if wide and not {"csv", "csv.gz"} & {*to}:
+        message = "--wide is of --to csv and --to csv.gz; other formats have no such tables"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
     wish = Wish(streams or (), begin, end, participant, without)
     # Brings what writes a data set.
     from biosensor_gateway.recording.export.bids.study import is_dataset
     from biosensor_gateway.recording.export.several import recordings_in
 
-    wanted = Task(to, wish, clock, output, task, session, whose, times)
+    wanted = Task(to, wish, clock, output, task, session, whose, times, wide)
     if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
         with wrong_recording(), _bars() as watch:
             outcome = export(files[0], wanted, watch)

@@ -16,7 +16,7 @@ from unittest.mock import patch
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.csv.wide import MARKERS
+from biosensor_gateway.recording.export.csv.tables import MARKERS
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.fuzz.contract import ensure

@@ -54,6 +54,8 @@ class Order:
         Whose all of it is, whatever the recorded events say; empty for what these say.
     times
         Of regular streams.
+    is_wide
+        Whether tables are to hold all streams of a rate side by side, too.
     """
 
     clock: Clock
@@ -62,6 +64,7 @@ class Order:
     session: str = ""
     participant: str = ""
     times: Times = Times.RECORDED
+    is_wide: bool = False
 
 
 class Missing(str):

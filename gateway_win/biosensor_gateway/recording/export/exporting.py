@@ -50,6 +50,8 @@ class Task:
         Of regular streams.
     batch
         How many values are taken at once; results do not depend on it.
+    is_wide
+        Whether ``csv`` is to hold a table for each rate as well.
     """
 
     formats: Sequence[str]
@@ -61,6 +63,7 @@ class Task:
     whose: Whose | None = None
     times: Times = Times.RECORDED
     batch: int = BATCH
+    is_wide: bool = False
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
@@ -84,7 +87,15 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         chosen = replace(choose(contents, task.wish), batch=task.batch)
         _require_samples(chosen)
         _require_clock(contents, task.clock)
-        order = Order(task.clock, bare_name(path), task.task, task.session, participant, task.times)
+        order = Order(
+            task.clock,
+            bare_name(path),
+            task.task,
+            task.session,
+            participant,
+            task.times,
+            task.is_wide,
+        )
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
         _require_space(chosen, targets)

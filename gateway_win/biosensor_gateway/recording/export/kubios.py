@@ -27,6 +27,7 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.numbers import numbers
+from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     MOST_RUNS,
@@ -44,6 +45,14 @@ _GAPS = "_gaps.csv"
 _MOST_NAMED = 3
 
 
+_MEANS = """\
+Each file is a text with a number in each line, for Kubios HRV: intervals between heart beats,
+or an ECG, for which Kubios asks the rate.
+
+Intervals have no times of their own: a part in which beats are missing cannot be seen in them.
+"""
+
+
 class Kubios:
     """Writes a file of intervals for each stream of these, and one for each run of an ECG."""
 
@@ -56,13 +65,16 @@ class Kubios:
         target.mkdir()
         count = SampleCount(chosen, progress)
         notes: list[str] = []
-        names = FileNames()
+        names, files = FileNames(), dict[int, list[str]]()
         for stream in chosen.streams:
             if _is_of(stream, ContentType.RR):
                 (name,) = names.of(stream)
-                notes += _write_intervals(chosen, stream, target / f"{name}.txt")
+                path = target / f"{name}.txt"
+                notes += _write_intervals(chosen, stream, path)
+                files |= {stream.number: [path.name]} if path.exists() else {}
             elif _is_of(stream, ContentType.ECG) and stream.header.is_regular:
-                notes += _write_ecg(chosen, order, stream, target, names)
+                made = _write_ecg(chosen, order, stream, target, names, notes)
+                files |= {stream.number: made} if made else {}
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
@@ -70,6 +82,7 @@ class Kubios:
                 "wanted, so nothing was written for Kubios"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
+        write_readme(target, chosen, order, _MEANS, files, notes)
         return notes
 
 
@@ -108,16 +121,22 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
 
 
 def _write_ecg(
-    chosen: Chosen, order: Order, stream: Stream, folder: Path, names: FileNames
-) -> Iterator[str]:
+    chosen: Chosen,
+    order: Order,
+    stream: Stream,
+    folder: Path,
+    names: FileNames,
+    notes: list[str],
+) -> list[str]:
+    """Write an ECG; note what is to be said, and return the names of its files."""
     name = stream.header.name
     cut = Runs(chosen, stream, order.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
-        yield Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
-        return
+        notes.append(Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps"))
+        return []
     if not runs:
-        return
+        return []
     every = stretches(runs, stream.header.rate, longest_gap_s(order.times))
     files = [folder / f"{each}.txt" for each in names.of(stream, len(every))]
     file_of = [path for path, each in zip(files, every, strict=True) for _ in each.runs]
@@ -135,13 +154,13 @@ def _write_ecg(
     rates = [each.rate_hz for each in every]
     told = ", ".join(f"{rate:.6g}" for rate in dict.fromkeys(rates[:3]))
     more = ", ..." if len(rates) > 3 else ""
-    yield f"{name}: tell Kubios its rate, {told}{more} Hz, and its unit, {_unit(stream)}"
+    notes.append(f"{name}: tell Kubios its rate, {told}{more} Hz, and its unit, {_unit(stream)}")
     if without:
-        yield f"{name}: {without} samples have no value and are NaN"
-    for remark in cut.remarks(every, "NaN stands"):
-        yield f"{name}: {remark}"
+        notes.append(f"{name}: {without} samples have no value and are NaN")
+    notes += [f"{name}: {each}" for each in cut.remarks(every, "NaN stands")]
     if any(empty):
-        yield f"{name}: {_write_gaps(every, files)}"
+        notes.append(f"{name}: {_write_gaps(every, files)}")
+    return [each.name for each in files]
 
 
 def _write_gaps(every: Sequence[Stretch], files: Sequence[Path]) -> str:

@@ -30,6 +30,7 @@ from biosensor_gateway.recording.export.exporter import (
 from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import numbers
+from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, gap_text, has_even_times
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
@@ -46,6 +47,14 @@ _RESISTANCES = {
 """By unit, in lower case: what a value is multiplied by, or what is divided by it."""
 
 
+_MEANS = f"""\
+Each file is a text for Ledalab, which imports it as a text of three columns: time in s, skin
+conductance in microsiemens, and the number of the marker that fell on that sample, else 0.
+
+{CODES}: what the numbers of markers mean.
+"""
+
+
 class Ledalab:
     """Writes a file for each stream of skin conductance, and ``markers.csv``."""
 
@@ -59,10 +68,12 @@ class Ledalab:
         count = SampleCount(chosen, progress)
         happened, codes = _numbered(chosen)
         notes: list[str] = []
+        files: dict[int, list[str]] = {}
         for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
             if _is_conductance(stream):
                 path = target / f"{name}.txt"
                 notes += _write_stream(chosen, order, stream, happened, codes, path)
+                files |= {stream.number: [path.name]} if path.exists() else {}
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
@@ -73,6 +84,7 @@ class Ledalab:
         if codes:
             lines = quoted([("code", "marker"), *((code, text) for text, code in codes.items())])
             (target / CODES).write_bytes(lines)
+        write_readme(target, chosen, order, _MEANS, files, notes)
         return notes
 
 

@@ -212,12 +212,13 @@ class Runs:
         if inside and (away_s := max(each.away_s for each in files)) > max(
             _TOLD_AWAY_S, 1.0 / nominal_hz
         ):
-            yield f"a file has one rate, so samples are up to {away_s * 1e3:.3g} ms off"
+            yield f"a file has one rate, so samples are up to {round(away_s * 1e3, 3):g} ms off"
 
     def remarks_on_times(self) -> Iterator[str]:
         """Say how far even times are from the recorded ones."""
         if self._is_even:
-            yield f"even times are at most {self.moved_s * 1e3:.3g} ms from the recorded ones"
+            moved_ms = round(self.moved_s * 1e3, 3)
+            yield f"even times are at most {moved_ms:g} ms from the recorded ones"
         if self.stray:
             stamps = "1 stamp is" if self.stray == 1 else f"{self.stray} stamps are"
             yield f"{stamps} far away from those before and behind"

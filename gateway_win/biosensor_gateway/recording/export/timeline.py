@@ -32,6 +32,11 @@ class Timeline:
     zero_unix_ns: int | None
     _wall: WallClock | None
 
+    @property
+    def begin_s(self) -> float:
+        """Zero on its clock: LSL time, or unix time."""
+        return self.zero_s if self._wall is None else (self.zero_unix_ns or 0) / NS_PER_S
+
     def since_zero(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return seconds since zero.
 

@@ -83,16 +83,25 @@ def write_regular(
 
 def fill(to: Rows, batches: Iterator[Samples], part: Part, rate_hz: float) -> Grid:
     """Write the rows of one part; see :func:`write_regular`."""
-    window = int(np.clip(np.ceil(rate_hz * _WINDOW_S), _LEAST_WINDOW, _MOST_WINDOW))
     grid = Grid(to, part.start_s, rate_hz)
+    for _ in write_rows(grid, batches):
+        pass
+    return grid
+
+
+def write_rows(grid: Grid, batches: Iterator[Samples]) -> Iterator[int]:
+    """Write samples to a grid; after each piece, give how many that were."""
+    window = int(np.clip(np.ceil(grid.rate_hz * _WINDOW_S), _LEAST_WINDOW, _MOST_WINDOW))
     kept: Samples | None = None
     for samples in batches:
         kept = samples if kept is None else joined([kept, samples])
         if len(kept) >= 2 * window:
-            kept = grid.write(kept, len(kept) - window)
+            written = len(kept) - window
+            kept = grid.write(kept, written)
+            yield written
     if kept is not None:
         grid.write(kept, len(kept))
-    return grid
+        yield len(kept)
 
 
 class Rows(Protocol):
@@ -132,7 +141,7 @@ class Grid:
     def __init__(self, to: Rows, start_s: float, rate_hz: float) -> None:
         self._to = to
         self._start_s = start_s
-        self._rate_hz = rate_hz
+        self.rate_hz = rate_hz
         self.first_row = 0
         self.last_row = np.iinfo(np.int64).min // 2
         self.samples = 0
@@ -140,7 +149,7 @@ class Grid:
 
     def write(self, samples: Samples, count: int) -> Samples:
         """Write the first samples, of which those behind them have a say; return the others."""
-        places = (samples.times - self._start_s) * self._rate_hz
+        places = (samples.times - self._start_s) * self.rate_hz
         rows = place(places, self.last_row)[:count]
         self.displacement.add(places[:count], rows)
         if not self.samples:

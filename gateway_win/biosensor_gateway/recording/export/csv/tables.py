@@ -17,6 +17,8 @@ from biosensor_gateway.recording.export.exporter import Clock
 _TIMES = {Clock.LSL: "lsl_time", Clock.WALL: "unix_time"}
 SECONDS = "seconds"
 """Name of the column of times since the begin of what was exported."""
+MARKERS = "all_markers.csv"
+"""All that happened, of all streams of markers, in one table."""
 # Faster than the usual 6 by half, and hardly larger.
 _GZIP_LEVEL = 4
 

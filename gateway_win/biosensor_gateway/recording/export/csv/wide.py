@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv import tables
+from biosensor_gateway.recording.export.csv.by_rate import table_names, write_by_rate
+from biosensor_gateway.recording.export.csv.tables import MARKERS
 from biosensor_gateway.recording.export.exporter import (
     Clock,
     Order,
@@ -33,27 +33,32 @@ from biosensor_gateway.recording.export.marker_events import (
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, gap_text, has_even_times
 from biosensor_gateway.recording.export.timeline import Timeline, timeline
 
 _MICROSECONDS = 6
 CONTENTS = "streams.json"
 """What the tables are, beside them."""
-MARKERS = "all_markers.csv"
-"""All that happened, of all streams of markers, in one table."""
-_README = """\
-One table for each stream of {recording}, as biosensor-gateway {version} has exported it.
+_MEANS = f"""\
+One table for each stream: a row for each sample, a column for each channel. NaN means that
+there is no value. Where samples are missing, so are their rows.
 
-- {time}: when it was, in s{clock}. The recording begins at {begin}.
-- seconds: the time since then, which is the same for all tables.
-- One row for each sample, one column for each channel. NaN means that there is no value; nothing
-  was filled in. Where samples are missing, so are their rows.
-- streams.json: unit of each column, rate, sensor and who wore it.
-- all_markers.csv: what happened, with seconds since the begin. undone is yes where a marker was
-  taken back later.
+Column {{time}}: when it was. Column seconds: the time since the recording begins, which is the
+same for all tables.
 
-The files are UTF-8, columns are separated by commas, decimals have a point. In a spreadsheet whose
-decimals are commas, import them as text with a point (in Excel: Data > From Text/CSV).
+{MARKERS}: what happened, with seconds since the begin. undone is yes where a marker was taken
+back later.
+
+{CONTENTS}: unit of each column, rate, sensor and who wore it, for programs.
+
+The files are UTF-8, columns are separated by commas, decimals have a point. In a spreadsheet
+whose decimals are commas, import them as text with a point (in Excel: Data > From Text/CSV).
+"""
+_WIDE = """
+all_...Hz: all streams of one rate side by side. Rows have equal steps; a sample is in the row
+that is nearest to its time, nothing is interpolated, and a row in which nothing was measured is
+left out. marker is what happened at that row, or since the one before.
 """
 
 
@@ -83,7 +88,8 @@ class WideCsv:
         count = SampleCount(chosen, progress)
         described: list[dict[str, Any]] = []
         even: list[tuple[Stream, Runs]] = []
-        names = file_names(chosen.streams, [Path(MARKERS).stem])
+        wide = table_names(chosen).values() if order.is_wide else ()
+        names = file_names(chosen.streams, [Path(MARKERS).stem, *wide])
         for stream, name in zip(chosen.streams, names, strict=True):
             path = target / f"{name}{suffix}"
             given: Iterator[Samples] = batches(chosen, stream)
@@ -101,8 +107,18 @@ class WideCsv:
         text = json.dumps(content, indent=2, ensure_ascii=False)
         (target / CONTENTS).write_text(text + "\n", "utf-8", newline="\n")
         _write_markers(chosen, order, even, target / MARKERS)
-        _write_readme(chosen, order, target / "README.txt")
-        return [f"{stream.header.name}: {told}" for stream, runs in even for told in _told(runs)]
+        notes: list[str] = []
+        if order.is_wide:
+            notes += write_by_rate(chosen, order, names, target, is_packed=self._is_packed)
+        notes += [f"{stream.header.name}: {told}" for stream, runs in even for told in _told(runs)]
+        files = {
+            each.number: [f"{name}{suffix}"]
+            for each, name in zip(chosen.streams, names, strict=True)
+        }
+        means = _MEANS.format(time=tables.time_column(order.clock))
+        means += _WIDE if order.is_wide else ""
+        write_readme(target, chosen, order, means, files, notes)
+        return notes
 
     def _write_stream(
         self,
@@ -143,7 +159,6 @@ def _write_markers(
             for each in marker_events(stream, samples, line):
                 yield stream, each
 
-    begin_s = _begin_s(order.clock, line)
     with path.open("xb") as file:
         heads = ["seconds", tables.time_column(order.clock)]
         heads += ["marker", "note", "undone", "participant", "stream"]
@@ -153,27 +168,9 @@ def _write_markers(
         )
         for stream, each in in_order(all_of_them(), gaps):
             told = (each.name or each.text, each.note, "yes" if each.undone else "no")
-            times = (round(each.onset_s, 6), begin_s + each.onset_s)
+            times = (round(each.onset_s, 6), line.begin_s + each.onset_s)
             row = (*times, *told, each.participant, stream.header.name)
             file.write(tables.quoted([row]))
-
-
-def _write_readme(chosen: Chosen, order: Order, path: Path) -> None:
-    clock = " on the LSL clock of the computer that has recorded"
-    if order.clock is Clock.WALL:
-        clock = " since 1970 (unix time)"
-    text = _README.format(
-        recording=chosen.contents.path.name,
-        version=version("biosensor-gateway"),
-        time=tables.time_column(order.clock),
-        clock=clock,
-        begin=f"{_begin_s(order.clock, timeline(chosen, order.clock)):.6f}",
-    )
-    path.write_text(text, "utf-8", newline="\n")
-
-
-def _begin_s(clock: Clock, line: Timeline) -> float:
-    return (line.zero_unix_ns or 0) / NS_PER_S if clock is Clock.WALL else line.zero_s
 
 
 def _rows(chosen: Chosen, clock: Clock, line: Timeline, samples: Samples) -> bytes:

@@ -33,6 +33,7 @@ from biosensor_gateway.recording.export.exporter import (
 )
 from biosensor_gateway.recording.export.markers import is_markers, markers
 from biosensor_gateway.recording.export.names import FileNames
+from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
     MOST_RUNS,
     Runs,
@@ -56,6 +57,19 @@ class _Job:
     count: SampleCount
     happened: list[tuple[float, str]]
     notes: list[str] = field(default_factory=list[str])
+    files: dict[int, list[str]] = field(default_factory=dict[int, list[str]])
+    """Names of files, by the stream's number."""
+
+
+_MEANS = """\
+Each file is EDF+ in 24 bits (BDF+); open it with EDFbrowser, EEGLAB or MNE. It has one stream,
+and if that has gaps, what is between two of them.
+
+Markers are annotations. So is the LSL time at which a file begins, by which files can be
+aligned, and each place where there is no value: the least value of the channel stands there.
+
+The last data record is filled up with the last sample; an annotation says from where on.
+"""
 
 
 class Edf:
@@ -87,6 +101,7 @@ class Edf:
         if irregular:
             streams = "1 stream" if irregular == 1 else f"{irregular} streams"
             job.notes.append(f"{streams} without a rate left out, which EDF cannot hold")
+        write_readme(target, chosen, order, _MEANS, job.files, job.notes)
         return job.notes
 
 
@@ -121,6 +136,7 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
         told = sorted([*dealt_out, *missing])
         write_stretch(job.chosen, job.clock, stream, stretch, channels, told, given, path)
         job.count.add(sum(run.count for run in stretch.runs))
+        job.files.setdefault(stream.number, []).append(path.name)
     if left_out:
         labels = ", ".join(sorted(left_out))
         job.notes.append(f"{name}: without {labels}, whose values are beyond what EDF can hold")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,22 @@ from biosensor_gateway.recording.bag.recorded_streams import (
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock
-from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, Times
+from biosensor_gateway.recording.export.exporter import Clock, Missing, Order, Progress, Times
 from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
 from biosensor_gateway.recording.export.mcap.stream_topics import StreamTopics, names_of
+from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _TOLD_EVERY_S = 1.0
+
+
+_MEANS = """\
+A ROS 2 bag: an MCAP file and its metadata. Foxglove opens the file, and so does ros2 bag play;
+for topics that end in _stamped it needs the package biosensor_msgs of the gateway.
+
+Topics are those that the gateway's node publishes of the same streams. What is not named above
+is for the way back: biosensor-gateway bag import makes the recording of it again.
+"""
 
 
 class McapExporter:
@@ -42,6 +53,8 @@ class McapExporter:
         notes = list(conversion.sentences())
         if order.times is Times.EVEN:
             notes.append("a bag has the recorded times, for the way back needs them")
+        recorded = replace(order, clock=Clock.WALL, times=Times.RECORDED)
+        write_readme(target, chosen, recorded, _MEANS, conversion.topics(), notes)
         return notes
 
 
@@ -106,6 +119,10 @@ class _Conversion:
         connection = self._bag.open(TOPIC, "std_msgs/msg/String", len(told), latched=True)
         messages = [ENCAPSULATION + text(each) for each in told]
         self._bag.add(connection, [begin_ns] * len(messages), messages)
+
+    def topics(self) -> dict[int, Sequence[str]]:
+        """Return the topics of each stream, by its number."""
+        return {number: each.topics for number, each in self._topics.items() if each.written}
 
     def sentences(self) -> Iterator[str]:
         """Say what the bag does not have, or not well."""

@@ -1,0 +1,110 @@
+"""Writes README.txt: what an export holds and means, for a person who does not program."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.exporter import Clock, Order, Times
+from biosensor_gateway.recording.export.timeline import timeline
+
+README = "README.txt"
+_WIDTH = 100
+_MOST_CHANNELS, _MOST_FILES = 12, 4
+_CLOCKS = {
+    Clock.LSL: "on the LSL clock of the recording computer, which began when it was switched on",
+    Clock.WALL: "unix time: seconds since the begin of 1970, in UTC",
+}
+_TIMES = {
+    Times.RECORDED: "Times are as recorded. Nothing was filled in where samples are missing.",
+    Times.EVEN: (
+        "Samples of a stream with a rate were put on a straight line between two gaps (--times "
+        "even). Nothing was filled in; each gap is an event called BAD_gap."
+    ),
+}
+
+
+def write_readme(
+    folder: Path,
+    chosen: Chosen,
+    order: Order,
+    means: str,
+    files: Mapping[int, Sequence[str]],
+    notes: Sequence[str],
+) -> None:
+    """Write it into an export that is otherwise done.
+
+    Parameters
+    ----------
+    means
+        What the files are and how to read them, in paragraphs.
+    files
+        Names of files or topics of each stream that is in it, by the stream's number.
+    notes
+        What is to be known of this export.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    program = version("biosensor-gateway")
+    blocks = [
+        [f"{chosen.contents.path.name}, exported by biosensor-gateway {program}."],
+        ["WHAT IS HERE", *_items(_described(chosen, files))],
+        ["HOW TO READ IT", *_items(means.split("\n\n"))],
+        ["TIMES", *_items(_times(chosen, order))],
+    ]
+    if notes:
+        blocks.append(["WHAT YOU SHOULD KNOW", *_items(notes)])
+    text = "\n\n".join("\n".join(each) for each in blocks) + "\n"
+    # Names in headers may hold half of a character that is written in two.
+    with (folder / README).open("x", encoding="utf-8", errors="replace", newline="\n") as file:
+        file.write(text)
+
+
+def _items(texts: Sequence[str] | Iterator[str]) -> Iterator[str]:
+    for each in texts:
+        plain = " ".join("".join(c if c.isprintable() else " " for c in each).split())
+        yield textwrap.fill(plain, _WIDTH, initial_indent="- ", subsequent_indent="  ")
+
+
+def _described(chosen: Chosen, files: Mapping[int, Sequence[str]]) -> Iterator[str]:
+    for stream in chosen.streams:
+        if names := files.get(stream.number):
+            more = f" and {len(names) - _MOST_FILES} more" if len(names) > _MOST_FILES else ""
+            yield f"{', '.join(names[:_MOST_FILES])}{more}: {_stream_text(stream)}"
+
+
+def _stream_text(stream: Stream) -> str:
+    """Say what was measured, of whom, how often, and in what."""
+    header, identity = stream.header, stream.header.identity
+    whose = f" of {identity.participant}" if identity and identity.participant else ""
+    sensor = f", measured by {identity.sensor} {identity.unit}" if identity else ""
+    rate = f"{header.rate:g} times a second" if header.is_regular else "whenever it happened"
+    told = f"{header.content_type or header.name}{whose}{sensor}, {rate}"
+    if header.format is ChannelFormat.STRING:
+        return f"{told}; texts"
+    channels = [
+        f"{label} in {unit}" if unit and unit != "none" else label
+        for label, unit in zip(header.labels, stream.meaning.units, strict=True)
+    ]
+    more = f" and {len(channels) - _MOST_CHANNELS} more" if len(channels) > _MOST_CHANNELS else ""
+    return f"{told}; {', '.join(channels[:_MOST_CHANNELS])}{more}"
+
+
+def _times(chosen: Chosen, order: Order) -> Iterator[str]:
+    line = timeline(chosen, order.clock)
+    yield f"All times are in seconds. Where no other zero is said they are {_CLOCKS[order.clock]}."
+    date = line.described()["TimeZero"]
+    begin = f"{line.begin_s:.6f}"
+    if isinstance(date, dict) and "Date" in date:
+        yield f"The recording begins at {begin}, which is {date['Date']}."
+    else:
+        yield f"The recording begins at {begin}."
+    yield _TIMES[order.times]
