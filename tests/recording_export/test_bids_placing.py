@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.export.bids.regular import place
-from biosensor_gateway.recording.export.bids.timing import find_timing
+from biosensor_gateway.recording.export.grid import place
+from biosensor_gateway.recording.export.timing import find_timing
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 
 

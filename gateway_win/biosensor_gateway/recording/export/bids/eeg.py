@@ -20,8 +20,8 @@ from biosensor_gateway.recording.export.bids.file_names import Entities
 from biosensor_gateway.recording.export.bids.regular import RegularTable, fill
 from biosensor_gateway.recording.export.bids.run_file import RunFile
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json
-from biosensor_gateway.recording.export.bids.timing import Part, Timing
 from biosensor_gateway.recording.export.timeline import Timeline
+from biosensor_gateway.recording.export.timing import Part, Timing
 
 _EEG = "eeg"
 _COUNTED = {

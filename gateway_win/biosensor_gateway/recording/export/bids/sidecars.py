@@ -9,9 +9,9 @@ from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export import names
 from biosensor_gateway.recording.export.bids.regular import RegularTable
-from biosensor_gateway.recording.export.bids.timing import Timing
 from biosensor_gateway.recording.export.csv import tables
 from biosensor_gateway.recording.export.timeline import Timeline
+from biosensor_gateway.recording.export.timing import Timing
 
 TIMESTAMP = "timestamp"
 ONSET = "onset"

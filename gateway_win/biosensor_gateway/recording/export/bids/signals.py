@@ -36,7 +36,6 @@ from biosensor_gateway.recording.export.bids.sidecars import (
     unit,
 )
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
-from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
 from biosensor_gateway.recording.export.csv.tables import table_file
 from biosensor_gateway.recording.export.exporter import Order, SampleCount, Times
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
@@ -48,6 +47,7 @@ from biosensor_gateway.recording.export.runs import (
     gap_text,
 )
 from biosensor_gateway.recording.export.timeline import Timeline
+from biosensor_gateway.recording.export.timing import Timing, find_timing
 from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact
 from biosensor_gateway.recording.xdf.pace import Cuts
 
