@@ -13,9 +13,8 @@ from biosensor_gateway.recording.bag.errors import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.export.exporter import Clock, Progress
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.player import Order, Player
-from biosensor_gateway.recording.replay.source import opened
+from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.replay import files
 from tests.replay.playing import PATIENCE_S, playing

@@ -38,8 +38,7 @@ from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.replay import words
-from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
-from biosensor_gateway.recording.replay.source import opened
+from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
 from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
 from biosensor_gateway.recording.replay.told import (
     Phase,

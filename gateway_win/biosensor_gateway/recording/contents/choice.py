@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from fnmatch import fnmatchcase
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.ros_clock import NS_PER_S
-from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.opening import Contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
+
+
+def merged(
+    streams: Iterable[Stream], begin_s: float, end_s: float
+) -> Iterator[tuple[Stream, Samples]]:
+    """Give chunks of samples of all streams by the time of their first sample.
+
+    One chunk of each stream is kept in memory. Within a stream the order is that of the file.
+    """
+
+    def timed(place: int, stream: Stream) -> Iterator[tuple[float, int, Stream, Samples]]:
+        for samples in stream.blocks(begin_s, end_s):
+            yield float(samples.times[0]), place, stream, samples
+
+    runs = (timed(place, stream) for place, stream in enumerate(streams))
+    for _, _, stream, samples in heapq.merge(*runs, key=lambda each: each[:2]):
+        yield stream, samples
+
 
 # 12.5, 1:02.5 or 1:00:02.5
 _SPAN = re.compile(r"(?:(?:(\d+):)?(\d{1,2}):)?(\d+(?:\.\d+)?)")

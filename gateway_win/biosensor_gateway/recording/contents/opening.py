@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from biosensor_gateway.recording.contents.index import IndexedStream
-from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.contents.stream import IndexedStream, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.sorting import StreamSorter

@@ -17,7 +17,7 @@ from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.replay import Replay, mark_as_replay
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
+from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.samples import Texts
 

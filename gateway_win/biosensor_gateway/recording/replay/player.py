@@ -21,8 +21,8 @@ from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.opening import extent
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.outlet import Block, PlayedOutlet
+from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason
 from biosensor_gateway.recording.xdf.container import Damage
 
 PACE_S = 0.002

@@ -9,9 +9,13 @@ from pathlib import Path
 
 from biosensor_common.lsl.network import search
 from biosensor_gateway.recording.contents.choice import Wish, choose
-from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.player import Order, Player
-from biosensor_gateway.recording.replay.source import content_hash, opened
+from biosensor_gateway.recording.replay.source import (
+    ReplayError,
+    ReplayReason,
+    content_hash,
+    opened,
+)
 
 SEARCH_S = 2.0
 """LSL asks the network several times in this time; one answer may get lost."""

@@ -1,15 +1,38 @@
-"""Opens what is to be played."""
+"""Opens what is to be played, and names the reasons for which it is not."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Generator
 from contextlib import contextmanager
+from enum import Enum, unique
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+
+
+@unique
+class ReplayReason(Enum):
+    """What keeps a recording from being played."""
+
+    LIVE = "live"
+    """A stream that is to be played is on the network, measured now."""
+    PLAYED = "played"
+    """Somebody plays this recording already."""
+    EMPTY = "empty"
+    """There is no sample to play."""
+    NO_OUTLET = "no_outlet"
+    """LSL cannot offer a stream."""
+    REFUSED = "refused"
+    """The process that was to play it says why, for any of these reasons or another."""
+
+
+class ReplayError(GatewayError):
+    """A recording is not played."""
+
 
 _BAGS = frozenset({".mcap", ".db3"})
 _HASH_CHARACTERS = 12

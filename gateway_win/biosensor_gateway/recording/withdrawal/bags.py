@@ -8,7 +8,7 @@ from pathlib import Path
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from biosensor_gateway.recording.withdrawal.binary import is_in_message
+from biosensor_gateway.recording.withdrawal.texts import is_in_message
 from biosensor_gateway.recording.withdrawal.traces import Person
 
 METADATA = "metadata.yaml"

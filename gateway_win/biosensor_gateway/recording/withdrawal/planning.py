@@ -10,7 +10,7 @@ from pathlib import Path
 from biosensor_gateway.recording.export.bids.study import is_dataset
 from biosensor_gateway.recording.export.several import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
-from biosensor_gateway.recording.withdrawal import bags, binary, recordings, texts
+from biosensor_gateway.recording.withdrawal import bags, recordings, texts
 from biosensor_gateway.recording.withdrawal.traces import Person, Pieces
 from biosensor_gateway.recording.xdf.container import RecordingError
 
@@ -104,7 +104,7 @@ class _Looking:
                 return self._named(path)
             if texts.is_text(path):
                 return self._of_text(path)
-            if path.suffix.lower() in binary.EDF:
+            if path.suffix.lower() in texts.EDF:
                 return self._of_edf(path)
         except (OSError, RecordingError, ValueError) as error:
             return Step(path, Action.LOOK, f"it cannot be read: {error}")
@@ -147,7 +147,7 @@ class _Looking:
         return Step(path, Action.REWRITE, f"without {told} the person")
 
     def _of_edf(self, path: Path) -> Step | None:
-        told = sum(self._person.is_in_bytes(each) for each in binary.texts_of_edf(path))
+        told = sum(self._person.is_in_bytes(each) for each in texts.texts_of_edf(path))
         if not told:
             return None
         return Step(path, Action.REWRITE, "with other letters in place of the person's name")

@@ -12,7 +12,7 @@ from typing import BinaryIO
 from biosensor_gateway.recording.bag.errors import BagError
 from biosensor_gateway.recording.bag.opening import read_bag
 from biosensor_gateway.recording.export.several import is_recording
-from biosensor_gateway.recording.withdrawal import bags, binary, recordings, texts
+from biosensor_gateway.recording.withdrawal import bags, recordings, texts
 from biosensor_gateway.recording.withdrawal.planning import Action, Plan, Step
 from biosensor_gateway.recording.withdrawal.traces import Person, Pieces, blocks
 from biosensor_gateway.recording.xdf.container import RecordingError, open_recording
@@ -124,8 +124,8 @@ def _rewrite(path: Path, person: Person) -> None:
         write = bags.write_without
     elif is_recording(path):
         write = recordings.write_without
-    elif path.suffix.lower() in binary.EDF:
-        write = binary.write_edf_without
+    elif path.suffix.lower() in texts.EDF:
+        write = texts.write_edf_without
     new = path.with_name(f".{path.name}.without")
     if path.is_dir():
         shutil.rmtree(new, ignore_errors=True)
@@ -173,11 +173,11 @@ def _is_named(path: Path, person: Person) -> bool:
         return recordings.is_named(path, person)
     if path.suffix in _BAGS:
         return any(
-            person.is_in(each.topic.name) or binary.is_in_message(each.content, person)
+            person.is_in(each.topic.name) or texts.is_in_message(each.content, person)
             for each in read_bag(path, lambda _: None)
         )
-    if path.suffix.lower() in binary.EDF:
-        return any(map(person.is_in_bytes, binary.texts_of_edf(path)))
+    if path.suffix.lower() in texts.EDF:
+        return any(map(person.is_in_bytes, texts.texts_of_edf(path)))
     if path.suffix in _NUMBERS:
         return False
     return any(map(person.is_in_bytes, blocks(_content(path), _LONGEST_NAME)))

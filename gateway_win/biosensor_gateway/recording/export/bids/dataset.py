@@ -8,8 +8,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
-from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
-from biosensor_gateway.recording.contents.merging import merged
+from biosensor_gateway.recording.contents.choice import Chosen, merged, on_one_clock
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.events import (
     COLUMN_DESCRIPTIONS,

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from biosensor_gateway.recording.contents.choice import Chosen
-from biosensor_gateway.recording.contents.merging import merged
+from biosensor_gateway.recording.contents.choice import Chosen, merged
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv import tables

@@ -25,8 +25,13 @@ from biosensor_gateway.recording.xdf.framing import (
     read_frame,
 )
 from biosensor_gateway.recording.xdf.measuring import clock_error
-from biosensor_gateway.recording.xdf.salvage.kept import Break, KeptStream, Restamp
-from biosensor_gateway.recording.xdf.salvage.survey import Survey, survey
+from biosensor_gateway.recording.xdf.salvage.survey import (
+    Break,
+    KeptStream,
+    Restamp,
+    Survey,
+    survey,
+)
 from biosensor_gateway.recording.xdf.writing import footer
 from biosensor_gateway.system.new_file import new_file
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 
 from biosensor_gateway.recording.xdf.printing import finite, printable
-from biosensor_gateway.recording.xdf.salvage.kept import KeptStream
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, Place
+from biosensor_gateway.recording.xdf.salvage.survey import KeptStream
 
 HEADINGS = ("stream", "samples kept", "lost")
 _MOST_PLACES = 10
