@@ -1,4 +1,4 @@
-"""Limits of this process: its open files, the LSL streams that fit, and the heaps of threads.
+"""Limits of this process: open files, the LSL streams that they allow, and malloc arenas.
 
 Linux as it is installed lets a program open 1024 files, and macOS 256, unless the program itself
 asks for more. docs/measurements.md has the descriptors of an outlet and of an inlet.
@@ -18,14 +18,14 @@ if sys.platform != "win32":  # resource exists only there
     import resource
 
 OUTLET = 20
-"""Descriptors of an outlet: up to 17, and one for each of some receivers."""
+"""File descriptors per outlet: up to 17, and one for each of a few receivers."""
 INLET = 12
-"""Descriptors of an inlet: up to 11.4, its clock included."""
+"""File descriptors per inlet: up to 11.4, including its clock inlet."""
 RESERVE = 64
-"""Descriptors that are no stream's: log, state, ports of devices, clients, children."""
+"""File descriptors for other uses: log, state, ports of devices, clients, child processes."""
 MOST = 65536
-"""More than any lab needs. Containers allow a billion, and programs that close every descriptor
-before they start another program would then do nothing else for minutes."""
+"""More than any lab needs. Containers allow a billion, and a program that closes every possible
+descriptor before it starts a child process would then be busy for minutes."""
 
 # macOS refuses more than OPEN_MAX even where it names no hard limit.
 _OPEN_MAX = 10240
@@ -36,7 +36,7 @@ _FIX = {
 
 
 def raise_limit() -> None:
-    """Let this process, and those that it starts, open as many files as the system allows."""
+    """Let this process and its children open as many files as the system allows."""
     if sys.platform == "win32":
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -49,12 +49,12 @@ def raise_limit() -> None:
 
 
 def wanted_limits(soft: int, hard: int) -> list[int]:
-    """Return the limits to try, the best first; none if the present one cannot be bettered.
+    """Return the limits to try, the best first; none if the present one cannot be raised.
 
     Parameters
     ----------
     soft, hard
-        The limits in force; a negative one stands for none.
+        The present limits; a negative number means no limit.
     """
     most = MOST if hard < 0 else min(hard, MOST)
     if soft < 0:
@@ -63,7 +63,7 @@ def wanted_limits(soft: int, hard: int) -> list[int]:
 
 
 def limit() -> int | None:
-    """Return how many files this process may have open; None where nothing is said."""
+    """Return how many files this process may open; None if there is no limit."""
     if sys.platform == "win32":
         return None
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -71,35 +71,35 @@ def limit() -> int | None:
 
 
 def opened() -> int:
-    """Return how many files this process has open; as many as it may where none is left."""
+    """Return how many files this process has open; its limit if it can open no more."""
     try:
-        # The list itself takes one.
+        # Listing the folder opens one file itself.
         return sum(1 for _ in Path("/dev/fd").iterdir()) - 1
     except OSError as error:
-        # Where the system has no such list, liblsl says itself when there is no room.
+        # Without such a list on this system, liblsl fails by itself when no file is left.
         return (limit() or 0) if error.errno in {errno.EMFILE, errno.ENFILE} else 0
 
 
 def room(each: int) -> int | None:
-    """Return how many more streams of so many descriptors fit; None where there is no limit."""
+    """Return how many more streams with *each* descriptors fit; None if there is no limit."""
     most = limit()
     return None if most is None else fitting(most - opened(), each)
 
 
 def fitting(free: int, each: int) -> int:
-    """Return how many streams fit into free descriptors, without the reserve."""
+    """Return how many streams fit into the free descriptors minus the reserve."""
     return max(0, (free - RESERVE) // each)
 
 
 def has_room(descriptors: int) -> bool:
-    """Whether this process may open so many more files, and some for itself."""
+    """Whether this process can open these files and still has some left for itself."""
     most = limit()
-    # The reserve is what programs use; half of it has to be left for that.
+    # Programs use the reserve themselves, so half of it has to stay free.
     return most is None or most - opened() >= descriptors + RESERVE // 2
 
 
 def require(each: int, what: str) -> None:
-    """Make sure that there is room for one more stream.
+    """Raise an error if there is no room for one more stream.
 
     Raises
     ------
@@ -111,27 +111,27 @@ def require(each: int, what: str) -> None:
 
 
 def exhausted(what: str) -> TransportError:
-    """Return the error of a stream that does not fit."""
+    """Return the error for a stream that does not fit."""
     return TransportError(TransportReason.EXHAUSTED, f"{what}: {no_room()}")
 
 
 def no_room() -> str:
-    """Say why a stream does not fit, and what makes room."""
+    """Return why a stream does not fit, and how to make room."""
     return f"{reason()}; {fix()}"
 
 
 def reason() -> str:
-    """Say what limits the streams of this process."""
+    """Return what limits the streams of this process."""
     return f"this computer lets a program open {limit()} files, and each LSL stream takes some"
 
 
 def fix() -> str:
-    """Say which command lets a program open more."""
+    """Return the command that raises the limit."""
     return f"run in this terminal: {_FIX.get(sys.platform, _FIX['linux'])}, then start it again"
 
 
 ARENAS = 1
-"""One leaves nothing behind, and costs no time (docs/measurements.md)."""
+"""A single arena keeps memory bounded and costs no time (docs/measurements.md)."""
 
 # From glibc's malloc.h.
 _M_ARENA_MAX = -8
@@ -139,26 +139,26 @@ _VARIABLE, _TUNABLES, _TUNABLE = "MALLOC_ARENA_MAX", "GLIBC_TUNABLES", "glibc.ma
 
 
 def limit_arenas(environment: Mapping[str, str], arenas: int = ARENAS) -> bool:
-    """Let all threads share a few of glibc's arenas, by default up to eight a processor.
+    """Limit glibc's malloc arenas, which default to up to eight per processor.
 
-    What a thread that has ended leaves in its arena is of use only to those that share it.
-    Call it before there are threads: what exists stays.
+    Memory that an ended thread leaves in its arena can be reused only by threads of that arena.
+    Call it before any thread is started, because existing arenas stay.
 
     Parameters
     ----------
     environment
-        Where the user may have said how many; then nothing is changed.
+        Variables of the process; if the user has set the number there, nothing is changed.
     arenas
-        How many at most, from 1.
+        Largest number of arenas, at least 1.
 
     Returns
     -------
     bool
-        Whether it was set: not where the C library is another one, as on Windows and macOS.
+        Whether it was set; False with another C library, as on Windows and macOS.
     """
     has_own = environment.get(_VARIABLE) or _TUNABLE in environment.get(_TUNABLES, "")
     if has_own or sys.platform != "linux":
         return False
-    # musl has none.
+    # musl has no mallopt.
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     return mallopt is not None and bool(mallopt(_M_ARENA_MAX, arenas))

@@ -7,9 +7,9 @@ from enum import StrEnum, unique
 
 @unique
 class Unit(StrEnum):
-    """Units of our own declarations, as they are written into ``channels/channel/unit``.
+    """Units of our declarations, as written into ``channels/channel/unit``.
 
-    A sensor of another package may have units of its own; see :class:`.ChannelSpec`.
+    A sensor of another package may have other units; see :class:`.ChannelSpec`.
     """
 
     ARBITRARY = "a.u."
@@ -25,7 +25,7 @@ class Unit(StrEnum):
     G = "g"
     INDEX = "index"
     LOCAL_FLUX = "local_flux"
-    """Of the magnetic field at the place where a sensor was calibrated."""
+    """Relative to the magnetic field at the place of calibration."""
     METRES_PER_SECOND = "m/s"
     MICROSIEMENS = "microsiemens"
     MICROTESLA = "uT"
@@ -54,23 +54,23 @@ NOT_PHYSICAL = frozenset(
         Unit.NONE,
     }
 )
-"""Units without bounds of plausibility: numbers of a converter or a vendor, whatever they are."""
+"""Units without plausible bounds: raw numbers of a converter, or a vendor's own scale."""
 
 
 @unique
 class ChannelRole(StrEnum):
-    """What a channel means to those who act on its values, whatever its label is.
+    """Meaning of a channel for programs that use its values, independent of its label.
 
-    The role fixes the unit, see `unit`. Most channels have none: nobody but the
-    person who reads the recording needs to know.
+    The role fixes the unit, see `unit`. Most channels have no role, because only the
+    person who reads the recording needs their meaning.
     """
 
     CONTACT = "contact"
-    """1 while the sensor is where it belongs on the body, 0 off it, NaN unknown."""
+    """1 while the sensor is worn correctly, 0 while it is off the body, NaN if unknown."""
     STATE_OF_CHARGE = "state_of_charge"
-    """Of the battery."""
+    """Charge of the battery."""
     SIGNAL_STRENGTH = "signal_strength"
-    """Of the radio, as the receiver measures it."""
+    """Signal strength of the radio, measured by the receiver."""
     ORIENTATION_W = "orientation_w"
     """The scalar part of a unit quaternion."""
     ORIENTATION_X = "orientation_x"
@@ -85,7 +85,7 @@ class ChannelRole(StrEnum):
 
     @property
     def unit(self) -> Unit:
-        """The unit of every channel of this role."""
+        """Unit of every channel with this role."""
         return _ROLE_UNITS[self]
 
 
@@ -118,12 +118,12 @@ _ROLE_UNITS: dict[ChannelRole, Unit] = {
 ROLES_OF_DEVICE = frozenset(
     {ChannelRole.CONTACT, ChannelRole.STATE_OF_CHARGE, ChannelRole.SIGNAL_STRENGTH}
 )
-"""Roles of channels that tell of the device, not of the person."""
+"""Roles of channels about the device, not the person."""
 
 
 @unique
 class ContentType(StrEnum):
-    """LSL content types; the case is what consumers match on."""
+    """LSL content types; programs match them case-sensitively."""
 
     ACCELEROMETER = "Accelerometer"
     ACTIVITY = "Activity"
@@ -140,7 +140,7 @@ class ContentType(StrEnum):
     MAGNETOMETER = "Magnetometer"
     MARKERS = "Markers"
     MISC = "Misc"
-    """What a user's own device measures and no other type names."""
+    """Data of a user's own device for which there is no other type."""
     MOCAP = "MoCap"
     OXIMETRY = "Oximetry"
     PERFORMANCE_METRICS = "PerformanceMetrics"
@@ -159,13 +159,13 @@ class ContentType(StrEnum):
 TYPES_OF_DEVICE = frozenset(
     {ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS}
 )
-"""Types of streams that tell of the device, not of the person."""
+"""Types of streams about the device, not the person."""
 
 
 def waits_for_receivers(content_type: str, *, is_regular: bool, is_state: bool) -> bool:
-    """Whether samples of a stream wait in the outlet, with their stamps, for the first receiver.
+    """Whether an outlet buffers its samples, with their stamps, until the first receiver connects.
 
-    So the stream may begin long before a recording that has it.
+    Such a stream may begin long before the recording that contains it.
     """
     return not is_regular and (is_state or content_type in TYPES_OF_DEVICE)
 
@@ -174,7 +174,7 @@ def waits_for_receivers(content_type: str, *, is_regular: bool, is_state: bool) 
 class ChannelFormat(StrEnum):
     """LSL channel formats by liblsl's own names.
 
-    ``INT64`` is read from foreign streams only: LabRecorder drops it.
+    ``INT64`` is accepted from foreign streams only, because LabRecorder drops it.
     """
 
     FLOAT32 = "float32"
@@ -187,13 +187,13 @@ class ChannelFormat(StrEnum):
 
     @property
     def is_float(self) -> bool:
-        """Whether the format can say "no value" in band, as NaN."""
+        """Whether the format has NaN for a missing value."""
         return self in (ChannelFormat.FLOAT32, ChannelFormat.DOUBLE64)
 
 
 @unique
 class Category(StrEnum):
-    """The original framework's sorting of data."""
+    """The original framework's categories of data."""
 
     RAW = "raw"
     HARDWARE = "hardware"
@@ -202,7 +202,7 @@ class Category(StrEnum):
 
 @unique
 class MessageType(StrEnum):
-    """ROS message types that a stream may name; the node accepts no other."""
+    """ROS message types that a stream may name; the node rejects all others."""
 
     DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
     EMPTY = "std_msgs/msg/Empty"
@@ -217,17 +217,17 @@ class MessageType(StrEnum):
 
     @property
     def is_array(self) -> bool:
-        """Whether one message holds all channels of a sample."""
+        """Whether one message has all channels of a sample."""
         return self.value.endswith("MultiArray")
 
     @property
     def is_text(self) -> bool:
-        """Whether the message carries a string sample (``Empty`` only says that it came)."""
+        """Whether the message carries a string sample (``Empty`` carries only its arrival)."""
         return self in (MessageType.STRING, MessageType.EMPTY, MessageType.DIAGNOSTIC_ARRAY)
 
     @property
     def integer_range(self) -> tuple[int, int] | None:
-        """Smallest and largest value of an integer message, None for the others."""
+        """Smallest and largest value of an integer message; None for other types."""
         return {MessageType.UINT8: (0, 255), MessageType.UINT16: (0, 65535)}.get(self)
 
 

@@ -1,6 +1,6 @@
-"""Says in one enum all that the programs do not pass on as it came, or double, rename or guess.
+"""Lists all kinds of data that the programs drop, change, duplicate, rename or guess.
 
-What is a member is reported to :class:`biosensor_common.refusals.Refusals`.
+Each event is reported to :class:`biosensor_common.refusals.Refusals` as a member of the enum.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ _NOUNS = ("samples", "messages", "streams")
 
 
 class Level(IntEnum):
-    """How bad it is; the numbers are those of ``/diagnostics``, where 0 is OK."""
+    """Severity, with the numbers of ``/diagnostics``, where 0 is OK."""
 
     WARN = 1
     ERROR = 2
@@ -33,20 +33,21 @@ def _passing(word: str, sentence: str, level: Level = Level.WARN) -> _Told:
 
 @unique
 class Refusal(Enum):
-    """What is not passed on as it came.
+    """One kind of data that is not passed on unchanged.
 
     Attributes
     ----------
     word
-        By which programs know it; stays the same.
+        Stable identifier for programs.
     sentence
-        With placeholders: ``count``; ``samples``, ``messages`` or ``streams``, which are counted
-        nouns; ``are`` and ``were``, which fit the count; and facts that are given with the report.
+        Template with placeholders: ``count``; ``samples``, ``messages`` or ``streams``, replaced by
+        the count and the noun; ``are`` and ``were``, which agree with the count; and facts of the
+        report.
     stands
-        Whether it holds until it is said to be over; else it is shown for some seconds.
+        Whether it lasts until it is reported to be over; otherwise it is shown for some seconds.
     """
 
-    # Streams and topics that are left out, or not what they seem.
+    # Streams and topics that are left out or may be confused.
     UNUSABLE = _standing("unusable", "it is ignored: {why}")
     NO_FILES = _standing("no_files", "it is left out: {why}")
     NO_DESCRIPTION = _standing(
@@ -236,12 +237,12 @@ class Refusal(Enum):
         self.stands = stands
 
     def told(self, /, count: int = 1, **facts: object) -> str:
-        """Return the sentence."""
+        """Return the sentence with its placeholders filled in."""
         is_one = count == 1
         nouns = {each: f"{count} {each[: -1 if is_one else None]}" for each in _NOUNS}
         verbs = {"are": "is" if is_one else "are", "were": "was" if is_one else "were"}
         return self.sentence.format(**{"count": count, **nouns, **verbs, **facts})
 
     def cause(self, **facts: object) -> str:
-        """Return what the sentence has behind the colon."""
+        """Return the part of the sentence after the colon."""
         return self.told(1, **facts).partition(": ")[2]

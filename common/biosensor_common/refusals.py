@@ -1,8 +1,8 @@
-"""Collects what the programs do not pass on as it came, or double, rename or guess.
+"""Collects reports of data that was dropped, changed, duplicated, renamed or guessed.
 
-Every place that does so reports a member of :class:`biosensor_common.refusal.Refusal` by
-:meth:`Refusals.refuse`; a test finds those that do not (``tests/refusals``). What is reported is
-shown above OK where a person looks: in ``/diagnostics``, in ``status`` and on the page.
+All code that does so reports a member of :class:`biosensor_common.refusal.Refusal` by
+:meth:`Refusals.refuse`; a test finds code that does not (``tests/refusals``). Reports are shown
+with a level above OK in ``/diagnostics``, in ``status`` and on the page.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from dataclasses import dataclass, field, replace
 from biosensor_common.refusal import Refusal
 
 LATELY_S = 10.0
-"""So long after the last time something is shown that does not stand."""
+"""How long a report that does not last is shown after its latest occurrence."""
 AGAIN_S = 60.0
-"""After so long the log says again what goes on."""
+"""After this time the log repeats a report that still occurs."""
 _MOST = 1000
-"""More are not remembered: whatever the network has called itself."""
+"""Limit of remembered reports, because names from the network may be unlimited."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """What was reported of one thing, and how often.
+    """The reports of one kind about one stream or topic.
 
     Attributes
     ----------
     about
-        Which stream or topic it is of; empty if whoever reports has one only.
+        Its stream or topic; empty if the reporter has only one.
     count
-        In all; of samples, messages or streams, as the sentence has it.
+        Total number of samples, messages or streams, according to the sentence.
     first_s, last_s
-        On the clock of the `Refusals`.
+        Times on the clock of the `Refusals`.
     is_over
-        Whether it stood and does no more.
+        Whether it lasted and has ended.
     """
 
     what: Refusal
@@ -49,28 +49,28 @@ class Refused:
 
     @property
     def sentence(self) -> str:
-        """What a person is told."""
+        """The sentence for the user."""
         return self.what.told(self.count, **self.facts)
 
     @property
     def sentence_about(self) -> str:
-        """The same, with what it is about."""
+        """The sentence, preceded by its stream or topic."""
         return f"{self.about}: {self.sentence}" if self.about else self.sentence
 
 
 class Refusals:
-    """What was not passed on as it came, of one stream, topic or program. Any thread may report.
+    """Reports of data that was not passed on unchanged; any thread may report.
 
     Parameters
     ----------
     say
-        Called with a sentence for the log, of each thing once, and again when it was long away.
+        Called with a sentence for the log: once per report, and again if it returns after a while.
     about
-        What the sentences for the log are about.
+        Subject of the sentences for the log.
     clock
         In seconds.
     again_s
-        How long the log does not repeat what goes on; what stands it says once.
+        After how many seconds the log repeats a report; one that lasts is logged once.
     """
 
     def __init__(
@@ -86,14 +86,14 @@ class Refusals:
         self._told: dict[tuple[Refusal, str], Refused] = {}
 
     def refuse(self, what: Refusal, count: int = 1, *, about: str = "", **facts: object) -> None:
-        """Report that something is not passed on as it came; the newest facts are kept."""
+        """Report that data was not passed on unchanged; the newest facts are kept."""
         now = self._clock()
         with self._lock:
             before = self._told.pop((what, about), None)
             first_s = before.first_s if before else now
             total = count if before is None or what.stands else before.count + count
             told = Refused(what, about, total, first_s, now, facts)
-            # At the end: the first ones are those that were reported longest ago.
+            # Moved to the end, so that the oldest reports are at the front and are forgotten first.
             self._told[what, about] = told
             if len(self._told) > _MOST:
                 oldest = next(iter(self._told))
@@ -114,7 +114,7 @@ class Refusals:
         return True
 
     def over(self, what: Refusal, about: str = "") -> None:
-        """Report that something does not stand any more."""
+        """Report that something lasting has ended."""
         with self._lock:
             told = self._told.get((what, about))
             if told is not None and not told.is_over:
@@ -129,25 +129,25 @@ class Refusals:
         about: str = "",
         **facts: object,
     ) -> None:
-        """Report what stands, or that it does not."""
+        """Report whether something lasting is the case now."""
         if is_so:
             self.refuse(what, count, about=about, **facts)
         else:
             self.over(what, about)
 
     def count(self, *what: Refusal) -> int:
-        """Return how much was reported of these, in all."""
+        """Return the total count of these kinds."""
         return sum(each.count for each in self.all if each.what in what)
 
     @property
     def all(self) -> list[Refused]:
-        """Everything that is remembered, what was reported last at the end."""
+        """Return all remembered reports, the latest at the end."""
         with self._lock:
             return list(self._told.values())
 
     @property
     def present(self) -> list[Refused]:
-        """What stands, and what was reported within the last seconds; the worst first."""
+        """Return lasting reports and those of the last seconds, the most severe first."""
         now = self._clock()
         shown = [
             each

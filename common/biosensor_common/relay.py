@@ -1,7 +1,7 @@
-"""Relays what this process writes to its stdout and stderr, so that no writer ever waits.
+"""Relays this process's stdout and stderr, so that no writer is ever blocked.
 
-liblsl, rcutils and DDS write to the descriptors themselves, some with a lock or Python's GIL
-held: with a terminal that takes nothing, all their threads stand still.
+liblsl, rcutils and DDS write directly to the file descriptors, some while they hold a lock or
+Python's GIL: a blocked terminal would then block all their threads.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Callable, Generator, Sequence
 from biosensor_common.outflow import Outflow
 
 STDOUT, STDERR = 1, 2
-# How long the last lines may take when the process ends.
+# Time limit for the last lines when the process ends.
 LAST_LINES_S = 1.0
 _PIPE_BYTES = 1 << 20
 _BLOCK = 1 << 16
@@ -26,9 +26,9 @@ _ASK_AGAIN_S = 0.05
 
 
 def console(descriptor: int, name: str) -> Outflow | None:
-    """Open the output behind a descriptor again; None if there is none, as in a window."""
+    """Duplicate the output of a descriptor; None if it has none, as in a windowed program."""
     try:
-        # Neither buffer nor lock; on Windows, it writes Unicode to a console.
+        # A raw file has neither a buffer nor a lock, and writes Unicode to a Windows console.
         output = open(os.dup(descriptor), "wb", buffering=0)  # noqa: PTH123, SIM115 - no path
     except OSError:
         return None
@@ -36,7 +36,7 @@ def console(descriptor: int, name: str) -> Outflow | None:
 
 
 def write_all(write: Callable[[memoryview], int | None], data: bytes | memoryview) -> None:
-    """Write to an unbuffered output, which may take a part at a time."""
+    """Write all data to an unbuffered output, which may accept only a part at a time."""
     left = memoryview(data)
     while left:
         written = write(left)
@@ -48,16 +48,16 @@ def write_all(write: Callable[[memoryview], int | None], data: bytes | memoryvie
 
 
 class Relay:
-    """Reads in a thread what is written to a descriptor, and hands it to an `Outflow`.
+    """Reads from a redirected descriptor in a thread, and passes the lines to an `Outflow`.
 
-    The descriptor becomes a pipe that takes what it can and never lets a writer wait.
+    The descriptor is replaced by a non-blocking pipe, which drops data when it is full.
 
     Parameters
     ----------
     descriptor
-        1 or 2; what it leads to, the outflow must write to by another descriptor.
+        1 or 2; the outflow must write to its original output through another descriptor.
     outflow
-        Takes what is written. It may have other sources.
+        Receives the lines; may have other sources, too.
     """
 
     def __init__(self, descriptor: int, outflow: Outflow) -> None:
@@ -68,7 +68,7 @@ class Relay:
         _lead(descriptor, writing)
         os.close(writing)
         if descriptor == STDERR and faulthandler.is_enabled():
-            # In a crash there is no thread left to read.
+            # faulthandler writes to the original output: after a crash no thread reads the pipe.
             faulthandler.enable(self._real)
         self._thread = threading.Thread(
             target=self._read, name=f"from descriptor {descriptor}", daemon=True
@@ -76,9 +76,9 @@ class Relay:
         self._thread.start()
 
     def close(self, limit_s: float) -> None:
-        """Lead the descriptor back, or nowhere if what it leads to takes nothing within the limit.
+        """Restore the descriptor, or redirect it to nowhere if its output stays blocked.
 
-        So whatever is written later cannot wait, either.
+        Later writes can therefore not block, either.
         """
         if self._outflow.flush(limit_s):
             _lead(self._descriptor, self._real)
@@ -86,7 +86,7 @@ class Relay:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             _lead(self._descriptor, nowhere)
             os.close(nowhere)
-        # It has come to its end, unless a program that we have started holds the pipe.
+        # The thread has ended, unless a child process still has the pipe open.
         self._thread.join(limit_s)
 
     def _read(self) -> None:
@@ -96,7 +96,7 @@ class Relay:
 
 @contextlib.contextmanager
 def relayed(relays: Sequence[tuple[int, Outflow | None]]) -> Generator[None]:
-    """Relay descriptors for a while, and close their outflows; one without is left alone."""
+    """Relay the descriptors that have an outflow, and close the outflows at the end."""
     begun = [Relay(descriptor, outflow) for descriptor, outflow in relays if outflow]
     try:
         yield
@@ -110,7 +110,7 @@ def relayed(relays: Sequence[tuple[int, Outflow | None]]) -> Generator[None]:
 
 
 def console_relayed() -> contextlib.AbstractContextManager[None]:
-    """Let nothing in this process wait for the console while the context lasts."""
+    """Relay stdout and stderr in the context, so that the console cannot block this process."""
     return relayed([(each, console(each, "console")) for each in (STDOUT, STDERR)])
 
 
@@ -118,10 +118,10 @@ def _never_wait(pipe: int) -> None:
     if sys.platform == "linux":
         import fcntl  # noqa: PLC0415 - exists there only
 
-        # The user's limit may be lower; the usual size does, too.
+        # The user's limit may be lower; the default size is enough, too.
         with contextlib.suppress(OSError):
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-    # Windows' pipes know it from Python 3.12 on; before, the reader has to be fast enough.
+    # On Windows, pipes can be non-blocking from Python 3.12 on; before, the reader must keep up.
     if sys.platform != "win32" or sys.version_info >= (3, 12):
         os.set_blocking(pipe, False)
 
@@ -129,7 +129,8 @@ def _never_wait(pipe: int) -> None:
 def _lead(descriptor: int, target: int) -> None:
     os.dup2(target, descriptor)
     if sys.platform == "win32":
-        # Python's own object for a console cannot write to anything else, and the reverse.
+        # Python's object for a Windows console can write to nothing else, and a file object cannot
+        # write to a console, so it has to be replaced.
         name = "stdout" if descriptor == STDOUT else "stderr"
         before = getattr(sys, name)
         if isinstance(before, io.TextIOWrapper):

@@ -1,6 +1,6 @@
-"""Says in a stream's header that it is played from a recording, and of which.
+"""Marks a stream as the replay of a recording, in its header.
 
-Below ``desc``, beside the recorded description, which stays as it is::
+The block is below ``desc``, in addition to the unchanged recorded description::
 
     <replay>
       <file>study.xdf</file> <source_id>amplifier-1</source_id>
@@ -8,7 +8,7 @@ Below ``desc``, beside the recorded description, which stays as it is::
     </replay>
 
 The stream's own source_id begins with :data:`PREFIX`, so that no receiver takes it for the
-recorded one come back. What is read comes from the network or a file and is not trusted.
+recorded stream. Blocks come from the network or a file and are not trusted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from biosensor_common.errors import SpecError, SpecReason
 
 PREFIX = "replay:"
-"""Begins the source_id of a stream that is played."""
+"""Prefix of the source_id of a replayed stream."""
 
 _BLOCK = "desc/replay"
 _MAX_CHARACTERS = 1024
@@ -28,20 +28,20 @@ _MAX_CHARACTERS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Which stream of which recording is played, and how.
+    """The recording and the stream that are replayed, and how.
 
     Attributes
     ----------
     file
         Name of the recording, without its folder.
     source_id
-        Of the stream as it was recorded; empty if it had none.
+        The recorded source_id; empty if there was none.
     rate
-        Nominal rate as it was recorded in Hz, 0 if irregular.
+        Recorded nominal rate in Hz, 0 if irregular.
     speed
-        Seconds of the recording in one second.
+        Seconds of the recording per second.
     start_s
-        Where in the recording it starts: LSL time of the computer that recorded, in s.
+        Start of the replay in the recording: LSL time of the recording computer, in s.
     """
 
     file: str
@@ -52,25 +52,25 @@ class Replay:
 
     @property
     def title(self) -> str:
-        """The file, and the speed unless it is the recording's own."""
+        """The file name, with the speed unless it is 1."""
         return self.file if self.speed == 1 else f"{self.file} at {self.speed:g} times its speed"
 
 
 def replay_source_id(file_hash: str, recorded: str) -> str:
-    """Return the source_id of a played stream: the same whenever that recording is played.
+    """Return the source_id of a replayed stream, the same for each replay of a recording.
 
     Parameters
     ----------
     file_hash
-        By which the recording's content is known.
+        Hash of the recording's content.
     recorded
-        What tells the stream from the others in the recording: its source_id.
+        Identifies the stream in the recording: its source_id.
     """
     return f"{PREFIX}{file_hash}:{recorded}"
 
 
 def mark_as_replay(desc: ET.Element, replay: Replay) -> None:
-    """Put the block into a ``desc`` element, in place of one that is there."""
+    """Put the block into a ``desc`` element, replacing an existing one."""
     for old in desc.findall("replay"):
         desc.remove(old)
     block = ET.SubElement(desc, "replay")
@@ -85,12 +85,12 @@ def mark_as_replay(desc: ET.Element, replay: Replay) -> None:
 
 
 def read_replay(root: ET.Element) -> Replay | None:
-    """Read the block of a stream's full description; None if there is none.
+    """Parse the block of a stream's full description; None if there is none.
 
     Raises
     ------
     SpecError
-        ``INVALID``, ``TOO_LARGE`` or, if it is not one block, ``MALFORMED``.
+        ``INVALID``, ``TOO_LARGE``, or ``MALFORMED`` for several blocks.
     """
     blocks = root.findall(_BLOCK)
     if not blocks:
@@ -110,7 +110,7 @@ def read_replay(root: ET.Element) -> Replay | None:
 
 
 def recorded_source_id(source_id: str, replay: Replay | None) -> str:
-    """Return the source_id that a stream had when it was measured, played or not."""
+    """Return the source_id that a stream had when it was measured, also for a replay."""
     return source_id if replay is None else replay.source_id
 
 

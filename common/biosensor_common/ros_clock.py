@@ -1,8 +1,8 @@
 """Maps LSL time to ROS time, and back, by the offset between the two clocks of one machine.
 
 On Linux the LSL clock is monotonic and the ROS clock is the system clock, which
-NTP slews and people set. Not for simulated time, where there is nothing to map.
-Nothing here reads a clock; the readers are passed in.
+NTP slews and people set. Simulated time cannot be mapped. The clock readers are passed in,
+so that tests can use virtual clocks.
 
 Agent and node put a `ClockPair` into their streams of events, so that a recording can be
 put on the time of day, and a recording and a bag of one session onto one axis.
@@ -17,20 +17,20 @@ from typing import NamedTuple, cast
 SLEW_S = 1.0
 STEP_NS = 1_000_000
 KNOTS_KEPT = 16
-"""Samples that are late by as many seconds keep the offset of their time."""
+"""Samples that are late by up to this time are mapped with the offset of their own time."""
 
-# The offset moves by less than 1 ms, of which the second one leaves a nanosecond.
+# The offset changes by at most 1 ms/s, so the second round is exact to a nanosecond.
 _INVERSE_ROUNDS = 2
 
 NS_PER_S = 1_000_000_000
 MAX_TIME_S = 2.0**31 - 1e6
-"""The seconds of ROS's times are an int32. The margin is for slews and steps."""
+"""ROS stores seconds as int32; the margin is for slews and steps of the clock."""
 
 
 def measure_offset_ns(
     system_ns: Callable[[], int], lsl_s: Callable[[], float], rounds: int = 10
 ) -> int:
-    """Measure system clock minus LSL clock.
+    """Measure the offset: system clock minus LSL clock.
 
     Reads system, LSL, system and takes the round with the closest system readings:
     an interruption between the reads can only widen them.
@@ -42,7 +42,7 @@ def measure_offset_ns(
     lsl_s : callable
         Reads the LSL clock in seconds.
     rounds : int
-        How often to try, at least 1.
+        Number of attempts, at least 1.
 
     Returns
     -------
@@ -59,17 +59,17 @@ def measure_offset_ns(
     brackets: list[tuple[int, int]] = []
     for _ in range(rounds):
         before, lsl, after = system_ns(), lsl_s(), system_ns()
-        # A clock set back in between makes the width negative, and as bad as it is large.
+        # The width is negative if the clock was set back in between, so its size counts.
         brackets.append((abs(after - before), (before + after) // 2 - _to_ns(lsl)))
     return min(brackets)[1]
 
 
 class OffsetTracker:
-    """Maps LSL times to ROS times with an offset that is measured again and again.
+    """Maps LSL times to ROS times with an offset that is measured repeatedly.
 
-    The offset is a polyline over LSL time: from its present value to each new
-    measurement within one second, so at most 1 ms/s. Times before keep the offset
-    they had. A change of more than 1 ms is a step, which holds for all times.
+    The offset is piecewise linear over LSL time: it reaches each new measurement
+    within one second, so its slope is at most 1 ms/s. Earlier times keep the offset
+    that they had. A change of more than 1 ms is a step and applies to all times.
 
     One thread may update while others convert.
 
@@ -82,17 +82,17 @@ class OffsetTracker:
     """
 
     def __init__(self, offset_ns: int, now_s: float) -> None:
-        # Replaced as a whole, never changed: that is what makes reading thread-safe.
+        # The tuple is replaced as a whole and never changed, so that reading it is thread-safe.
         self._knots: tuple[tuple[float, int], ...] = ((_finite(now_s), offset_ns),)
         self._steps = 0
 
     @property
     def steps(self) -> int:
-        """How often the offset jumped."""
+        """Number of steps of the offset."""
         return self._steps
 
     def update(self, offset_ns: int, now_s: float) -> int | None:
-        """Take in a measurement.
+        """Add a measurement.
 
         Parameters
         ----------
@@ -104,8 +104,8 @@ class OffsetTracker:
         Returns
         -------
         int or None
-            If the system clock jumped against the LSL clock, which is applied at once: the new
-            offset minus the one that was in use, in nanoseconds.
+            After a step of the system clock, which applies at once: the new offset minus the
+            previous one, in nanoseconds.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class OffsetTracker:
     def to_ros_ns(self, lsl_s: float) -> int:
         """Return the ROS time of an LSL time, in nanoseconds.
 
-        The sum is made of integers: nanoseconds since 1970 do not fit a float.
+        The sum uses integers, because nanoseconds since 1970 do not fit a float.
 
         Raises
         ------
@@ -138,8 +138,7 @@ class OffsetTracker:
     def to_lsl_s(self, ros_ns: int) -> float:
         """Return the LSL time of a ROS time: the inverse of :meth:`to_ros_ns`.
 
-        The offset changes by at most 1 ms/s, so each round leaves a thousandth of the error of
-        the one before.
+        The offset changes by at most 1 ms/s, so each round reduces the error to a thousandth.
         """
         lsl_s = (ros_ns - self._knots[-1][1]) / NS_PER_S
         for _ in range(_INVERSE_ROUNDS):
@@ -149,7 +148,7 @@ class OffsetTracker:
     def _offset_at(self, lsl_s: float) -> int:
         knots = self._knots
         place = len(knots)
-        # From the end: nearly all that is asked for is of this second.
+        # Searched from the end, because nearly all times are of the last second.
         while place and lsl_s < knots[place - 1][0]:
             place -= 1
         if place == 0:
@@ -161,7 +160,7 @@ class OffsetTracker:
 
 
 def _to_ns(seconds: float) -> int:
-    """Convert exactly where the float is exact; multiplying by 1e9 would round twice."""
+    """Convert seconds to nanoseconds exactly; multiplying by 1e9 would round twice."""
     whole = math.floor(_finite(seconds))
     return whole * NS_PER_S + round((seconds - whole) * NS_PER_S)
 
@@ -173,30 +172,30 @@ def _finite(reading: float) -> float:
 
 
 KEY = "clock"
-# Times of day of the years 1970 to 2262, as far as 64 bits go.
+# Unix times of the years 1970 to 2262, the range of 64-bit nanoseconds.
 _MOST_NS = 1 << 63
 
 
 class ClockPair(NamedTuple):
-    """LSL time in s, and unix time in ns at the same moment."""
+    """LSL time in s, and Unix time in ns at the same moment."""
 
     lsl_s: float
     unix_ns: int
 
     def as_facts(self) -> dict[str, object]:
-        """Return the element of an event, for JSON."""
+        """Return the pair as JSON content of an event."""
         return {KEY: {"lsl_s": self.lsl_s, "unix_ns": self.unix_ns}}
 
 
 def measure_clock_pair(system_ns: Callable[[], int], lsl_s: Callable[[], float]) -> ClockPair:
-    """Read both clocks at one moment, to some microseconds."""
+    """Read both clocks at the same moment, to a few microseconds."""
     offset_ns = measure_offset_ns(system_ns, lsl_s)
     now_s = round(lsl_s(), 6)
     return ClockPair(now_s, round(now_s * NS_PER_S) + offset_ns)
 
 
 def read_clock_pair(event: object) -> ClockPair | None:
-    """Return the pair in an event, as JSON gives it; None if it has none that makes sense."""
+    """Return the pair of an event parsed from JSON; None if it has no valid one."""
     if not isinstance(event, dict):
         return None
     told = cast("Mapping[str, object]", event).get(KEY)

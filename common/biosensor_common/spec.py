@@ -1,8 +1,8 @@
 """The records of a declaration, frozen and validated.
 
-A sensor is declared once, in its folder of the agent's ``devices``; agent, tests and documents
-read that declaration, and the node what the header says of it. The rules checked here are those
-under which LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
+A sensor is declared once, in its folder of the agent's ``devices``. Agent, tests and documents use
+that declaration; the node reads it from the stream's header. The rules that are checked here make
+LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from biosensor_common.quantities import (
 
 MAX_UNIT_CHARACTERS = 32
 
-# What every XML reader, terminal and ROS tool shows as it is.
+# Characters that every XML reader, terminal and ROS tool shows unchanged.
 _UNIT = re.compile(r"[!#-%(-;=?-~]+(?: [!#-%(-;=?-~]+)*")
 _NAME = re.compile(r"[a-z](?:_?[a-z0-9])*")
 _RESERVED_SUFFIXES = ("_chunk", "_stamped")
@@ -39,7 +39,7 @@ FROM_DEVICE = FromDevice.FROM_DEVICE
 """The nominal rate is known only once the device is connected."""
 
 IRREGULAR = 0.0
-"""The nominal rate of events and of values that come when they change."""
+"""Nominal rate of events and of values that are sent when they change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +58,14 @@ class ChannelSpec:
     Attributes
     ----------
     unit
-        A :class:`.Unit`, or what a sensor of another package measures in.
+        A :class:`.Unit`, or any unit for a sensor of another package.
     scale
-        Set where ``unit`` is counts and a datasheet names a factor.
+        Set if ``unit`` is counts and a datasheet gives a factor.
     role
-        What the values mean to agent and node; None where neither acts on them.
+        Meaning of the values for agent and node; None if neither uses them.
     plausible
-        The lowest and the highest value that can be, in `unit`: what is outside is not sent.
-        In words why there are none; None where the unit is no physical one.
+        Lowest and highest possible value in `unit`; values outside are not sent. A text says
+        why there are no bounds; None for a unit that is not physical.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class ChannelSpec:
 
     @property
     def bounds(self) -> tuple[float, float] | None:
-        """The lowest and the highest plausible value, if there are such."""
+        """Lowest and highest plausible value; None without bounds."""
         return self.plausible if isinstance(self.plausible, tuple) else None
 
 
@@ -115,10 +115,10 @@ class StreamSpec:
         Data name of the chunk topic (``<chunk>_chunk``) and of the parameters
         that set it; empty where the stream has no chunks.
     contract
-        The row is in the original framework's tables: topic name and message
-        type never change.
+        Whether the original framework has this topic: then its name and message type
+        never change.
     is_state
-        Each sample holds until the next one, so whoever comes later wants the last.
+        Whether each sample is valid until the next one, so that late subscribers need the last.
 
     Raises
     ------
@@ -224,9 +224,9 @@ class SensorSpec:
                 return stream
         raise KeyError(data_name)
 
-    def rates(self, told: Mapping[str, float]) -> dict[str, float]:
-        """Return the nominal rates in Hz of the streams by data name, some told by the device."""
-        rates = {each.data_name: told.get(each.data_name, each.rate) for each in self.streams}
+    def rates(self, reported: Mapping[str, float]) -> dict[str, float]:
+        """Return the streams' nominal rates in Hz by data name; the device *reported* some."""
+        rates = {each.data_name: reported.get(each.data_name, each.rate) for each in self.streams}
         return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
 
     def channels_of(self, role: ChannelRole) -> Iterator[tuple[str, int, str]]:
@@ -239,16 +239,16 @@ class SensorSpec:
 
 @dataclass(frozen=True, slots=True)
 class DeviceIdentity:
-    """Which device of a kind, and on whom.
+    """Identity of one device: its unit, wearer and place on the body.
 
     Attributes
     ----------
     unit
-        The device itself: serial number, else port or address.
+        Serial number of the device, else its port or address.
     participant
         Pseudonym of the person who wears it (``p01``), or empty.
     label
-        Tells two devices of a kind on one person apart (``left``), or empty.
+        Distinguishes two devices of one kind on a person (``left``), or empty.
     """
 
     sensor: str
@@ -259,7 +259,7 @@ class DeviceIdentity:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """What the device says of itself, for ``desc/acquisition``; empty where unknown."""
+    """Facts that the device reports, for ``desc/acquisition``; empty where unknown."""
 
     manufacturer: str = ""
     model: str = ""

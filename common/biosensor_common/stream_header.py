@@ -1,4 +1,4 @@
-"""The record of one LSL stream's header, and of what a feature was computed from."""
+"""Records of an LSL stream's header and of the source of a computed feature."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from biosensor_common.replay import Replay
 from biosensor_common.spec import DeviceIdentity
 
 BLOCK = "features"
-"""The element of ``desc`` that tells a stream of a feature from one that was measured."""
+"""Element of ``desc`` that marks the stream of a computed feature."""
 MAX_SOURCE_CHARACTERS = 512
 
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """Where a feature comes from, and how long a value of it is one of now.
+    """Source of a computed feature, and how long its values are valid.
 
     Attributes
     ----------
     source_id
-        Of the stream that it was computed from.
+        source_id of the stream from which it was computed.
     holds_s
-        So many seconds after its stamp a value is not that of now any more.
+        Seconds after its stamp during which a value is valid.
     """
 
     source_id: str
@@ -34,7 +34,7 @@ class Derived:
 
 
 def read_derived(root: ET.Element) -> Derived | None:
-    """Read a full description; None if it tells of no feature, or of one without these facts."""
+    """Parse a full description; None if it is not a feature or lacks these facts."""
     block = root.find(f"desc/{BLOCK}")
     if block is None:
         return None
@@ -68,27 +68,27 @@ class CoreFields:
 
 @dataclass(frozen=True, slots=True)
 class StreamHeader:
-    """What the node knows of one stream.
+    """The node's information about one stream.
 
-    Units and content type are free text here: a sensor that this version has
-    never heard of brings its own. Message types are a closed set.
+    Units and content type are free text, because sensors that this version does not
+    know may have others. Message types are a closed set.
 
     Attributes
     ----------
     labels, units
-        One a channel, in channel order; empty text where a foreign stream says nothing.
+        One per channel, in channel order; empty if a foreign stream does not name them.
     roles
-        One a channel, each in the unit of its role; None for most, and in a foreign stream.
+        One per channel; None for most channels and for foreign streams.
     rate
         Nominal rate in Hz, 0 if irregular.
     chunk
         Data name of the chunk topic, empty if there is none.
     is_state
-        Each sample holds until the next one; never of a regular or foreign stream.
+        Whether each sample is valid until the next one; never for a regular or foreign stream.
     replay
-        Of which recording it is played; None if it is measured now.
+        The recording of which it is a replay; None for a live stream.
     derived
-        What it was computed from; None if it was measured.
+        Source of a computed feature; None for a measured stream.
     """
 
     identity: DeviceIdentity
@@ -124,10 +124,10 @@ def foreign_header(
     units: tuple[str, ...] = (),
     replay: Replay | None = None,
 ) -> StreamHeader:
-    """Map a stream that is not ours: sensor from its name, data name from its type.
+    """Map a foreign stream: the sensor is taken from its name, the data name from its type.
 
-    What a :mod:`known program <.known_senders>` sends has good names, and labels and units
-    where it says none. No precision is lost: the array type follows the channel format.
+    Streams of a :mod:`known program <.known_senders>` get names, and missing labels and units,
+    from a table. The array type follows the channel format, so that no precision is lost.
     """
     blank = ("",) * core.channel_count
     labels, units = labels or blank, units or blank

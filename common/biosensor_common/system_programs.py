@@ -1,4 +1,4 @@
-"""Finds programs of the system by their full path, never in the current folder, and asks them."""
+"""Finds system programs by their full path, never in the current folder, and runs them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 TIME_LIMIT_S = 5.0
-"""For what is asked of a program."""
+"""Time limit of a program."""
 
 if sys.platform == "win32":
     import ctypes
@@ -18,12 +18,12 @@ if sys.platform == "win32":
     _SUFFIX = ".exe"
 
     def windows_folder(*, system: bool) -> Path:
-        r"""Return where Windows is, or its programs (``System32``), whatever variables say.
+        r"""Return the folder of Windows or of its programs (``System32``), ignoring variables.
 
         Raises
         ------
         OSError
-            Windows does not tell.
+            If Windows does not return it.
         """
         text = ctypes.create_unicode_buffer(_LONGEST_PATH)
         kernel = ctypes.windll.kernel32
@@ -39,34 +39,34 @@ else:
     _SUFFIX = ""
 
     def _folders() -> Iterator[Path]:
-        # An entry that is empty, or relative, is the current folder, or lies in it.
+        # An empty or relative entry means the current folder or one below it.
         entries = os.environ.get("PATH", os.defpath).split(os.pathsep)
         yield from (folder for folder in map(Path, entries) if folder.is_absolute())
 
 
 def full_path(name: str) -> str | None:
-    r"""Return where a program of the system is; None if it is not there.
+    r"""Return the full path of a system program; None if it does not exist.
 
-    Windows has its own in ``System32``, and nowhere else is looked. Elsewhere they are in
-    the folders of ``PATH``, of which those are left out that depend on the current folder:
-    a study's folder may hold a program that somebody else put there (CWE-427).
+    On Windows only ``System32`` is searched. Elsewhere the folders of ``PATH`` are searched, but
+    not those that depend on the current folder: a study's folder may contain a program that
+    somebody else put there (CWE-427).
     """
     for folder in _folders():
         program = folder / f"{name}{_SUFFIX}"
-        # Unlike Path.is_file, this is no error in a folder that this user may not look into.
+        # Unlike Path.is_file, this does not raise for a folder that the user may not read.
         if os.path.isfile(program) and os.access(program, os.X_OK):  # noqa: PTH113
             return str(program)
     return None
 
 
 def output_of(*command: str) -> str | None:
-    """Return what a program says, whatever its exit code; None if it is not there or hangs."""
+    """Return a program's output with any exit code; None if it does not exist or hangs."""
     ended = _ended(*command)
     return None if ended is None else ended.stdout
 
 
 def succeeds(*command: str) -> bool | None:
-    """Return whether a program ends with exit code 0; None if it is not there or hangs."""
+    """Return whether a program's exit code is 0; None if it does not exist or hangs."""
     ended = _ended(*command)
     return None if ended is None else ended.returncode == 0
 

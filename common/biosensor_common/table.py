@@ -1,4 +1,4 @@
-"""Constructors for declarations, short enough to read like a table."""
+"""Constructors for declarations, which read like a table."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def channels(
     roles: Iterable[ChannelRole] = (),
     plausible: tuple[float, float] | str | None = None,
 ) -> tuple[ChannelSpec, ...]:
-    """Channels that share unit and bounds, in wire order; with *roles*, one of each."""
+    """Return channels with the same unit and bounds, in order; *roles* has one role per channel."""
     each = tuple(roles) or (None,) * len(labels)
     return tuple(
         ChannelSpec(label, unit, role=role, plausible=plausible)
@@ -44,7 +44,7 @@ def row(
     contract: bool = False,
     is_state: bool = False,
 ) -> StreamSpec:
-    """Build one stream; ``Float32`` for one channel and an array for several, if not said."""
+    """Build one stream; by default ``Float32`` for one channel and an array for several."""
     if message_type is None:
         several = len(channel_specs) > 1
         message_type = MessageType.FLOAT32_MULTI_ARRAY if several else MessageType.FLOAT32
@@ -67,7 +67,7 @@ hardware = partial(row, category=Category.HARDWARE)
 
 
 def battery(*, contract: bool = False) -> StreamSpec:
-    """Build the stream of a device's battery."""
+    """Build the stream of a device's battery charge."""
     level = channels(
         Unit.PERCENT, "level", roles=[ChannelRole.STATE_OF_CHARGE], plausible=bounds.PERCENT
     )
@@ -75,7 +75,7 @@ def battery(*, contract: bool = False) -> StreamSpec:
 
 
 def signal_strength() -> StreamSpec:
-    """Build the stream of how well a device's radio is received."""
+    """Build the stream of a device's signal strength."""
     signal = channels(
         Unit.DBM,
         "signal",

@@ -8,7 +8,7 @@ from typing import TextIO
 
 
 def columns(output: TextIO) -> int | None:
-    """Return how wide the terminal behind an output is; None where there is none."""
+    """Return the width of an output's terminal; None if it is not a terminal."""
     return shutil.get_terminal_size().columns if output.isatty() else None
 
 
@@ -18,13 +18,13 @@ def wrapped(text: str, width: int | None, hang: int = 0) -> str:
     Parameters
     ----------
     width
-        Of the terminal; None leaves the line as it is.
+        Width of the terminal; None leaves the line unchanged.
     hang
-        How far all lines but the first are indented.
+        Indentation of all lines but the first.
     """
     if width is None or len(text) <= width:
         return text
-    # A path or an address that is longer than the line stays whole.
+    # A path or URL that is longer than the line is not broken, so that it can be copied.
     return textwrap.fill(
         text,
         width,
@@ -37,7 +37,7 @@ def wrapped(text: str, width: int | None, hang: int = 0) -> str:
 
 
 def shortened(text: str, width: int) -> str:
-    """Return a name, or its two ends where it is too long."""
+    """Return a name; one that is too long loses its middle."""
     if len(text) <= width:
         return text
     head = (width - 3) // 2

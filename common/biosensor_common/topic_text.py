@@ -1,4 +1,4 @@
-"""Encodes and decodes topics of text: one string a sample, and an agent's counters."""
+"""Encodes and decodes text topics: one string per sample, and an agent's counters."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, Protocol
 
 _CLOCK = "clock_"
 CLOCK_FACTS = ("offset_s", "drift_ppm", "residual_rms_s", "reanchors")
-"""What an agent tells of a device's clock: see `biosensor_common.device_clock.ClockState`."""
+"""Facts of a device's clock in an agent's counters, see `.device_clock.ClockState`."""
 
 
 class Sample(Protocol):
-    """Values of one sample, one a channel: a tuple, a list or an array."""
+    """Values of one sample, one per channel: a tuple, a list or an array."""
 
     def __len__(self) -> int: ...
     def __getitem__(self, channel: int, /) -> str | float: ...
@@ -21,21 +21,21 @@ class Sample(Protocol):
 
 
 def text_of(sample: Sample) -> str:
-    """Return a sample of text as one string; several are a JSON list."""
-    # JSON keeps them apart whatever they contain.
+    """Return a text sample as one string; several channels become a JSON list."""
+    # JSON separates them, whatever characters they contain.
     return str(sample[0]) if len(sample) == 1 else json.dumps(list(sample))
 
 
 def read_counters(text: str) -> dict[str, dict[str, float]]:
-    """Read one sample of the agent's counters stream: counters by source_id.
+    """Parse one sample of the agent's counters stream: counters by source_id.
 
-    The entry of one stream of a device has the state of the device's clock as well, under
-    ``clock_`` and the names of `CLOCK_FACTS`.
+    One stream's entry per device also has the state of the device's clock, as ``clock_``
+    followed by a name of `CLOCK_FACTS`.
 
     Raises
     ------
     ValueError
-        If it is not what an agent writes.
+        If it is not in an agent's format.
     """
     try:
         return {str(source_id): _numbers(entry) for source_id, entry in json.loads(text).items()}
@@ -44,7 +44,7 @@ def read_counters(text: str) -> dict[str, dict[str, float]]:
 
 
 def clock_of(counters: Mapping[str, float]) -> dict[str, float]:
-    """Return the state of a device's clock by `CLOCK_FACTS`, of one entry of the counters."""
+    """Return the state of a device's clock, by `CLOCK_FACTS`, from one entry of the counters."""
     told = ((key, counters.get(f"{_CLOCK}{key}")) for key in CLOCK_FACTS)
     return {key: value for key, value in told if value is not None}
 

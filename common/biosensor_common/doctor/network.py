@@ -50,7 +50,7 @@ class Interface:
 
 
 PORTS_A_STREAM = 2
-"""Ports per stream, of TCP and of UDP each: one for IPv4, one for IPv6."""
+"""Ports per stream, for TCP and for UDP: one for IPv4, one for IPv6."""
 _KINDS = {"TCP": socket.SOCK_STREAM, "UDP": socket.SOCK_DGRAM}
 _UNKNOWN = "a program of somebody else"
 
@@ -224,8 +224,8 @@ def _range(kind: str, ports: Ports, needed: int, edit: str) -> Finding:
 
 def _is_free(kind: socket.SocketKind, port: int, *, shared: bool = False) -> bool:
     with socket.socket(socket.AF_INET, kind) as attempt:
-        # Connections that have ended keep a port for a while on POSIX, but from nobody;
-        # on Windows the option would take a port away from its owner.
+        # On POSIX the option only skips ended connections that still occupy the port; on
+        # Windows it would take the port away from its owner.
         if shared or (sys.platform != "win32" and kind is socket.SOCK_STREAM):
             attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,1 +1,1 @@
-"""Turns messages of ROS into the numbers of a stream, for the node and for bags alike."""
+"""Converts between ROS messages and streams, for the node and for bag files."""

@@ -1,9 +1,9 @@
-"""Puts parts of messages together as the bytes that go over the wire.
+"""Serialises messages as CDR.
 
-They are those of the common data representation (OMG, DDSI-RTPS 2.5, 10.2), little-endian, as
-``serialize_message`` of ROS gives them. To fill an object and have it serialised costs
-several times as much with rclpy and ten times with a library for bags, and a recording of two hours
-makes 14 million messages.
+The bytes are those of ``serialize_message`` of ROS: the common data representation (OMG,
+DDSI-RTPS 2.5, 10.2), little-endian. Filling a message object and serialising it takes several
+times as long with rclpy and ten times as long with a bag library, and a recording of two hours
+has 14 million messages.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from numpy.typing import NDArray
 from biosensor_common.ros_clock import NS_PER_S
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""Names the byte order; what is aligned, is from behind it."""
+"""Header with the byte order; alignment counts from its end."""
 
 _STAMP = struct.Struct("<iI")
 _STAMP_BYTES = 8
 
 
 def text(value: str) -> bytes:
-    """Return a string at an aligned place, with its length."""
+    """Serialise a string at an aligned position, with its length."""
     content = value.encode("utf-8", "surrogatepass") + b"\0"
     return len(content).to_bytes(4, "little") + content
 
 
 def aligned(content: bytes, size: int) -> bytes:
-    """Return content that begins at an aligned place, filled up to the next one."""
+    """Pad content that begins at an aligned position to the next one."""
     return content + bytes(-len(content) % size)
 
 
 def texts(values: Sequence[str]) -> bytes:
-    """Return a sequence of strings at an aligned place."""
+    """Serialise a sequence of strings at an aligned position."""
     content = len(values).to_bytes(4, "little")
     for value in values:
         content = aligned(content, 4) + text(value)
@@ -44,29 +44,29 @@ def texts(values: Sequence[str]) -> bytes:
 
 
 def stamp(unix_ns: int) -> bytes:
-    """Return a ``builtin_interfaces/Time``."""
+    """Serialise a ``builtin_interfaces/Time``."""
     return _STAMP.pack(*divmod(unix_ns, NS_PER_S))
 
 
 class HeadedRows:
-    """Messages of a header, a fixed number of values, and an end that is always the same.
+    """Serialises messages of a header, a fixed number of values and a constant tail.
 
     Parameters
     ----------
     frame_id
-        Of the header.
+        Frame of the header.
     dtype
-        Of the values.
+        Type of the values.
     columns
-        How many.
+        Number of values.
     tail
-        What follows them.
+        Bytes after the values.
     """
 
     def __init__(
         self, frame_id: str, dtype: np.dtype[Any], columns: int, tail: bytes = b""
     ) -> None:
-        # The frame's name stands behind the stamp, whose size is aligned itself.
+        # The frame's name follows the stamp, whose size keeps the alignment.
         self._frame = aligned(text(frame_id), dtype.itemsize)
         self._tail = tail
         parts: list[tuple[Any, ...]] = [
@@ -81,7 +81,7 @@ class HeadedRows:
         self._record = np.dtype(parts)
 
     def encode(self, unix_ns: NDArray[np.int64], values: NDArray[Any]) -> list[bytes]:
-        """Return a message of each row.
+        """Serialise one message per row.
 
         Parameters
         ----------
@@ -100,5 +100,5 @@ class HeadedRows:
 
 
 def cut(content: bytes, size: int) -> list[bytes]:
-    """Return the messages of one size that stand behind each other."""
+    """Split consecutive messages of one size."""
     return [content[at : at + size] for at in range(0, len(content), size)]

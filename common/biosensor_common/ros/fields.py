@@ -1,4 +1,4 @@
-"""Finds the fields of a message type, from whatever defines it: a class of rclpy, or a bag."""
+"""Lists the fields of a message type, which rclpy or a bag file defines."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from biosensor_common.ros.quantities import NOTHING_KNOWN, TIME, Quantity, quant
 HEADER = "header"
 HEADER_TYPE = "std_msgs/msg/Header"
 NAMES = ("name", "names", "joint_names")
-"""Lists of text that name the elements of the other sequences beside them."""
-# What a message without fields has in Python.
+"""Lists of text that name the elements of the other sequences of their message."""
+# Dummy field of messages without fields in Python.
 _NO_FIELD = "structure_needs_at_least_one_member"
 _LAYOUT = "/MultiArrayLayout"
-"""How a MultiArray's numbers are to be folded; its labels make no report of it."""
+"""Layout of a MultiArray; its labels are not text for markers."""
 _CLOUDS = {"sensor_msgs/msg/PointCloud": "points"}
-"""Bulk data that is no bytes."""
+"""Types of bulk data that are not byte arrays."""
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _TEXTS = ("string", "wstring")
 _WIDE = ("int64", "uint64")
-# Of the two libraries, one calls a ``byte`` of the definition ``octet`` and one calls it ``byte``.
+# A ``byte`` of the definition is called ``octet`` by rclpy and ``byte`` by the bag library.
 _BYTE = ("octet", "byte")
 _BYTES = (*_BYTE, "uint8", "int8", "char")
 
@@ -33,15 +33,15 @@ class Slot(NamedTuple):
     Attributes
     ----------
     base
-        ``float64``, ``string`` and so on; empty of a message.
+        ``float64``, ``string`` and so on; empty for a message.
     message
-        The definition of what is inside; None of what is no message.
+        Definition of a nested message; None otherwise.
     size
-        Of a fixed array; None of a sequence; 1 of what is no array.
+        Length of a fixed array; None for a sequence; 1 for a single value.
     has_limit
-        It is a sequence with a limit.
+        Whether it is a bounded sequence.
     values
-        Names of its values, as far as the type has constants for them.
+        Names of its values, if the type has constants for them.
     """
 
     name: str
@@ -54,31 +54,31 @@ class Slot(NamedTuple):
 
 
 class Definition(Protocol):
-    """A message type, as somebody defines it."""
+    """The definition of a message type."""
 
     @property
     def name(self) -> str:
-        """As ROS has it: ``sensor_msgs/msg/JointState``."""
+        """Full name of the type: ``sensor_msgs/msg/JointState``."""
         ...
 
     def slots(self) -> Iterable[Slot]:
-        """Return its entries in their order."""
+        """Return the entries in their order."""
         ...
 
 
 @unique
 class FieldKind(Enum):
-    """What one value of a field is."""
+    """Kind of a field's values."""
 
     NUMBER = "number"
-    """Booleans are numbers, too: 0 and 1."""
+    """A number; booleans are 0 and 1."""
     BYTE = "byte"
-    """A ``byte`` of the message's definition, which Python may have as ``bytes``."""
+    """A ``byte`` of the definition, which Python may represent as ``bytes``."""
     TIME = "time"
     """Seconds and nanoseconds."""
     TEXT = "text"
     MESSAGE = "message"
-    """Of an array: each element has fields of its own."""
+    """An array of messages, whose elements have fields."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +88,19 @@ class Field:
     Attributes
     ----------
     path
-        Of attributes, from the message that it was found in: ``pose.pose.position.x``.
+        Attribute path within the message: ``pose.pose.position.x``.
     size
-        Of a fixed array; None of a sequence, whose size only a message tells; 1 of what is no
-        array.
+        Length of a fixed array; None for a sequence, whose length varies; 1 for a single value.
     measured
-        What it measures.
+        Quantity that the field measures.
     is_wide
-        A float of 64 bits does not hold every value of it.
+        Whether a 64-bit float cannot represent all of its values.
     is_blob
-        A sequence of bytes without a limit: an image, a cloud of points.
+        Whether it is an unbounded sequence of bytes: an image, a point cloud.
     elements
-        What each element has, in an array of messages.
+        Fields of each element of an array of messages.
     values
-        Names of the values that the type has names for, as far as it is an enumeration.
+        Names of the values, if the field is an enumeration.
     """
 
     path: str
@@ -121,22 +120,22 @@ class Field:
 
 
 def fields_of(definition: Definition) -> tuple[Field, ...]:
-    """Return the fields of a type, messages inside it opened, in the order of its definition.
+    """Return the fields of a type in their order, with nested messages flattened.
 
-    The header of the message itself is left out, and the layout of a MultiArray.
+    The message's own header and the layout of a MultiArray are left out.
     """
     return tuple(_walk(definition, "", NOTHING_KNOWN))
 
 
 def has_header(definition: Definition) -> bool:
-    """Whether messages of a type have a header, with a stamp."""
+    """Whether messages of a type have a stamped header."""
     return any(_is_header(slot) for slot in definition.slots())
 
 
 def bulk_of(definition: Definition) -> str:
-    """Return the field with images, clouds of points or the like; empty without any.
+    """Return the name of a field with bulk data, such as images or point clouds; else empty.
 
-    Bytes in a MultiArray are numbers that somebody chose to send.
+    Bytes in a MultiArray are not bulk data: they are numbers that somebody chose to send.
     """
     if any(_is_layout(slot) for slot in definition.slots()):
         return ""
@@ -147,7 +146,7 @@ def bulk_of(definition: Definition) -> str:
 
 
 def all_fields(fields: tuple[Field, ...]) -> Iterator[Field]:
-    """Go through fields and through those of the elements of arrays."""
+    """Iterate over fields, including those of array elements."""
     for each in fields:
         yield each
         yield from all_fields(each.elements)

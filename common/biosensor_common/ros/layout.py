@@ -1,8 +1,8 @@
-"""Lays the numbers of a message out as channels.
+"""Maps the numbers of a message to channels.
 
-A type says how many numbers a message has, except for sequences: of those the first message
-tells the length. Where a message has a list of names beside its sequences, as the joints of
-``JointState``, they label the channels.
+The type defines how many numbers a message has, except for sequences, whose length is taken from
+the first message. If a message has a list of names for its sequences, such as the joints of
+``JointState``, these label the channels.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from biosensor_common.ros.fields import NAMES, Field, FieldKind
 from biosensor_common.ros.quantities import NOTHING_KNOWN, channel_type
 
 RosMessage = Any
-"""An object with the fields of its type as attributes, of rclpy or of a reader of bags."""
+"""An object with its fields as attributes, from rclpy or a bag reader."""
 
 _EXACT_UP_TO = 2.0**53
 _PLACE = re.compile(r"\[(\d+)\]")
 
 
 class LayoutChangedError(Exception):
-    """A message has other sequences than the one that the layout was made from."""
+    """A message's sequences differ from those for which the layout was made."""
 
 
 class Channel(NamedTuple):
@@ -36,9 +36,9 @@ class Channel(NamedTuple):
     Attributes
     ----------
     path
-        Where it is: ``position[0]``.
+        Path within the message: ``position[0]``.
     label
-        The same, with the element's name where it has one: ``panda_joint1.position``.
+        Path with the element's name, if it has one: ``panda_joint1.position``.
     values
         Names of its values, if the type enumerates them.
     """
@@ -52,26 +52,26 @@ class Channel(NamedTuple):
 
 
 class _Before(NamedTuple):
-    """What stands before a field that is inside of another one."""
+    """Prefix of the fields of a nested message."""
 
     path: str = ""
     label: str = ""
 
 
 class _Part(Protocol):
-    """Some of the numbers of a message."""
+    """A group of a message's numbers, which are read together."""
 
     def read(self, message: RosMessage, values: list[float]) -> None:
-        """Append them; raises LayoutChangedError if there are others than there were."""
+        """Append the numbers to *values*; raises LayoutChangedError if their count has changed."""
         ...
 
 
 class _Scalars:
-    """Fields that are no arrays, one after the other."""
+    """Consecutive fields that are not arrays."""
 
     def __init__(self, fields: Sequence[Field]) -> None:
         get: Callable[[RosMessage], Any] = attrgetter(*(each.path for each in fields))
-        # Of one path it returns the value, of several a tuple.
+        # attrgetter returns a value for one path, and a tuple for several.
         self._get: Callable[[RosMessage], tuple[Any, ...]] = (
             get if len(fields) > 1 else lambda message: (get(message),)
         )
@@ -89,7 +89,7 @@ class _Scalars:
 
 
 class _Numbers:
-    """An array of numbers; of one whose elements are wanted by number, missing ones are NaN."""
+    """An array of numbers; elements that were requested by index and are missing are NaN."""
 
     def __init__(self, field: Field, length: int, most: int | None) -> None:
         self._get = attrgetter(field.path)
@@ -99,7 +99,7 @@ class _Numbers:
         got = _first(self._get(message), self._most)
         if len(got) == self._length:
             if self._kind is FieldKind.NUMBER:
-                # An array of numpy would be taken for numbers of numpy, which is slow.
+                # Iterating over a numpy array would yield numpy scalars, which are slow.
                 values.extend(got.tolist() if hasattr(got, "tolist") else got)
             else:
                 values.extend(_number(each, self._kind) for each in got)
@@ -132,7 +132,7 @@ class _Messages:
 
 
 class _Names:
-    """Names that label channels; they stay as they were."""
+    """Names that label channels; they must not change."""
 
     def __init__(self, get: attrgetter[Any], names: Sequence[str]) -> None:
         self._get, self._names = get, list(names)
@@ -145,21 +145,21 @@ class _Names:
 
 
 class Layout:
-    """The channels of one stream, and how to read them from a message.
+    """The channels of one stream, and how they are read from a message.
 
     Parameters
     ----------
     fields
-        Of the message's type.
+        Fields of the message's type.
     message
-        Whose sequences give the lengths.
+        Message whose sequences define the lengths.
     wanted
-        Fields, groups of fields or labels to send; all of them if there is none.
+        Fields, groups of fields or labels to send; all if empty.
 
     Raises
     ------
     SpecError
-        ``INVALID`` if nothing fits what is wanted, ``TOO_LARGE`` if there are too many channels.
+        ``INVALID`` if a requested field does not exist, ``TOO_LARGE`` for too many channels.
     """
 
     def __init__(
@@ -180,16 +180,16 @@ class Layout:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """One a channel."""
+        """Labels, one per channel."""
         return tuple(each.label for each in self.channels)
 
     def read(self, message: RosMessage) -> Sequence[float]:
-        """Return a message's numbers, one a channel; NaN for those of a sequence that is empty.
+        """Return a message's numbers, one per channel; NaN for those of an empty sequence.
 
         Raises
         ------
         LayoutChangedError
-            If the message has other sequences, or other names, than the first one.
+            If the lengths of its sequences, or its names, differ from the first message's.
         """
         values: list[float] = []
         for part in self._parts:
@@ -200,7 +200,7 @@ class Layout:
         return picked if len(self.channels) > 1 else (picked,)
 
     def inexact(self, values: Sequence[float]) -> str:
-        """Return the label of a channel whose integer a float of 64 bits does not hold, if any."""
+        """Return the label of a channel whose integer a 64-bit float cannot represent, if any."""
         for place in self._wide:
             if abs(values[place]) > _EXACT_UP_TO:
                 return self.channels[place].label
@@ -208,7 +208,7 @@ class Layout:
 
 
 def _channel_of(field: Field, path: str, label: str) -> Channel:
-    """Return the channel of a field, or of an element of one."""
+    """Return the channel of a field or of an array element."""
     measured = field.measured
     kind = NOTHING_KNOWN.kind if measured is NOTHING_KNOWN else channel_type(measured, field.name)
     return Channel(path, label, measured.unit, kind, field.values, field.is_wide)
@@ -252,7 +252,7 @@ def _array_part(
     present = attrgetter(field.path)(message)
     elements = _first(present, most)
     path, label = before.path + field.path, before.label + field.path
-    # What has sequences of its own is no single joint, but a point of all of them.
+    # An element with sequences is not one joint but a point with all joints.
     is_one_each = not any(inside.is_array for inside in field.elements)
     has_names = is_one_each and len(names) == len(present)
     group = label.removesuffix(field.name)
@@ -272,7 +272,7 @@ def _array_part(
 
 
 def _most_wanted(field: Field, wanted: Sequence[str]) -> int | None:
-    """Return how many elements of an array are read, if only some are wanted by their number."""
+    """Return how many elements of an array are read, if only some are requested by index."""
     inside = [each.removeprefix(field.path) for each in wanted if is_part(each, field.path)]
     places = [int(found[1]) for each in inside if (found := _PLACE.match(each))]
     return max(places) + 1 if places and len(places) == len(inside) else None
@@ -285,7 +285,7 @@ def _first(elements: Any, most: int | None) -> Any:  # noqa: ANN401 - of any typ
 def _names_in(
     fields: Sequence[Field], message: RosMessage
 ) -> tuple[attrgetter[Any], list[str]] | None:
-    """Return the names that a message gives the elements of its sequences, if it does."""
+    """Return the names of the elements of a message's sequences, if it has any."""
     for each in fields:
         if each.kind is FieldKind.TEXT and each.is_array and each.name in NAMES:
             get = attrgetter(each.path)
@@ -302,7 +302,7 @@ def _is_wanted(channel: Channel, wanted: Sequence[str]) -> bool:
 
 
 def is_part(path: str, group: str) -> bool:
-    """Whether a path is another one, or inside of it."""
+    """Whether a path equals another one or is nested in it."""
     return path == group or (path.startswith(group) and path[len(group)] in ".[")
 
 
@@ -310,7 +310,7 @@ def _check(
     fields: Sequence[Field], found: Sequence[Channel], places: Sequence[int], wanted: Sequence[str]
 ) -> None:
     for each in wanted:
-        group = each.split("[")[0]  # A sequence that is empty today is a field, too.
+        group = each.split("[")[0]  # A sequence that is empty in this message is a field, too.
         is_field = any(is_part(f.path, group) or is_part(group, f.path) for f in fields)
         if found and not is_field and not any(_is_wanted(channel, [each]) for channel in found):
             known = ", ".join(dict.fromkeys(channel.path.split("[")[0] for channel in found))

@@ -1,4 +1,4 @@
-"""Makes the messages of streams of numbers: raw, in chunks and stamped."""
+"""Serialises numeric streams as raw, chunk and stamped messages."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.ros.cdr import ENCAPSULATION, aligned, cut, stamp, text, texts
 from biosensor_common.stream_header import StreamHeader
 
-# Lengths of chunks may be changed at any time; a head of each that is in use.
+# Chunk lengths may change at any time, so the heads of the recent ones are cached.
 _CHUNK_SHAPES = 256
-# So many samples are faster as rows of one array.
+# From this number of samples on, building rows of one array is faster.
 _MANY = 100
 _DTYPES: dict[MessageType, np.dtype[Any]] = {
     MessageType.FLOAT32: np.dtype("<f4"),
@@ -30,23 +30,23 @@ _COUNT, _SIZE_AND_STRIDE = struct.Struct("<I"), struct.Struct("<II")
 _DATA_OFFSET = 0
 _COUNTS = struct.Struct("<Qq?")
 UNKNOWN_LOSS = -1
-"""What a recording has: nobody knows what was lost before the recorder."""
+"""Count of lost samples in a recording: losses before the recorder are unknown."""
 _NO_VALUES = bytes(4)
 
 
 def wire_dtype(message_type: MessageType) -> np.dtype[Any]:
-    """Return the type of a message's values.
+    """Return the numpy type of a message's values.
 
     Raises
     ------
     KeyError
-        If the message holds no numbers.
+        If the message has no numbers.
     """
     return _DTYPES[message_type]
 
 
 def to_bytes(samples: NDArray[Any], dtype: np.dtype[Any]) -> bytes:
-    """Return samples as values of another type; a float too large for it becomes infinite."""
+    """Convert samples to another type; a float that is too large becomes infinite."""
     if samples.dtype == dtype:
         return samples.tobytes()
     with np.errstate(over="ignore"):
@@ -59,7 +59,7 @@ class RawNumbers:
     Parameters
     ----------
     channels
-        Values in one sample; 1 for a message that is no array.
+        Values per sample; 1 for a message that is not an array.
     """
 
     def __init__(self, message_type: MessageType, channels: int) -> None:
@@ -70,11 +70,11 @@ class RawNumbers:
         if message_type.is_array:
             self._head = _array_head(self._dtype, channels, channels=channels)
         else:
-            # As ROS has it: messages of a fixed size end at an aligned place.
+            # ROS pads messages of a fixed size to an aligned end.
             self._tail = bytes(-self._size % 4)
 
     def fitting(self, values: NDArray[Any]) -> NDArray[np.bool_] | None:
-        """Say of each sample whether the message can hold it; None if it can hold them all.
+        """Return for each sample whether the message can hold it; None if it can hold all.
 
         Parameters
         ----------
@@ -87,10 +87,10 @@ class RawNumbers:
         return None if fits.all() else fits
 
     def encode(self, values: NDArray[Any]) -> list[bytes]:
-        """Return the messages of samples that fit, of shape (n, n_channels)."""
+        """Serialise samples that fit, of shape (n, n_channels)."""
         head, tail, size = self._head, self._tail, self._size
         wire = to_bytes(values, self._dtype)
-        # A live stream mostly brings one sample or a few, a recording thousands.
+        # A live stream usually brings one or a few samples at once, a recording thousands.
         if len(wire) == size:
             return [head + wire + tail]
         if len(values) < _MANY:
@@ -103,7 +103,7 @@ class RawNumbers:
 
 
 def chunk_message(message_type: MessageType, values: bytes, channels: int) -> bytes:
-    """Make a chunk of values in row-major order; ``layout.dim`` = [samples, channels]."""
+    """Serialise a chunk in row-major order; ``layout.dim`` = [samples, channels]."""
     return _chunk_head(message_type, len(values), channels) + values
 
 
@@ -115,12 +115,12 @@ def _chunk_head(message_type: MessageType, size: int, channels: int) -> bytes:
 
 
 def _array_head(dtype: np.dtype[Any], count: int, **sizes: int) -> bytes:
-    """Return what stands before *count* values, which end an array's message.
+    """Return the bytes of an array message before its *count* values.
 
     Parameters
     ----------
     **sizes
-        Of its dimensions, by their labels; the stride of each spans all that follow.
+        Sizes of the dimensions by label; a stride covers all following dimensions.
     """
     content, stride = _COUNT.pack(len(sizes)), count
     for label, size in sizes.items():
@@ -137,7 +137,7 @@ class StampedNumbers:
         self._is_int64 = header.format is ChannelFormat.INT64
         self._frame = aligned(text(frame_id), 8)
         names = aligned(texts(header.labels), 4) + texts(header.units)
-        # The counts before it end in one byte.
+        # A flag of one byte precedes the names, which therefore need padding.
         self._names = bytes(3) + aligned(names, 4)
 
     def encode(
@@ -149,16 +149,16 @@ class StampedNumbers:
         *,
         lost_is_estimated: bool = False,
     ) -> bytes:
-        """Return the message of some samples.
+        """Serialise samples as one message.
 
         Parameters
         ----------
         unix_ns : ndarray of int64, shape (n,)
         values : ndarray, shape (n, n_channels)
         sequence
-            Number of the first.
+            Number of the first sample.
         lost
-            Samples of the stream that were lost so far.
+            Samples of the stream lost so far.
         """
         offsets = (unix_ns - unix_ns[0]).tobytes()
         content = self._frame + _COUNTS.pack(sequence, lost, lost_is_estimated) + self._names

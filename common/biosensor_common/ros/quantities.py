@@ -1,8 +1,8 @@
 """Units and quantities of well-known message types, after REP 103.
 
 REP 103 (https://www.ros.org/reps/rep-0103.html) has SI units: metres, radians, seconds,
-newtons. What a field measures is said where the type that has it says so: a ``Vector3`` alone
-has no unit, that of ``Twist.linear`` has. Channel types are those of XDF's MoCap pages
+newtons. The table names the outermost type that defines a quantity: a ``Vector3`` alone has no
+unit, but the one in ``Twist.linear`` has. Channel types are those of XDF's MoCap pages
 (https://github.com/sccn/xdf/wiki/MoCap-Meta-Data), where quaternions are A (w), B, C, D.
 """
 
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 
 class Quantity(NamedTuple):
-    """What a channel measures.
+    """Physical quantity of a channel.
 
     Attributes
     ----------
     unit
-        Empty where the type does not fix one.
+        Empty if the type does not define one.
     kind
         XDF's channel type, without the axis.
     """
@@ -28,7 +28,7 @@ class Quantity(NamedTuple):
 
 NOTHING_KNOWN = Quantity()
 TIME = Quantity("s", "Time")
-# Of a revolute joint it would be radians, of a prismatic one metres.
+# No unit: radians for a revolute joint, metres for a prismatic one.
 _JOINT_POSITION, _JOINT_VELOCITY = Quantity("", "JointPosition"), Quantity("", "JointVelocity")
 _JOINT_ACCELERATION = Quantity("", "JointAcceleration")
 _JOINT_EFFORT = Quantity("", "JointEffort")
@@ -112,7 +112,7 @@ _QUATERNION_AXES = {"w": "A", "x": "B", "y": "C", "z": "D"}
 
 
 def quantity(message_type: str, field: str) -> Quantity | None:
-    """Return what a field of a type measures; None if the type alone does not say."""
+    """Return the quantity of a type's field; None if the type does not define it."""
     return _KNOWN.get(message_type, {}).get(field)
 
 

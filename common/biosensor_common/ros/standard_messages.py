@@ -1,10 +1,9 @@
-"""Makes the messages of ``sensor_msgs`` that a stream has beside its own.
+"""Serialises streams as ``sensor_msgs``, in addition to their own messages.
 
-What a channel means is read from its role in the header, so a new sensor gets them, too. Values are
-in SI units as the messages demand. A covariance that is unknown is all zeros, and one whose first
-element is -1 says that the quantity itself is missing: that is the messages' own convention.
-Nothing says which way a device's world frame points, so neither orientation nor acceleration is
-turned.
+The meaning of a channel is taken from its role in the header, so that new sensors get these
+messages, too. Values are in SI units, as the messages require. By their convention, an unknown
+covariance is all zeros, and a first element of -1 marks a missing quantity. The orientation of a
+device's world frame is unknown, so orientation and acceleration are not rotated.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from biosensor_common.stream_header import StreamHeader
 
 _FLOAT64, _FLOAT32 = np.dtype("<f8"), np.dtype("<f4")
 _TESLA_PER_MICROTESLA = 1e-6
-# Battery states: three times unknown, a battery is present, and two empty lists of cells.
+# Status, health and technology unknown; a battery is present; two empty lists of cells.
 _BATTERY = bytes([0, 0, 0, 1, *bytes(8)])
 
 _BATTERY_AMONG_OTHERS = "bat_state"
@@ -39,18 +38,18 @@ Floats = NDArray[np.float64]
 
 
 class StandardMessage(NamedTuple):
-    """One topic beside a stream's own.
+    """One additional topic of a stream.
 
     Attributes
     ----------
     data
-        Last part of its name.
+        Last part of the topic's name.
     type_name
-        Of the message.
+        Type of the message.
     fill
-        Returns a row of a message's values of each sample.
+        Converts samples to rows of the message's values.
     rows
-        Makes messages of them.
+        Serialises these rows.
     """
 
     data: str
@@ -59,12 +58,12 @@ class StandardMessage(NamedTuple):
     rows: HeadedRows
 
     def encode(self, unix_ns: NDArray[np.int64], values: NDArray[Any]) -> list[bytes]:
-        """Return a message of each sample, of shape (n, n_channels)."""
+        """Serialise one message per sample; values have the shape (n, n_channels)."""
         return self.rows.encode(unix_ns, self.fill(values))
 
 
 def standard_messages(header: StreamHeader, frame_id: str) -> list[StandardMessage]:
-    """Return all that a stream has, in the node's order."""
+    """Return all additional topics of a stream, in the node's order."""
     if header.foreign or header.message_type.is_text:
         return []
     columns = {role: at for at, role in enumerate(header.roles) if role is not None}
@@ -123,7 +122,7 @@ def _imu(orientation: Floats, in_g: Floats) -> Floats:
     is_known = ~np.isnan(x + y + z + w)
     rows[:, 3] = 1.0
     rows[is_known, :4] = np.column_stack((x, y, z, w))[is_known]
-    # A covariance whose first element is -1 says that the quantity is missing.
+    # A first element of -1 in a covariance marks a missing quantity.
     rows[~is_known, 4] = -1.0
     rows[:, 16] = -1.0
     has_acceleration = ~np.isnan(in_g).any(axis=1)
@@ -137,24 +136,24 @@ def _magnetic_field(microtesla: Floats) -> Floats:
 
 
 def _temperature_topic(header: StreamHeader) -> str:
-    """Return ``<data>_temperature``, empty if the stream is none."""
+    """Return ``<data>_temperature``; empty if the stream is not a temperature."""
     fits = header.content_type == ContentType.TEMPERATURE and header.units == (Unit.CELSIUS,)
     return f"{header.data_name}_temperature" if fits else ""
 
 
 def _battery_state_topic(header: StreamHeader) -> str:
-    """Return ``<data>_state`` of the charge alone, ``bat_state`` of one among others, or empty."""
+    """Return ``<data>_state`` for a charge alone, ``bat_state`` among others, else empty."""
     if ChannelRole.STATE_OF_CHARGE not in header.roles:
         return ""
     return f"{header.data_name}_state" if len(header.roles) == 1 else _BATTERY_AMONG_OTHERS
 
 
 def _imu_topic(header: StreamHeader) -> str:
-    """Return ``<data>_imu`` of orientation with acceleration, else empty."""
+    """Return ``<data>_imu`` for orientation with acceleration; else empty."""
     has_it = {*ORIENTATION, *ACCELERATION} <= set(header.roles)
     return f"{header.data_name}_imu" if has_it else ""
 
 
 def _magnetic_field_topic(header: StreamHeader) -> str:
-    """Return ``<data>_mag`` of a magnetic field in three axes, else empty."""
+    """Return ``<data>_mag`` for a magnetic field in three axes; else empty."""
     return f"{header.data_name}_mag" if set(MAGNETIC_FIELD) <= set(header.roles) else ""

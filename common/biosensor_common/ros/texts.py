@@ -1,4 +1,4 @@
-"""Makes the messages of streams of text: raw and stamped, and those of an agent's counters."""
+"""Serialises text streams as raw and stamped messages, and an agent's counters."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from biosensor_common.ros.cdr import ENCAPSULATION, aligned, stamp, text
 from biosensor_common.topic_text import read_counters
 
 _SEQUENCE = struct.Struct("<Q")
-# A message without fields has a byte all the same, and ends at an aligned place.
+# A message without fields still has one byte, padded to an aligned end.
 _EMPTY = ENCAPSULATION + bytes(4)
 _OK = b"\0"
 _NO_TEXT = text("")
 
 
 def raw_text(message_type: MessageType, value: str) -> bytes:
-    """Return a ``std_msgs/String``, or an ``Empty`` that only says that something came."""
+    """Serialise a ``std_msgs/String``, or an ``Empty`` without the text."""
     return _EMPTY if message_type is MessageType.EMPTY else ENCAPSULATION + text(value)
 
 
 class StampedTexts:
-    """``biosensor_msgs/Event``: one message a sample."""
+    """``biosensor_msgs/Event``: one message per sample."""
 
     def __init__(self, frame_id: str) -> None:
         self._frame = aligned(text(frame_id), 8)
 
     def encode(self, unix_ns: int, value: str, sequence: int) -> bytes:
-        """Return the message of one sample."""
+        """Serialise one sample."""
         head = ENCAPSULATION + stamp(unix_ns) + self._frame
         return head + _SEQUENCE.pack(sequence) + text(value)
 
 
 def counters_message(unix_ns: int, value: str) -> bytes:
-    """Return a ``diagnostic_msgs/DiagnosticArray`` of one sample of the agent's counters.
+    """Serialise one sample of the agent's counters as ``diagnostic_msgs/DiagnosticArray``.
 
     Raises
     ------
     ValueError
-        If it is not what an agent writes.
+        If it is not in an agent's format.
     """
     content = bytearray(aligned(stamp(unix_ns) + _NO_TEXT, 4))
     counters = read_counters(value)
