@@ -1,4 +1,4 @@
-"""The node ``lsl_to_ros``: everything from the streams to the topics."""
+"""The node ``lsl_to_ros``, which publishes LSL streams as topics."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from lsl_to_ros.topics.pacing import Pace, Pacer
 
 LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0
-# Answers that come later count, too, so a short pause costs nothing but load: at 0.1 s, 64
+# Later answers count, too, so a short pause costs only load: at 0.1 s, 64
 # streams answer so often that it takes a tenth of a core more. liblsl's own are 0.5 and 0.75 s.
 SEARCH_PAUSE_S = 0.2
 
@@ -59,7 +59,7 @@ class LslToRos(Node):
     Raises
     ------
     ConfigError
-        If a parameter is wrong that decides which streams it serves.
+        If a parameter that selects the streams is wrong.
     """
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class LslToRos(Node):
         self._stream_parameters.on_set(self._tell_of_keys_without_stream)
         self._sender_clocks = SenderClocks(lambda: self._discovery.inlets)
         self._clock_pairs = ClockPairs(self, warn)
-        # By the node's own clock they would rest for as long as that is set back.
+        # With the node's own clock the timers would stop for as long as that is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CLOCK_PERIOD_S, self._clock_pairs.look, clock=steady)
         self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
@@ -109,7 +109,7 @@ class LslToRos(Node):
         self._pacer.start()
 
     def stop(self) -> None:
-        """Close every inlet, and publish what has come."""
+        """Close every inlet, and publish the samples received so far."""
         self._clock_pairs.close()
         self._sender_clocks.stop()
         self._pump.stop()
@@ -117,7 +117,7 @@ class LslToRos(Node):
         self._pacer.stop()
 
     def _look(self) -> None:
-        """See what streams and what subscribers there are."""
+        """Update the streams and the subscribers."""
         ready, gone = self._discovery.update()
         if self._routing.update(ready, gone):
             self._list_streams()

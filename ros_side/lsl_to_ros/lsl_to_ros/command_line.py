@@ -1,4 +1,4 @@
-"""Reads what stands on a command line outside of ``--ros-args``, which is ROS's."""
+"""Parses the command line outside of ``--ros-args``, which ROS parses itself."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _WIDTH, _INDENT = 80, 18
 
 
 def settle(program: str, arguments: Sequence[str], usage: Callable[[], str]) -> None:
-    """Show the help if it is asked for, and end; end with code 2 if an argument is unknown.
+    """Print the help on request and exit; exit with code 2 for an unknown argument.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def settle(program: str, arguments: Sequence[str], usage: Callable[[], str]) -> 
 
 
 def outside(arguments: Sequence[str]) -> Iterator[str]:
-    """Return the arguments that are not ROS's."""
+    """Return the arguments that ROS does not parse."""
     is_ros = False
     for argument in arguments:
         if argument == _BEGIN:
@@ -42,21 +42,21 @@ def outside(arguments: Sequence[str]) -> Iterator[str]:
 
 
 def unknown(argument: str) -> str:
-    """Say that an argument is not known, and what may have been meant."""
+    """Return the error message for an unknown argument, with a suggestion."""
     if argument in _OF_ROS or ":=" in argument:
         return f"{argument} must stand behind --ros-args, as in --ros-args -p name:=value"
     return f"there is no argument {argument}; --help lists the parameters"
 
 
 def page(begin: str, parts: Mapping[str, Mapping[str, str]]) -> str:
-    """Return a help for a console of 80 columns.
+    """Format a help text for a console of 80 columns.
 
     Parameters
     ----------
     begin
-        What the program does, and how it is called.
+        Purpose and usage of the program.
     parts
-        By heading, what each parameter means.
+        Descriptions of the parameters, by heading.
     """
     lines = [begin]
     for heading, texts in parts.items():

@@ -1,4 +1,4 @@
-"""Describes to ``ros2 launch`` how a node of this package is started."""
+"""Builds the launch description of a node of this package."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -13,7 +13,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 NAMESPACE, NODE_NAME, PARAMS_FILE = "namespace", "node_name", "params_file"
 LOG_LEVEL, RESPAWN, USE_SIM_TIME = "log_level", "respawn", "use_sim_time"
-# Of every node, whatever it does.
+# Arguments of every node.
 _COMMON_ARGUMENTS = {
     LOG_LEVEL: "debug, info, warn, error or fatal",
     RESPAWN: "true: start the node again when it ends",
@@ -30,13 +30,12 @@ def description(
     Parameters
     ----------
     executable
-        Also what the node is called where ``node_name`` is not given.
+        Also the default of ``node_name``.
     arguments
-        What each is for, by its name; ``namespace``, ``node_name`` and ``params_file`` are among
-        them.
+        Descriptions by name; they include ``namespace``, ``node_name`` and ``params_file``.
     types
-        Of those that are parameters of the node. Without them, YAML rules would make a number of
-        a session named 42.
+        Types of the arguments that are parameters of the node. Without them, YAML rules would turn
+        a session named 42 into a number.
     """
     texts = {**arguments, **_COMMON_ARGUMENTS}
     declared = [_argument(name, text, executable) for name, text in texts.items()]
@@ -51,7 +50,7 @@ def _argument(name: str, text: str, executable: str) -> DeclareLaunchArgument:
 
 
 def _existing(params_file: str) -> str:
-    """Return the path of the file; what is not there would be a warning, and the defaults."""
+    """Return the path of an existing file; ROS would only warn about a missing one."""
     path = Path(params_file).expanduser()
     if params_file and not path.is_file():
         message = f"params_file: there is no file {params_file}; give the path of one that is there"
@@ -60,14 +59,14 @@ def _existing(params_file: str) -> str:
 
 
 def _switch(name: str, given: str) -> bool:
-    """Return whether a switch is on; any other word must not pass for off."""
+    """Parse a switch; any word but true and false is an error."""
     if given.lower() not in _SWITCH:
         raise ValueError(f"{name} must be true or false, not {given!r}")
     return _SWITCH[given.lower()]
 
 
 def _node(context: LaunchContext, *, executable: str, types: dict[str, Any]) -> list[Node]:
-    """Make the node from what was given: an empty value must not overrule the file's."""
+    """Make the node; an empty argument must not override the value of the parameter file."""
     params_file = _existing(LaunchConfiguration(PARAMS_FILE).perform(context))
     given = {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)
@@ -83,7 +82,7 @@ def _node(context: LaunchContext, *, executable: str, types: dict[str, Any]) -> 
         output="screen",
         respawn=_switch(RESPAWN, LaunchConfiguration(RESPAWN).perform(context)),
         ros_arguments=["--log-level", log_level] if log_level else [],
-        # The last one wins.
+        # The last value wins, so arguments override the file.
         parameters=[part for part in (params_file, given) if part],
     )
     return [node]

@@ -12,10 +12,9 @@ BURST, BURST_S = 200, 10.0
 
 
 class LimitedLog:
-    """Says each sentence once a minute, and no more than 200 of them in 10 s.
+    """Logs each sentence at most once a minute, and at most 200 of them in 10 s.
 
-    What is held back is counted and said with the next one that goes out. May be
-    called by any thread.
+    Suppressed lines are counted, and the next line has their number. Thread-safe.
     """
 
     def __init__(self, logger: RcutilsLogger) -> None:
@@ -25,19 +24,19 @@ class LimitedLog:
         self._held_back = 0
 
     def warn(self, sentence: str) -> None:
-        """Log a warning, or count it as held back."""
+        """Log a warning, or count it as suppressed."""
         text = self._admit(sentence)
         if text:
             self._logger.warning(text)
 
     def inform(self, sentence: str) -> None:
-        """Log what is no warning, or count it as held back."""
+        """Log an information, or count it as suppressed."""
         text = self._admit(sentence)
         if text:
             self._logger.info(text)
 
     def _admit(self, sentence: str) -> str:
-        """Return what to say, empty if it is held back."""
+        """Return the line to log; empty if it is suppressed."""
         with self._lock:
             now = monotonic()
             self._said = {old: at for old, at in self._said.items() if now - at < SAME_AGAIN_S}

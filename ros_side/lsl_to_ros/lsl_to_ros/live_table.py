@@ -1,10 +1,10 @@
-"""Shows a live table of all biosensor topics, as a subscriber sees them.
+"""Shows a live table of all biosensor topics, as subscribers receive them.
 
 ``python -m lsl_to_ros.live_table [--seconds N] [--expect FILE]``. FILE is JSON:
 topic names with an empty text where data is expected, else the reason why not.
 
-Exit codes: 0 all expected topics had data, 1 one had none, 3 the computer is too busy and they
-have not come yet.
+Exit codes: 0 if all expected topics had data, 1 if one had none, 3 if the computer is too busy and
+topics are still missing.
 """
 
 from __future__ import annotations
@@ -44,33 +44,33 @@ from lsl_to_ros.topics.outputs import CLASSES
 
 FIRST_SAMPLE_TIMEOUT_S = 30.0
 MOST_TIMES = 3
-"""So many times as long as asked it waits at most on a busy computer."""
+"""Largest factor by which the time to wait is extended on a busy computer."""
 PATIENCE_S, BUSY_PATIENCE_S = 5.0, 30.0
-"""From one topic that comes late to the next; an agent that was refused tries again within 30 s."""
+"""Longest time from one late topic to the next; a refused agent tries again within 30 s."""
 BUSY_SHARE = 0.5
-"""Of the time in which this process was ready to run, it had to wait for a processor."""
+"""Share of its runnable time that this process had to wait for a processor."""
 BUSY_LOAD = 3.0
-"""Programs that are ready to run, for each processor, where the system does not tell the share."""
+"""Runnable programs per processor; used where the system does not report the share."""
 
 
 @dataclass(slots=True)
 class Waiting:
-    """What was asked for, and what has come of it.
+    """Progress of waiting for topics.
 
-    Times are of one steady clock, in seconds.
+    Times are on one monotonic clock, in seconds.
 
     Attributes
     ----------
     expected
-        Topics that have to come.
+        Topics that must have data.
     started_s
-        When it began.
+        Start of the waiting.
     asked_s
-        How long to wait from the first sample on; None for ever.
+        How long to wait after the first sample; None for no limit.
     is_busy
-        Whether other programs have kept the computer busy.
+        Whether other programs kept the computer busy.
     is_cut_short
-        Whether it was ended before it was over.
+        Whether it was stopped before the time was over.
     """
 
     expected: Collection[str]
@@ -81,36 +81,36 @@ class Waiting:
     _came_s: dict[str, float] = field(default_factory=dict[str, float])
 
     def came(self, topic: str, now_s: float) -> None:
-        """Take note of the first sample of a topic."""
+        """Record the first sample of a topic."""
         self._came_s.setdefault(topic, now_s)
 
     @property
     def has_begun(self) -> bool:
-        """Whether anything has come."""
+        """Whether any sample was received."""
         return bool(self._came_s)
 
     def has(self, topic: str) -> bool:
-        """Whether a topic has come."""
+        """Whether a topic had data."""
         return topic in self._came_s
 
     @property
     def outstanding(self) -> list[str]:
-        """The topics that have not come."""
+        """The expected topics without data."""
         return [topic for topic in self.expected if topic not in self._came_s]
 
     @property
     def first_limit_s(self) -> float:
-        """How long the first sample of all may take."""
+        """Time limit for the first sample of any topic."""
         return FIRST_SAMPLE_TIMEOUT_S * (MOST_TIMES if self.is_busy else 1)
 
     @property
     def end_s(self) -> float:
-        """When there is nothing more to wait for, as far as is known now."""
+        """End of the waiting, as far as is known now."""
         if not self._came_s:
             return self.started_s + self.first_limit_s
         if self.asked_s is None:
             return inf
-        # Another thread may add to them.
+        # A copy, because another thread may add topics.
         came_s = list(self._came_s.values())
         first_s, newest_s = min(came_s), max(came_s)
         if not self.outstanding:
@@ -121,10 +121,10 @@ class Waiting:
 
 
 class ProcessorWait:
-    """Measures whether this process has to wait for a processor, since its start."""
+    """Measures how long this process has waited for a processor since its start."""
 
     def is_long(self) -> bool:
-        """Whether it waits for most of the time in which it could run."""
+        """Whether it waits for most of its runnable time."""
         share = waiting_share(_schedules())
         if share is None:
             return os.getloadavg()[0] > BUSY_LOAD * (os.cpu_count() or 1)
@@ -137,7 +137,7 @@ def waiting_share(schedules: Iterable[str]) -> float | None:
     Parameters
     ----------
     schedules
-        Linux's ``schedstat`` of each thread: nanoseconds that it ran, and that it waited.
+        Linux's ``schedstat`` of each thread: nanoseconds of running and of waiting.
     """
     ran = waited = 0
     for schedule in schedules:
@@ -158,7 +158,7 @@ def _schedules() -> Iterable[str]:
 REFRESH_S = 1.0
 QUEUE_DEPTH = 1000
 WIDTH = 100
-"""Columns where there is no terminal: in a pipe or a log."""
+"""Width without a terminal: in a pipe or a log."""
 EXIT_MISSING, EXIT_BUSY = 1, 3
 _CLEAR = "\x1b[H\x1b[J"
 _HEADINGS = ("topic", "type", "Hz", "nominal", "last value", "age s", "lost")
@@ -171,7 +171,7 @@ _LEAST_VALUE, _LEAST_TOPIC = 12, 20
 
 @dataclass(slots=True)
 class Row:
-    """What was received on one topic.
+    """The data received on one topic.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class Row:
     meter: RateMeter = field(default_factory=RateMeter)
 
     def cells(self) -> tuple[str, ...]:
-        """Text of each column."""
+        """Return the text of each column."""
         age = f"{monotonic() - self.newest:.1f}" if self.received else "-"
         nominal = float(self.facts.get("rate_nominal", 0))
         if self.topic.endswith("_chunk") and self.received:
@@ -210,12 +210,12 @@ class LiveTable(Node):
     def __init__(self, waiting: Waiting) -> None:
         super().__init__("biosensor_live_table")
         self._waiting = waiting
-        # An executor of rclpy is too slow for so many topics: it would show wrong rates.
+        # rclpy's executor is too slow for so many topics and would show wrong rates.
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
         self.rows: dict[str, Row] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_facts, 10)
-        # By the node's own clock it would rest for as long as that is set back.
+        # With the node's own clock the timer would stop for as long as that is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.5, self._subscribe, clock=steady)
 
@@ -233,7 +233,7 @@ class LiveTable(Node):
             self._taker.add(subscription, partial(self._take, row))
 
     def _profile(self, topic: str) -> QoSProfile:
-        # A state that was published before is shown, too; who offers none would not be heard so.
+        # Transient local shows states published before, but does not match volatile publishers.
         offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
         is_latched = offers and all(
             each.durability is DurabilityPolicy.TRANSIENT_LOCAL for each in offers
@@ -242,7 +242,7 @@ class LiveTable(Node):
         return QoSProfile(depth=QUEUE_DEPTH, durability=durability)
 
     def stop(self) -> None:
-        """Take what has come, and nothing more."""
+        """Take the messages received so far, and stop."""
         self._taker.stop()
 
     def _fail(self, subscription: Subscription, error: Exception) -> None:
@@ -267,7 +267,7 @@ class LiveTable(Node):
 
 
 def _shown(message: Any, unit: str) -> str:  # noqa: ANN401 - any message
-    """Last value with its unit; of several the first three, of a chunk its size."""
+    """Format the last value with its unit; the first three of several; the size of a chunk."""
     if message is None:
         return "-"
     data = getattr(message, "data", None)
@@ -282,7 +282,7 @@ def _shown(message: Any, unit: str) -> str:  # noqa: ANN401 - any message
 
 
 def render(rows: Sequence[Row], width: int | None = None) -> str:
-    """Format the table, a line a topic, so that it fits the width of the terminal."""
+    """Format the table, one line per topic, to fit the width of the terminal."""
     cells = [_HEADINGS, *(row.cells() for row in sorted(rows, key=lambda row: row.topic))]
     lines = fitted(cells, width or WIDTH)
     sizes = widths(lines)
@@ -293,14 +293,14 @@ def render(rows: Sequence[Row], width: int | None = None) -> str:
 
 
 def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str], int]:
-    """Say which topics had no data, and why; return the lines and the exit code.
+    """Return lines about the topics without data, with reasons, and the exit code.
 
     Parameters
     ----------
     waiting
-        What has come.
+        Progress of the topics.
     reasons
-        By topic, why it was not expected; empty if it was.
+        Reason why a topic was not expected, by topic; empty if it was.
     """
     lines = [
         f"{topic}: not expected, {reason}"
@@ -308,13 +308,13 @@ def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str]
         if reason and not waiting.has(topic)
     ]
     outstanding = waiting.outstanding
-    # Nothing shows there what is late and what is broken.
+    # On a busy computer a late topic cannot be distinguished from a broken one.
     word = "not yet" if waiting.is_busy or waiting.is_cut_short else "MISSING"
     lines += [f"{topic}: {word}" for topic in outstanding]
     if waiting.is_busy and outstanding and not waiting.is_cut_short:
         late = "1 topic has" if len(outstanding) == 1 else f"{len(outstanding)} topics have"
         lines.append(f"this computer is too busy: {late} not come yet")
-    # Without a time to fill up in, nothing can be said to be missing.
+    # Without a time limit no topic counts as missing.
     if waiting.asked_s is None or not outstanding:
         return lines, 0
     is_late = waiting.is_busy and not waiting.is_cut_short
@@ -322,7 +322,7 @@ def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str]
 
 
 def main() -> None:
-    """Show the table until SIGINT or for a time; see the module for the exit codes."""
+    """Show the table until SIGINT or a time limit; see the module for the exit codes."""
     raise_limit()
     parser = argparse.ArgumentParser(description="A live table of all biosensor topics.")
     parser.add_argument("--seconds", type=float, help="counted from the first sample")
@@ -363,7 +363,7 @@ def _spin(node: LiveTable, waiting: Waiting, stopping: threading.Event) -> None:
         if now - shown >= REFRESH_S:
             shown = now
             waiting.is_busy |= processor.is_long()
-            # Rendered in any case: the rates are measured from one look to the next.
+            # Rendered also without a terminal, because rates are measured between two renderings.
             table = render(list(node.rows.values()), columns(sys.stdout))
             if sys.stdout.isatty():
                 sys.stdout.write(f"{_CLEAR}{table}\n")
@@ -384,10 +384,10 @@ def _conclude(node: LiveTable, waiting: Waiting, reasons: Mapping[str, str]) -> 
 
 
 def fitted(lines: Sequence[Line], width: int) -> Sequence[Line]:
-    """Return the lines of a table, the headings first, so that they fit.
+    """Shorten the lines of a table, headings first, to fit a width.
 
-    What all topics begin with goes to the heading, types become short, then values; names
-    come last. Where the table fits, nothing changes.
+    A prefix of all topics moves to the heading; then types, values and at last names are
+    shortened. A table that fits is not changed.
     """
     if _total(lines) <= width:
         return lines
@@ -398,7 +398,7 @@ def fitted(lines: Sequence[Line], width: int) -> Sequence[Line]:
 
 
 def widths(lines: Sequence[Line]) -> list[int]:
-    """Return how wide each column is."""
+    """Return the width of each column."""
     return [max(map(len, column)) for column in zip(*lines, strict=True)]
 
 
@@ -428,7 +428,7 @@ def _narrowed(
 
 
 def _short_value(text: str, width: int) -> str:
-    """Keep the unit of a number, and the beginning of a text."""
+    """Shorten a value, keeping the unit of a number and the beginning of a text."""
     if len(text) <= width:
         return text
     words = text.split(" ")

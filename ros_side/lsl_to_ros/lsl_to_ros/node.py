@@ -18,7 +18,7 @@ def main() -> None:
     liblsl.provide(os.environ)
     with liblsl.needed_by("lsl_to_ros"):
         settle("lsl_to_ros", sys.argv[1:], _usage)
-        # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
+        # Imported only now: ROS's libraries start threads at import, and the arenas of these stay.
         import_module("lsl_to_ros.application").run()
 
 

@@ -33,22 +33,22 @@ def run(program: str, make: Make) -> None:
     Parameters
     ----------
     program
-        Its name, for the console.
+        Name for console messages.
     make
-        Makes the node, when ROS is there, and returns it with what ends it. The event ends the
-        program, and so does an EOFError at once.
+        Makes the node after ROS is initialised; returns it and the function that stops it. Setting
+        the event ends the program, and an EOFError ends it at once.
     """
     if sys.stderr.isatty():
-        # rcutils asks at each line whether it writes to a terminal, and will find a pipe.
+        # rcutils checks at each line whether stderr is a terminal, and the relay makes it a pipe.
         os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
-    # Behind the relay nothing is a terminal any more.
+    # Checked here, because behind the relay nothing is a terminal.
     width = columns(sys.stderr)
 
     def refuse(sentence: str) -> NoReturn:
         sys.stderr.write(f"{wrapped(f'{program}: {sentence}', width)}\n")
         raise SystemExit(2)
 
-    # rclpy holds the GIL while it logs, so a held console would stop every thread.
+    # rclpy holds the GIL while it logs, so a blocked console would stop every thread.
     with console_relayed():
         _spin(make, refuse)
 
@@ -59,11 +59,11 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
     ros_environment.configure_fast_dds(
         os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation()
     )
-    # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
+    # Own signal handlers: rclpy's end spin with an exception that ros2 run shows as a failure.
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        # rcl's own, which has no class that could be imported.
+        # rcl's error has no class that could be imported.
         reason = str(error).split(", at ")[0].splitlines()[0]
         refuse(f"what stands behind --ros-args cannot be read: {reason}")
     stopping = threading.Event()
@@ -78,7 +78,7 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
     try:
         node, end = make(stopping)
     except EOFError:
-        # Who has started this process is gone already.
+        # The parent process is gone already.
         return
     except ConfigError as error:
         refuse(str(error))

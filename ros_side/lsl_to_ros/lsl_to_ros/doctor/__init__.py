@@ -1,7 +1,7 @@
-"""Finds what is wrong on this ROS computer, and says how to fix it.
+"""Finds problems of this ROS computer and how to fix them.
 
-The list of checks and those that any computer with LSL can run are in `biosensor_common.doctor`;
-that of ROS is here (`dds`). ``ros2 doctor`` shows what they find (`ros2_doctor`), and so does
+The list of checks, and the checks for any computer with LSL, are in `biosensor_common.doctor`; the
+check of ROS is here (`dds`). ``ros2 doctor`` shows the findings (`ros2_doctor`), and so does
 ``python3 -m lsl_to_ros.doctor``, which needs no ros2doctor.
 """
 
@@ -15,7 +15,7 @@ _BY_COLCON, _BY_PIP = "lsl_to_ros", "biosensor-gateway"
 
 
 def _distribution() -> str:
-    """Return what the node came with: its own package of ROS, or the wheel of everything."""
+    """Return the distribution of the node: its ROS package, or the wheel with all packages."""
     try:
         distribution(_BY_COLCON)
     except PackageNotFoundError:

@@ -17,7 +17,7 @@ from lsl_to_ros.doctor import GUIDE
 
 
 def main() -> int:
-    """Say what is wrong; the exit code is 1 if there are errors."""
+    """Run the checks and print their findings; the exit code is 1 if there are errors."""
     raise_limit()
     liblsl.provide(os.environ)
     parser = argparse.ArgumentParser("python3 -m lsl_to_ros.doctor", description=__doc__)

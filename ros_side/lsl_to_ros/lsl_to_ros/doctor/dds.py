@@ -1,6 +1,6 @@
-"""Checks the variables of DDS, that nodes here find each other, and that one lsl_to_ros runs.
+"""Checks the DDS variables, that local nodes find each other, and that one lsl_to_ros runs.
 
-Both nodes of the test are real ones in processes of their own, as any two nodes are. The
+The test uses two real nodes in separate processes, as any two nodes are. The
 variables are those of ROS 2 Jazzy; https://docs.ros.org/en/jazzy/Tutorials/Advanced/
 Improved-Dynamic-Discovery.html. What ROS does with values that are wrong was measured
 with rclpy 7.1 and Fast DDS 2.14.
@@ -30,19 +30,19 @@ _SAFE_ON_LINUX = (range(102), range(215, MAX_DOMAIN + 1))
 _FAST_DDS = "rmw_fastrtps"
 _SHELL = "in this shell and where it is set, ~/.bashrc for instance"
 SEARCH_S = 7.0
-# Nodes that are there already announce themselves every 3 s.
+# Existing nodes announce themselves every 3 s.
 SETTLE_S = 3.5
 _LIMIT_S = 14.0
 _NODE = "lsl_to_ros"
-# Of the RTPS standard: base, and ports of a domain.
+# Ports of the RTPS standard: base, and ports per domain.
 _FIRST_PORT, _PORTS_A_DOMAIN = 7400, 250
 _LAUNCH = "ros2 launch lsl_to_ros lsl_to_ros.launch.py"
 
 
 def dds(_context: Context) -> Iterator[Finding]:
-    """Look at the environment, then start a node and look for it."""
+    """Check the environment, then start a node and search for it."""
     if find_spec("rclpy") is None:
-        # Not a computer of ROS, or its setup file was not sourced: versions says so.
+        # Without ROS, or before its setup file is sourced; the check versions reports that.
         return
     yield from judge_environment(os.environ)
     name = f"_biosensor_doctor_{uuid.uuid4().hex}"
@@ -61,12 +61,12 @@ def dds(_context: Context) -> Iterator[Finding]:
             return
     yield _found(graph["found"], graph["seconds"], graph["middleware"])
     if graph["found"]:
-        # Else an empty graph says nothing.
+        # If nodes do not find each other, an empty graph means nothing.
         yield judge_nodes(graph["nodes"])
 
 
 def judge_nodes(nodes: Sequence[str]) -> Finding:
-    """Judge the nodes of the graph, by their full names."""
+    """Check the nodes of the graph, by their full names."""
     ours = Counter(each for each in nodes if each.rpartition("/")[2] == _NODE)
     repeated = {name: count for name, count in ours.items() if count > 1}
     number = domain(os.environ)
@@ -113,7 +113,7 @@ def _no_node(problem: ProbeError) -> Finding:
 
 
 def judge_environment(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Judge every variable."""
+    """Check every variable."""
     yield _domain(environment.get(DOMAIN, ""))
     only_here = environment.get(LOCALHOST_ONLY, "")
     if only_here:
@@ -128,7 +128,7 @@ def judge_environment(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def domain(environment: Mapping[str, str]) -> int:
-    """Return the domain that ROS takes, 0 also for one that cannot be."""
+    """Return the domain that ROS uses; 0 also for an invalid value."""
     text = environment.get(DOMAIN, "")
     return int(text) if text.isdecimal() and int(text) <= MAX_DOMAIN else 0
 

@@ -1,10 +1,10 @@
-"""The other process of the check of DDS: a node that is there, or one that looks for it.
+"""The processes of the DDS check: a node that is searched for, and one that searches.
 
     {"role": "look", "name": "_doctor_5f", "search_s": 5, "settle_s": 2}
     {"found": true, "seconds": 0.4, "middleware": "rmw_fastrtps_cpp", "nodes": ["/lsl_to_ros"]}
 
-A ROS context, and the libraries that are loaded for it, belong to a process for good; and
-the middleware may end the process whose environment it does not like.
+A ROS context and its libraries cannot be unloaded from a process, and the middleware may end a
+process with an invalid environment.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ from lsl_to_ros import ros_environment
 from lsl_to_ros.ros_environment import ensure_log_folder
 
 PREFIX = "_biosensor_doctor_"
-"""Of the names of these nodes; ROS's tools do not list what begins with an underscore."""
+"""Prefix of the nodes' names; ROS tools do not list names with a leading underscore."""
 _POLL_S = 0.05
 
 
 def main() -> None:
-    """Do what stdin says."""
+    """Run the request from stdin."""
     signal.signal(signal.SIGTERM, _leave)
     serve({"stay": _stay, "look": _look})
 
 
 def _leave(_number: int, _frame: FrameType | None) -> None:
-    # Through the contexts, so that the node takes its leave.
+    # Exits through the context managers, so that the node announces its end.
     sys.exit(0)
 
 
 def _stay(request: Request) -> None:
-    """Be a node until this process is ended."""
+    """Run a node until this process is ended."""
     with _node(request["name"]):
         answer({"open": True})
         time.sleep(request["life_s"])
 
 
 def _look(request: Request) -> None:
-    """Look for a node, and at all others until none has come for a while."""
+    """Search for a node, and list all others until no new one has appeared for a while."""
     search_s, settle_s = request["search_s"], request["settle_s"]
     with _node(f"{PREFIX}{uuid.uuid4().hex}") as node:
         begun = time.monotonic()
@@ -79,7 +79,7 @@ def _look(request: Request) -> None:
 
 @contextmanager
 def _node(name: str) -> Generator[Any]:
-    # As the node itself starts, so that what holds for it holds here.
+    # Starts like the node itself, so that the result is valid for it.
     middleware = get_rmw_implementation_identifier()
     ros_environment.configure_fast_dds(
         os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation()
@@ -93,7 +93,7 @@ def _node(name: str) -> Generator[Any]:
         finally:
             node.destroy_node()
     finally:
-        # Who only vanishes is listed by others for many seconds.
+        # Other nodes list a node that vanishes without notice for many seconds.
         rclpy.try_shutdown()
 
 

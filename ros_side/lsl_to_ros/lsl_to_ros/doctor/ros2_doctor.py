@@ -1,10 +1,10 @@
-"""The checks of the node's computer inside ``ros2 doctor``, where ros2doctor is installed.
+"""Runs the checks of the node's computer inside ``ros2 doctor``, if ros2doctor is installed.
 
 ros2doctor finds the two classes by the entry points ``ros2doctor.checks`` and
 ``ros2doctor.report`` and calls ``category`` and ``check`` or ``report`` of an instance
-(https://github.com/ros2/ros2cli/blob/jazzy/ros2doctor/ros2doctor/api/__init__.py). It asks
-for these methods, not for its own base classes; so nothing of it is needed to import this
-module, and its results and its way of showing text are fetched when they are wanted.
+(https://github.com/ros2/ros2cli/blob/jazzy/ros2doctor/ros2doctor/api/__init__.py). It requires
+these methods, not its own base classes. So this module can be imported without ros2doctor, whose
+result and report classes are imported when they are needed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _API, _FORMAT = "ros2doctor.api", "ros2doctor.api.format"
 
 
 class Result(Protocol):
-    """ros2doctor's counters of what is wrong."""
+    """ros2doctor's counters of errors and warnings."""
 
     def add_error(self) -> None:
         """Count an error."""
@@ -37,7 +37,7 @@ class Result(Protocol):
 
 
 class Items(Protocol):
-    """ros2doctor's report: lines with a name each."""
+    """ros2doctor's report: named lines."""
 
     def add_to_report(self, item_name: str, item_info: str) -> None:
         """Add a line."""
@@ -45,14 +45,14 @@ class Items(Protocol):
 
 
 class BiosensorCheck:
-    """Counts and shows the errors and warnings."""
+    """Counts and prints the errors and warnings."""
 
     def category(self) -> str:
-        """Return what links it with the report."""
+        """Return the category, which links the check with the report."""
         return CATEGORY
 
     def check(self) -> Result:
-        """Run all checks; what one of them fails with is a warning of its own."""
+        """Run all checks; a check that fails counts as a warning."""
         result = cast("Result", import_module(_API).Result())
         form = import_module(_FORMAT)
         for finding in examined().findings:
@@ -66,10 +66,10 @@ class BiosensorCheck:
 
 
 class BiosensorReport:
-    """Shows all findings, what is right and what is good to know among them."""
+    """Reports all findings, including those that are OK."""
 
     def category(self) -> str:
-        """Return what links it with the check."""
+        """Return the category, which links the report with the check."""
         return CATEGORY
 
     def report(self) -> Items:
@@ -82,12 +82,12 @@ class BiosensorReport:
 
 @cache
 def examined() -> Report:
-    """Run the checks; once, though ``--report-failed`` asks for check and report."""
+    """Run the checks once, although ``--report-failed`` requests both check and report."""
     return run_checks(CHECKS, Context(guide=GUIDE))
 
 
 def as_text(finding: Finding) -> str:
-    """Return what was found, why it matters and the remedy, which may have several lines."""
+    """Format a finding: what was found, why it matters, and the fix, possibly in several lines."""
     lines = [f"{finding.check}: {printable(finding.what)}"]
     if finding.why:
         lines.append(f"    why: {printable(finding.why)}")

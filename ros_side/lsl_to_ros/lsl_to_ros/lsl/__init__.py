@@ -1,1 +1,1 @@
-"""Finds streams in the Lab Streaming Layer and reads them."""
+"""Finds and reads streams of the Lab Streaming Layer."""

@@ -1,4 +1,4 @@
-"""Takes samples out of an inlet, and hands them to whoever wants them at that time."""
+"""Pulls samples from an inlet and delivers them to its present receiver."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pylsl
 
 from biosensor_common.lsl.inlet import Block, Puller
 
-# How long a blocked pull keeps its thread from noticing that it should end.
+# Longest blocking pull, after which the thread checks whether it should end.
 PULL_TIMEOUT_S = 0.2
-# A receiver that is full is looked at again after so long.
+# Pause until a receiver that was full is checked again.
 ROOM_S = 0.01
 BATCH_SAMPLES = 1024
 
@@ -21,7 +21,7 @@ Condition = Callable[[], bool]
 
 
 class Receiver(Protocol):
-    """Who gets an inlet's samples; its methods are never called at the same time."""
+    """Receives an inlet's samples; its methods are never called concurrently."""
 
     @property
     def wants_each_sample(self) -> bool:
@@ -30,19 +30,19 @@ class Receiver(Protocol):
 
     @property
     def is_full(self) -> bool:
-        """Whether it still has so much to do that samples should stay in LSL's buffer."""
+        """Whether it has such a backlog that samples should stay in LSL's buffer."""
         ...
 
     def receive(self, block: Block) -> None:
-        """Take samples with their stamps on the sender's LSL clock."""
+        """Process samples with their stamps on the sender's LSL clock."""
         ...
 
     def clock_known(self) -> None:
-        """Take note that the sender's clock has been measured."""
+        """Handle that the sender's clock has been measured."""
         ...
 
     def end(self, undelivered: int) -> None:
-        """Take note that no further sample comes, and how many LSL dropped at the end."""
+        """Handle the end of the stream; LSL dropped *undelivered* samples."""
         ...
 
 
@@ -52,19 +52,19 @@ class Delivery:
     Attributes
     ----------
     heard_s
-        Monotonic time at which something came last, 0 before.
+        Monotonic time of the latest samples, 0 before.
     """
 
     def __init__(self) -> None:
         self.heard_s = 0.0
         self._receiver: Receiver | None = None
-        # Held while the receiver is called: its publishers may be destroyed as soon as it is
-        # replaced.
+        # Held while the receiver is called, because its publishers may be destroyed as soon as
+        # it is replaced.
         self._lock = threading.Lock()
 
     @property
     def has_receiver(self) -> bool:
-        """Whether anybody gets what comes."""
+        """Whether there is a receiver."""
         return self._receiver is not None
 
     @property
@@ -75,12 +75,12 @@ class Delivery:
 
     @property
     def has_room(self) -> bool:
-        """Whether the receiver should get more; without one, nothing keeps it from being read."""
+        """Whether the receiver can take more; without a receiver the inlet can always be read."""
         receiver = self._receiver
         return receiver is None or not receiver.is_full
 
     def begin(self, receiver: Receiver, *, is_clock_known: bool) -> None:
-        """Deliver to this receiver from now on; the previous one gets nothing more."""
+        """Deliver to this receiver from now on, and no longer to the previous one."""
         with self._lock:
             if self._receiver is not None:
                 self._receiver.end(0)
@@ -96,18 +96,18 @@ class Delivery:
                 self._receiver.receive(block)
 
     def clock_known(self) -> None:
-        """Tell the receiver that the sender's clock has been measured."""
+        """Notify the receiver that the sender's clock has been measured."""
         with self._lock:
             if self._receiver is not None:
                 self._receiver.clock_known()
 
     def end(self, undelivered: int = 0) -> None:
-        """Tell the receiver that nothing more comes, and how many samples LSL dropped."""
+        """Notify the receiver of the stream's end, and of how many samples LSL dropped."""
         with self._lock:
             self._end(undelivered)
 
     def end_unless_heard(self, since_s: float) -> bool:
-        """End, unless something was delivered after that monotonic time; return whether it has."""
+        """End the delivery unless samples came after a monotonic time; return whether it ended."""
         with self._lock:
             if self.heard_s > since_s:
                 return False
@@ -121,7 +121,7 @@ class Delivery:
 
 
 class Reading:
-    """Takes samples out of an inlet and delivers them; one thread at a time may call it.
+    """Pulls samples from an inlet and delivers them; for one thread at a time.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Reading:
     Attributes
     ----------
     lsl
-        As it was given.
+        The inlet.
     """
 
     def __init__(self, lsl: pylsl.StreamInlet, delivery: Delivery) -> None:
@@ -141,11 +141,11 @@ class Reading:
 
     @property
     def waiting(self) -> int:
-        """Samples that have come and that nobody has taken yet."""
+        """Number of samples in the inlet's buffer."""
         return self._puller.waiting
 
     def drain(self, is_to_go_on: Condition) -> None:
-        """Deliver what has come, without waiting, for as long as that is wanted.
+        """Deliver all buffered samples without waiting, while *is_to_go_on* returns true.
 
         Raises
         ------
@@ -161,9 +161,9 @@ class Reading:
                 return  # nothing is dropped: all that had come is delivered
 
     def follow(self, is_to_go_on: Condition) -> None:
-        """Deliver each sample as it comes, for as long as that is wanted.
+        """Deliver each sample as it arrives, while *is_to_go_on* returns true.
 
-        What came in one packet belongs into one message where there is such.
+        Samples of one packet are delivered together, because they share a stamped message.
 
         Raises
         ------

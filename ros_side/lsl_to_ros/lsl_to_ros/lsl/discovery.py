@@ -1,4 +1,4 @@
-"""Finds streams, and opens one inlet for each."""
+"""Finds streams and opens an inlet for each of them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState, about
 
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
-# An outlet that is reported for longer after another took its place is alive.
+# An outlet that is still reported after this time is alive, although another has replaced it.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
 # So long an outlet waits until it is known whether another one that claims to be the same lives.
@@ -39,24 +39,24 @@ _ROS_BLOCK = "desc/ros"
 
 
 def wanted_by(query: str) -> Predicate:
-    """Return what a user asks for; all streams of an empty query."""
+    """Return the predicate of a user's query; an empty query selects all streams."""
     return of_user(query) if query else EVERYTHING
 
 
 def asks_for_ros(predicate: Predicate) -> bool:
-    """Whether a predicate asks for streams that are made of topics."""
+    """Whether a predicate selects streams made from topics."""
     return _ROS_BLOCK in predicate
 
 
 def network_of(predicate: Predicate) -> Network:
-    """Look for what a predicate names, and for the counts of losses of all agents."""
+    """Track the streams of a predicate and the counters of all agents."""
     served = predicate if asks_for_ros(predicate) else all_of(predicate, none_of(FROM_ROS))
     counters = equals("type", ContentType.COUNTERS)
     return Network(any_of(served, counters))
 
 
 class FileRoom:
-    """Remembers which streams found no room, until they do or are gone."""
+    """Remembers which streams exceeded the limit of open files, until they fit or are gone."""
 
     def __init__(self, refusals: Refusals) -> None:
         self._refusals = refusals
@@ -68,7 +68,7 @@ class FileRoom:
         return [name for name, _ in self._names.values()]
 
     def has_room(self, info: pylsl.StreamInfo, opening: int) -> bool:
-        """Whether a stream fits beside so many that are being opened."""
+        """Whether a stream fits in addition to those that are being opened."""
         if process_limits.has_room((1 + opening) * process_limits.INLET):
             self._forget(info.uid())
             return True
@@ -79,7 +79,7 @@ class FileRoom:
         return False
 
     def forget_all_but(self, known: Collection[str]) -> None:
-        """Forget streams that are gone; *known* are the uids of the others."""
+        """Forget streams that are gone; *known* are the uids of the present ones."""
         for uid in [uid for uid in self._names if uid not in known]:
             self._forget(uid)
 
@@ -89,25 +89,25 @@ class FileRoom:
 
 
 class Discovery:
-    """Keeps one inlet for each stream on the network that the predicate asks for.
+    """Keeps one inlet for each stream on the network that the predicate selects.
 
-    The agents' counts of losses are kept whatever it asks for: they are of all streams. Streams
-    that ``ros_to_lsl`` makes of topics are left out, unless the predicate itself asks for
-    ``desc/ros``: they would go round in a circle.
+    The agents' counters are always received, because they cover all streams. Streams that
+    ``ros_to_lsl`` makes from topics are left out, unless the predicate itself names
+    ``desc/ros``: they would loop back into ROS.
 
-    An inlet is given up when its stream is lost or comes back under the same
-    source_id, never because the resolver stopped seeing it: a cut network heals
-    by itself, with its backlog. Where it does not within some seconds after the
+    An inlet is closed when its stream is lost or comes back under the same
+    source_id, never because the resolver stopped seeing it: after a network cut it
+    continues by itself, with its backlog. Where it does not within some seconds after the
     resolver sees the stream again, a second inlet is opened, and the first that
     brings something stays (:class:`~lsl_to_ros.lsl.duplicates.Duplicates`).
 
-    Several live senders of other programs that claim to be one stream all get an inlet, and
-    their streams are numbered. Of ours the later one is taken: a device is in one place.
+    Several live senders of other programs with the same identity all get an inlet, and their
+    streams are numbered. Of our own streams the latest one is taken: a device exists once.
 
     Attributes
     ----------
     refusals
-        What is left out, or not what it seems.
+        Streams that are left out or may be confused.
     """
 
     def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
@@ -134,7 +134,7 @@ class Discovery:
 
     @property
     def refused(self) -> int:
-        """How many of the present streams cannot be used."""
+        """Number of present streams that cannot be used."""
         return len(self._refused)
 
     @property
@@ -143,12 +143,12 @@ class Discovery:
         return self._room.crowded_out
 
     def twins(self, inlet: Inlet) -> list[str]:
-        """Return the computers of live senders that are left out because they claim to be this."""
+        """Return the computers of live senders that are left out as duplicates of this stream."""
         found = [info for info in self._twins.values() if inlet.continues_as(info)]
         return sorted(info.hostname() for info in found)
 
     def senders(self, inlet: Inlet) -> list[str]:
-        """Return the computers of all senders that are served and claim to be one stream."""
+        """Return the computers of all served senders with this stream's identity."""
         others = [other for other in self.inlets if other.continues_as(inlet.info)]
         return sorted(other.info.hostname() for other in others) if len(others) > 1 else []
 
@@ -218,7 +218,7 @@ class Discovery:
         return ended
 
     def _swaps(self, ended: list[Inlet], found: Mapping[str, pylsl.StreamInfo]) -> list[Swap]:
-        """Return who takes the place of inlets that have ended or are given up."""
+        """Return the replacements of inlets that have ended or are closed."""
         followed = [Swap(old, new) for old in ended if (new := self._duplicates.successor(old))]
         present = {uid: inlet for uid, inlet in self._inlets.items() if inlet not in ended}
         return followed + self._duplicates.look(present, found)
@@ -233,7 +233,7 @@ class Discovery:
         return is_meant and inlet.matches(self._predicate)
 
     def _admit(self, info: pylsl.StreamInfo, found: Collection[str]) -> list[Inlet]:
-        """Open an inlet if it is time; return those that it replaces."""
+        """Open an inlet once the stream may be served; return the inlets that it replaces."""
         before = [other for other in self.inlets if other.continues_as(info)]
         waited_s = monotonic() - self._seen_s.setdefault(info.uid(), monotonic())
         is_opening = any(other.state is InletState.OPENING for other in before)
@@ -247,7 +247,7 @@ class Discovery:
         return self._open(info, live, [other for other in before if other not in live])
 
     def _is_alive(self, info: pylsl.StreamInfo) -> bool:
-        """Whether an outlet that another one seemed to follow is still reported."""
+        """Whether an outlet is still reported although another one seemed to replace it."""
         return monotonic() - self._left_out[info.uid()] > ALIVE_AFTER_S
 
     def _open(
@@ -268,11 +268,11 @@ class Discovery:
         return replaced
 
     def _has_room(self, info: pylsl.StreamInfo) -> bool:
-        """Whether an inlet fits beside those that are there and those that are being opened."""
+        """Whether an inlet fits in addition to open ones and those that are being opened."""
         opening = sum(each.state is InletState.OPENING for each in self.inlets)
         has_room = self._room.has_room(info, opening)
         if not has_room:
-            # Those that open have some files already; there may be room when they have all.
+            # Inlets that are being opened have only some of their files; it is tried again later.
             self._not_before[info.uid()] = monotonic() + (RETRY_S if opening else RETRY_FAILED_S)
         return has_room
 
@@ -282,10 +282,10 @@ class Discovery:
         return monotonic() >= self._not_before.get(uid, 0.0)
 
     def _is_superseded(self, info: pylsl.StreamInfo) -> bool:
-        """Whether an outlet that appeared later took the place of this one.
+        """Whether an outlet that appeared later replaces this one.
 
-        The earlier one is dead and still reported; or both live and share a source_id,
-        where attaching to them in turn would lose samples of both.
+        Either the earlier one has ended and is still reported, or both are alive with one
+        source_id; attaching to them in turn would then lose samples of both.
         """
         uid = info.uid()
         later = [inlet for inlet in self.inlets if self._order[inlet.uid] > self._order[uid]]
@@ -295,7 +295,7 @@ class Discovery:
         return True
 
     def _tell_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
-        """Report live outlets that are left out because a later one claims to be that stream."""
+        """Report live outlets that are left out because a later one has the same identity."""
         for uid, since in self._left_out.items():
             if monotonic() - since > ALIVE_AFTER_S and uid not in self._twins:
                 self._twins[uid] = found[uid]
@@ -322,7 +322,7 @@ class Discovery:
 
 
 def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
-    """Whether it says what a node says of itself, which ROS knows already, or did once."""
+    """Whether it is a node's own stream, live or replayed, whose content is in ROS already."""
     if info.type() != ContentType.MARKERS:
         return False
     name = info.name()
@@ -330,6 +330,6 @@ def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
 
 
 def _is_of_another(inlet: Inlet) -> bool:
-    """Whether a stream that is served is another program's, and not lost."""
+    """Whether an inlet's stream is another program's, and not lost."""
     is_foreign = inlet.header is None or inlet.header.foreign
     return inlet.state is InletState.READY and is_foreign

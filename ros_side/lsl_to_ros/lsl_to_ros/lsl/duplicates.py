@@ -1,9 +1,9 @@
-"""Opens second inlets for streams that are seen again and not heard.
+"""Opens second inlets for streams that the resolver sees again but that send nothing.
 
-A cut network heals by itself, with its backlog, unless the cut was so long that TCP's next
-try is far away; then only a new connection helps, and the backlog is lost. A sender that
-was merely starved of time looks the same, but goes on where it was. So both inlets stay
-open, and the first that brings something wins.
+After a network cut a connection continues with its backlog, unless the cut was so long that TCP's
+next retry is far away; then only a new connection helps, and the backlog is lost. A sender that
+only got no processor time looks the same, but continues where it stopped. So both inlets stay
+open, and the first one that receives samples wins.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from biosensor_common.errors import SpecError
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 
-# After a cut, TCP sends again after 6.3 s or 12.7 s, with all that it kept; the tries
-# after that are so far apart that a stream which is seen again is not waited for.
+# After a cut, TCP retries after 6.3 s or 12.7 s, with its backlog; the later retries are too
+# far apart to wait for them once the stream is seen again.
 PATIENCE_S = 14.0
 SEEN_AGAIN_S = 4.0
-# A sender that has just got time again may serve the new connection first.
+# A sender that continues may serve the new connection first.
 GRACE_S = 1.0
 
 
 class Swap(NamedTuple):
-    """An inlet that is given up, and the one that takes its place."""
+    """An inlet that is closed, and the one that replaces it."""
 
     old: Inlet
     new: Inlet
@@ -42,26 +42,26 @@ class _Duplicate:
 
     @property
     def has_won(self) -> bool:
-        """Whether it has had samples for a while."""
+        """Whether it has received samples for a while."""
         if self.filled_s is None and self.inlet.waiting:
             self.filled_s = monotonic()
         return self.filled_s is not None and monotonic() - self.filled_s > GRACE_S
 
     def is_behind(self, old: Inlet) -> bool:
-        """Whether it is of no use: it has failed, or the other inlet was heard meanwhile."""
+        """Whether it is useless: it has failed, or the other inlet received samples meanwhile."""
         is_well = self.inlet.state in (InletState.OPENING, InletState.READY)
         return not is_well or old.heard_s > self.opened_s
 
 
 class Duplicates:
-    """Keeps the second inlets.
+    """Manages the second inlets.
 
     Parameters
     ----------
     warn
-        Called with a sentence when one is opened.
+        Called with a sentence when a second inlet is opened.
     refusals
-        For the inlets.
+        Passed on to the inlets.
     """
 
     def __init__(self, warn: Callable[[str], None], refusals: Refusals) -> None:
@@ -73,12 +73,12 @@ class Duplicates:
     def look(
         self, inlets: Mapping[str, Inlet], found: Mapping[str, pylsl.StreamInfo]
     ) -> list[Swap]:
-        """Open and close second inlets; return those that have won.
+        """Open and close second inlets; return the swaps with those that have won.
 
         Parameters
         ----------
         inlets, found
-            The present inlets, and what the resolver sees, by uid.
+            The present inlets, and the resolver's streams, by uid.
         """
         self._note_seen(inlets, found)
         for inlet in self._stranded(inlets):
@@ -87,7 +87,7 @@ class Duplicates:
         return [swap for uid in list(self._duplicates) if (swap := self._settle(inlets[uid]))]
 
     def successor(self, ended: Inlet) -> Inlet | None:
-        """Return the second inlet of a stream whose first one has ended, if it has one."""
+        """Return the second inlet of a stream whose first one has ended, if there is one."""
         duplicate = self._duplicates.get(ended.uid)
         if duplicate is None:
             return None  # nothing is dropped: it has none
@@ -97,7 +97,7 @@ class Duplicates:
         return self._swapped(ended).new
 
     def close(self, uid: str) -> None:
-        """Close the second inlet of a stream, if it has one."""
+        """Close the second inlet of a stream, if there is one."""
         duplicate = self._duplicates.pop(uid, None)
         if duplicate is not None:
             duplicate.inlet.stop()
@@ -122,7 +122,7 @@ class Duplicates:
                 self._seen_again[uid] = monotonic()
 
     def _stranded(self, inlets: Mapping[str, Inlet]) -> list[Inlet]:
-        """Return the inlets whose stream is seen again, and is not heard."""
+        """Return the inlets whose stream is seen again but sends nothing."""
         now = monotonic()
         silent = [
             inlet
@@ -130,7 +130,7 @@ class Duplicates:
             if now - self._seen_again.get(uid, now) > SEEN_AGAIN_S
             and now - inlet.heard_s > PATIENCE_S
         ]
-        # What is irregular may have nothing to say; it goes with its computer's other streams.
+        # An irregular stream may have nothing to send, so its computer's other streams decide.
         hosts = {inlet.core.hostname for inlet in silent if inlet.core.rate > 0 < inlet.heard_s}
         return [inlet for inlet in silent if inlet.core.hostname in hosts]
 

@@ -1,8 +1,8 @@
-"""Notices computers with an agent that have fallen silent.
+"""Detects computers with an agent that have fallen silent.
 
-An agent says something at least once a second: its counters. A computer from which
-nothing at all comes for longer is cut off, or its agent stands still; no single
-stream tells as soon, for a device may have nothing to say.
+An agent sends its counters once a second. If nothing at all comes from its computer for
+longer, the network is cut or the agent hangs. A single stream cannot show this as early,
+because a device may have nothing to send.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from time import monotonic
 from biosensor_common.quantities import ContentType
 from lsl_to_ros.lsl.inlets import Inlet
 
-# Half a second more than the counters take.
+# Half a second longer than the period of the counters.
 SILENT_AFTER_S = 1.5
 
 Say = Callable[[str], None]
 
 
 class Senders:
-    """Looks at the inlets of each computer that has an agent.
+    """Watches the inlets of each computer that has an agent.
 
     Parameters
     ----------
     warn, inform
-        Called with a sentence when a computer falls silent, and when it is heard again.
+        Called with a sentence when a computer falls silent, and when it sends again.
     """
 
     def __init__(self, warn: Say, inform: Say) -> None:
@@ -33,7 +33,7 @@ class Senders:
         self._silent: dict[str, float] = {}
 
     def look(self, inlets: Iterable[Inlet]) -> bool:
-        """See who is silent; return whether that has changed."""
+        """Update which computers are silent; return whether that has changed."""
         now, heard = monotonic(), _last_heard(inlets)
         silent = {host: at for host, at in heard.items() if now - at > SILENT_AFTER_S}
         fallen, returned = silent.keys() - self._silent.keys(), self._silent.keys() - silent.keys()
@@ -45,13 +45,13 @@ class Senders:
         return bool(fallen or returned)
 
     def trouble(self, host: str) -> str:
-        """Return what is wrong with a computer; an empty text if nothing is."""
+        """Return a sentence about a silent computer; empty if it is not silent."""
         heard_s = self._silent.get(host)
         return "" if heard_s is None else f"{host}: {_sentence(monotonic() - heard_s)}"
 
 
 def _last_heard(inlets: Iterable[Inlet]) -> dict[str, float]:
-    """Return when something last came from each computer that has an agent."""
+    """Return when samples last came from each computer that has an agent."""
     heard: dict[str, float] = {}
     with_agent: set[str] = set()
     for inlet in inlets:

@@ -1,4 +1,4 @@
-"""One LSL inlet: opened in a thread of its own, then read by whoever asks."""
+"""An LSL inlet that is opened in a separate thread and then read by reader threads."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from lsl_to_ros.lsl.delivery import Delivery, Reading, Receiver
 
 
 def about(info: pylsl.StreamInfo) -> str:
-    """Return what people know a stream by."""
+    """Return a stream's name and computer, for sentences."""
     return f"LSL stream {info.name()[:MAX_FIELD_CHARACTERS]!r} of {info.hostname()}"
 
 
 def header_of(info: pylsl.StreamInfo, core: CoreFields, refusals: Refusals) -> StreamHeader:
-    """Return a stream's header; of a description that cannot be read, what LSL itself says."""
+    """Return a stream's header, made from its core fields if the description is unreadable."""
     header, why = header_or_foreign(info.as_xml(), core)
     if why:
         refusals.refuse(Refusal.NO_DESCRIPTION, about=about(info), why=why)
@@ -48,12 +48,12 @@ def header_of(info: pylsl.StreamInfo, core: CoreFields, refusals: Refusals) -> S
 
 
 OPEN_TIMEOUT_S = 10.0
-# What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
+# Streams of ros_to_lsl are in ROS already; replays of their recordings are not.
 FROM_ROS = all_of(has("desc/ros"), none_of(has("desc/replay")))
-# For as long may the node stand still: liblsl's own default, 360 s, is 1.5 MB for 256 Hz, on both
-# sides.
+# How long the node may hang without losses: liblsl's default of 360 s takes 1.5 MB at 256 Hz, on
+# both sides.
 BUFFER_S = 120
-# A stream of no rate may burst, and no time says how much that is: here liblsl's default stays.
+# For irregular streams, which may burst at any rate, liblsl's default stays.
 BUFFER_HUNDREDS = 360
 CORRECTIONS_KEPT = 10
 
@@ -62,9 +62,9 @@ CORRECTIONS_KEPT = 10
 class InletState(Enum):
     """Life of an inlet.
 
-    One that ends is lost as soon as it is counted what LSL dropped. A lost or failed one is
-    tried again; a refused one is not, for liblsl cannot read its announcement or speak its
-    protocol.
+    An inlet that ends is lost as soon as the samples that LSL dropped are counted. A lost or
+    failed one is tried again; a refused one is not, because liblsl cannot read its announcement
+    or does not support its protocol.
     """
 
     OPENING = "opening"
@@ -79,16 +79,16 @@ _ENDED = InletState.ENDING, InletState.LOST, InletState.FAILED
 
 
 class Inlet:
-    """Opens a stream, reads its header, then hands its samples to a receiver.
+    """Opens a stream, reads its header, and delivers its samples to a receiver.
 
     Parameters
     ----------
     info
-        As a resolver gave it, without description.
+        Result of a resolver, without description.
     refusals
-        Is told when the stream or its description is unusable, and when reading it failed.
+        Gets reports of an unusable stream or description, and of failed reads.
     number
-        Of those that claim to be this stream, see `biosensor_common.lsl.namesakes`.
+        Number among streams with one identity, see `biosensor_common.lsl.namesakes`.
 
     Raises
     ------
@@ -102,9 +102,9 @@ class Inlet:
     header
         Set once the state is ``READY``.
     is_served
-        Whether this process publishes it; else it only serves the node itself.
+        Whether this process publishes it; else only the node itself uses it.
     is_from_ros
-        Whether ``ros_to_lsl`` makes it of a topic.
+        Whether ``ros_to_lsl`` makes it from a topic.
     """
 
     def __init__(self, info: pylsl.StreamInfo, refusals: Refusals, number: int = 1) -> None:
@@ -121,19 +121,19 @@ class Inlet:
         self._full_info: pylsl.StreamInfo | None = None
         self._refusals = refusals
         self._is_stopped = threading.Event()
-        # Held by whoever reads, so that samples stay in order.
+        # Held by the reading thread, so that samples stay in order.
         self._pulling = threading.Lock()
         self._reading: Reading | None = None
         threading.Thread(target=self._open, daemon=True, name=f"open {info.name()}").start()
 
     @property
     def source_id(self) -> str:
-        """The outlet's, possibly empty."""
+        """The outlet's source_id, possibly empty."""
         return self.core.source_id
 
     @property
     def about(self) -> str:
-        """What people know it by."""
+        """The stream's name and computer, for sentences."""
         return about(self.info)
 
     @property
@@ -143,7 +143,7 @@ class Inlet:
 
     @property
     def correction(self) -> float | None:
-        """Seconds to add to a stamp for this machine's LSL clock; None while it is not known."""
+        """Seconds to add to a stamp for this machine's LSL clock; None while unknown."""
         return self._corrections.newest
 
     @property
@@ -153,7 +153,7 @@ class Inlet:
 
     @property
     def heard_s(self) -> float:
-        """Monotonic time at which something came last, 0 before."""
+        """Monotonic time of the latest samples, 0 before."""
         return self._delivery.heard_s
 
     @property
@@ -179,32 +179,32 @@ class Inlet:
         return is_ours or (info.name(), info.type()) == (core.name, core.content_type)
 
     def matches(self, predicate: Predicate) -> bool:
-        """Whether the stream fits; True as long as it is not described."""
+        """Whether the stream matches; True until its description is known."""
         info = self._full_info
         return info is None or matches_query(info, predicate)
 
     def deliver_to(self, receiver: Receiver) -> None:
-        """Let a receiver have what comes from now on, and what waits in the inlet.
+        """Deliver buffered and future samples to this receiver.
 
-        After the return the previous receiver gets nothing more.
+        After the return the previous receiver gets no more samples.
         """
         self._delivery.begin(receiver, is_clock_known=self.correction is not None)
 
     def drain(self) -> None:
-        """Deliver what has come, without waiting, and find out whether the stream is lost.
+        """Deliver buffered samples without waiting, and detect whether the stream is lost.
 
         Nothing happens if another thread reads.
         """
         self._without_waiting(self._drain)
 
     def peek(self) -> None:
-        """Deliver what has come, as :meth:`drain`, but at next to no cost if nothing has."""
+        """Deliver buffered samples as :meth:`drain`, but at almost no cost if there are none."""
         reading = self._reading
         if reading is not None and reading.waiting:
             self._without_waiting(self._drain)
 
     def follow(self, is_to_go_on: Callable[[], bool]) -> None:
-        """Deliver each sample as it comes, for as long as that is wanted."""
+        """Deliver each sample as it arrives, while *is_to_go_on* returns true."""
         with self._pulling:
             self._guarded(
                 lambda reading: reading.follow(
@@ -214,12 +214,12 @@ class Inlet:
 
     @property
     def waiting(self) -> int:
-        """Samples that have come and that nobody has taken yet."""
+        """Number of samples in the inlet's buffer."""
         reading = self._reading
         return 0 if reading is None or self.state is not InletState.READY else reading.waiting
 
     def give_up(self, since_s: float) -> bool:
-        """End the delivery, unless something was delivered after that monotonic time.
+        """End the delivery, unless samples were delivered after a monotonic time.
 
         Returns
         -------
@@ -229,12 +229,12 @@ class Inlet:
         return self._delivery.end_unless_heard(since_s)
 
     def stop(self) -> threading.Thread:
-        """End the inlet after what has come; the receiver gets nothing more.
+        """End the inlet after the buffered samples; the receiver gets no more.
 
         Returns
         -------
         Thread
-            What closes it, which waits for a reader and for liblsl's own threads.
+            Closes the inlet; it waits for the reader and for liblsl's threads.
         """
         self._without_waiting(lambda reading: reading.drain(lambda: not self._is_stopped.is_set()))
         self._is_stopped.set()
@@ -254,7 +254,7 @@ class Inlet:
         return unopened_inlet(self.info)
 
     def take_correction(self, correction: float) -> None:
-        """Take in a measurement of the sender's clock."""
+        """Store a measurement of the sender's clock."""
         if self._corrections.add(correction):
             self._delivery.clock_known()
 
@@ -280,7 +280,7 @@ class Inlet:
         self.state = InletState.READY
 
     def _guarded(self, work: Callable[[Reading], None]) -> None:
-        """Do something with liblsl's inlet; the state says how it ended."""
+        """Run *work* on liblsl's inlet; afterwards the state shows whether it failed."""
         reading = self._reading
         if reading is None or self.state in _ENDED:
             return  # nothing is dropped: there is no inlet
@@ -300,7 +300,7 @@ class Inlet:
             self.state = InletState.FAILED
 
     def _count_undelivered(self, lsl: pylsl.StreamInlet) -> None:
-        # Other streams must not wait for it.
+        # In a thread, because other streams must not wait for it.
         time.sleep(LAST_ENTRY_S)
         self._delivery.end(undelivered(lsl))
         self.state = InletState.LOST
@@ -324,7 +324,7 @@ class Inlet:
 
 
 class Corrections:
-    """The last corrections for one sender.
+    """The latest clock corrections of one sender.
 
     Attributes
     ----------
@@ -341,12 +341,12 @@ class Corrections:
     @property
     def spread(self) -> float:
         """Largest minus smallest of the last ten, in seconds."""
-        # Another thread may add one meanwhile.
+        # A copy, because another thread may add one meanwhile.
         recent = list(self._recent)
         return max(recent) - min(recent) if recent else 0.0
 
     def add(self, correction: float) -> bool:
-        """Take in a measurement; return whether it is the first."""
+        """Store a measurement; return whether it is the first."""
         is_first = self.newest is None
         self._recent.append(correction)
         self.newest = correction

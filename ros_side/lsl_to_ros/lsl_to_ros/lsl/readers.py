@@ -1,9 +1,9 @@
 """Assigns inlets to the threads that read them.
 
-Streams that nobody reads sample by sample share one thread, which fetches what has
-come ten times a second. Of those that are read, up to four have a thread each, which
-waits for the next sample: nothing is faster. When there are more, the threads would
-mostly wake and wait for each other, so one looks at all of them 500 times a second.
+Streams without a subscriber to single samples share one thread, which drains them ten times
+a second. Up to four of the other streams have a thread each that blocks until the next
+sample, which has the least latency. More such threads would mostly wait for each other, so
+then one thread polls all of these streams 500 times a second.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Pump:
     Parameters
     ----------
     inlets
-        Returns the present ones.
+        Returns the present inlets.
     """
 
     def __init__(self, inlets: Callable[[], Iterable[Inlet]]) -> None:
@@ -39,7 +39,7 @@ class Pump:
         self._drainer.start()
 
     def look(self) -> None:
-        """See which inlets are now read sample by sample; call it often."""
+        """Update which inlets are read sample by sample; call it often."""
         self._read = [
             inlet
             for inlet in self._inlets()

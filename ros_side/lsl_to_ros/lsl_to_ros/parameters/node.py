@@ -24,14 +24,14 @@ BURST_PACING = "burst_pacing"
 ALIASES = "aliases"
 COMPAT, SMARTLAB = "compat", "smartlab"
 DIAGNOSTICS_PERIOD = "diagnostic_updater.period"
-"""As the nodes that use ``diagnostic_updater`` call it, so that one file may set it for all."""
+"""Named as in ``diagnostic_updater``, so that one file can set it for all nodes."""
 
 QOS_OVERRIDES = "qos_overrides."
 MAX_PREFIX_CHARACTERS = 100
 MAX_DEPTH = 1_000_000
 # Measured: docs/decisions/node/pace-bursts-for-subscribers.md.
 PACING_PER_MS, MAX_PACING_PER_MS = 0.5, 1000.0
-# Rates and delays are those of a second.
+# Rates and delays are measured over a second.
 PERIOD_S, MAX_PERIOD_S = 1.0, 3600.0
 PERIOD_TEXT = "seconds between two reports on /diagnostics, unless a level changes"
 
@@ -104,20 +104,20 @@ def _pacing_fault(value: float) -> str | None:
 
 
 def period_fault(value: float) -> str | None:
-    """Say why reports cannot come so many seconds apart."""
+    """Return why a report period is invalid; None if it is valid."""
     if PERIOD_S <= value <= MAX_PERIOD_S:
         return None
     return f"must be from {PERIOD_S:.0f} to {MAX_PERIOD_S:.0f} seconds, not {value!r}"
 
 
 def aliases_of(value: Sequence[str]) -> dict[str, str]:
-    """Return the names of sensors by those of LSL streams; in these, ``*`` is any text."""
+    """Return sensor names by LSL stream names, in which ``*`` matches any text."""
     pairs = (each.rpartition("=") for each in value if each)
     return {name.strip(): alias.strip() for name, _, alias in pairs}
 
 
 def peers_of(value: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of hosts; ROS knows no empty list, so an empty name is none."""
+    """Return the host names; ROS has no empty list, so an empty name is ignored."""
     return tuple(peer for peer in value if peer)
 
 
@@ -174,14 +174,14 @@ _PARAMETERS = {
 
 
 TEXTS = {name: each.description for name, each in _PARAMETERS.items()}
-"""What each is for, by its name."""
-# With a wrong value, or under a wrong name, the node would serve other streams than it should, or
-# in another form.
+"""Descriptions of the parameters, by name."""
+# With a wrong value or name of these, the node would serve other streams than intended, or in
+# another form.
 _WHICH_STREAMS = (STREAM_PREDICATE, SESSION_ID, KNOWN_PEERS, COMPAT)
 
 
 def check(given: Mapping[str, object]) -> None:
-    """Refuse what decides about the streams and is wrong; the rest of it may be ignored.
+    """Refuse wrong parameters that select the streams; other wrong ones may be ignored.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def check(given: Mapping[str, object]) -> None:
 
 
 def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them
-    """Declare one parameter with what a file or the command line says; return its value."""
+    """Declare one parameter with its value of a file or command line; return the value."""
     parameter = _PARAMETERS[name]
     given = node.get_parameter_or(name).value
     reason = None if given is None else fault(name, given)
@@ -208,18 +208,18 @@ def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list 
         node.undeclare_parameter(name)
     value: Any = parameter.default if given is None or reason is not None else given
     if isinstance(parameter.default, float):
-        # YAML and the command line make a whole number of 1, and ROS takes that for another type.
+        # YAML and the command line parse 1 as an integer, which ROS refuses for a float.
         value = float(value)
     return node.declare_parameter(name, value, parameter.descriptor, ignore_override=True).value
 
 
 def is_known(name: str) -> bool:
-    """Whether :func:`fault` can judge a parameter of that name."""
+    """Whether :func:`fault` can validate a parameter of this name."""
     return name in _PARAMETERS or name.startswith(QOS_OVERRIDES)
 
 
 def fault(name: str, value: object) -> str | None:
-    """Say why a value is refused."""
+    """Return why a value is refused; None if it is valid."""
     if name.startswith(QOS_OVERRIDES):
         return _qos_fault(name, value)
     parameter = _PARAMETERS[name]
@@ -246,7 +246,7 @@ def _is_text_list(value: object) -> TypeGuard[Sequence[str]]:
 
 
 def _qos_fault(name: str, value: object) -> str | None:
-    """Judge ``qos_overrides.<topic>.publisher.<policy>``."""
+    """Validate ``qos_overrides.<topic>.publisher.<policy>``."""
     owner, _, policy = name.rpartition(".")
     if not owner.endswith(".publisher"):
         return None

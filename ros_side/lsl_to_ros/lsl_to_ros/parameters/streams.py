@@ -4,7 +4,7 @@ The names are the original framework's. A key may stand alone (for everything),
 behind a sensor (``zephyr.Chunk_Length``) or behind a sensor and data name
 (``zephyr.ecg.Chunk_Length``); with a participant in front and with the label
 behind the sensor where there are any (``p01.empatica_e4_left.bvp.Chunk_Enable``).
-The most specific key wins. Streams that are not there yet can be set already.
+The most specific key wins. Keys of streams that are not present yet can be set, too.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ REMOVED = {
     "processes": "the node runs in one process; share the streams among several nodes"
     " (stream_predicate), or read fast topics as _chunk or _stamped"
 }
-"""Parameters that the node had once, and what to do instead."""
-# Every other parameter is a misspelt one.
+"""Removed parameters, and their replacements."""
+# Any other parameter is a misspelling.
 _OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
-# What ``ros2 param dump`` writes of a key that nobody has set, as a file of parameters and as
-# ``ros2 param load`` hand it on.
+# ``ros2 param dump`` writes these values for keys that are not set, and parameter files and
+# ``ros2 param load`` pass them on.
 _UNSET = ("null", "None")
 
 TEXTS = {
@@ -52,7 +52,7 @@ TEXTS = {
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """What the parameters say for one stream.
+    """Values of the parameters for one stream.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Parameters:
     Parameters
     ----------
     node
-        Must allow undeclared parameters, so that unknown sensors can be set.
+        Must allow undeclared parameters, so that unknown sensors can have parameters.
     """
 
     def __init__(self, node: Node) -> None:
@@ -83,7 +83,7 @@ class Parameters:
         self._on_change: Callable[[], None] = lambda: None
         self._on_set: Callable[[Sequence[Parameter]], None] = lambda _: None
         self._asked_for: set[str] = set()
-        # Whatever may stand before a key: sensors, and each with a data name behind it.
+        # Allowed prefixes of a key: sensors, and sensors with a data name.
         self._owners: set[str] = set()
         self._sensors: set[str] = set()
         self._is_declaring = False
@@ -103,11 +103,11 @@ class Parameters:
         self._on_change = listener
 
     def on_set(self, listener: Callable[[Sequence[Parameter]], None]) -> None:
-        """Call *listener* with what somebody has set, after it was found to be good."""
+        """Call *listener* with parameters that a user has set, after their validation."""
         self._on_set = listener
 
     def settings(self, identity: DeviceIdentity, data_name: str, chunk: str) -> StreamSettings:
-        """Return what holds for one stream now; *chunk* is its chunk's data name."""
+        """Return the present settings of one stream; *chunk* is its chunk's data name."""
         chunk = chunk or data_name
         return StreamSettings(
             raw=bool(self._value(SENSOR_ENABLE, identity, data_name)),
@@ -131,7 +131,7 @@ class Parameters:
             self._is_declaring = False
 
     def without_stream(self, parameters: Iterable[Parameter]) -> list[str]:
-        """Say of which keys no stream has come so far: they may be misspelt, or early."""
+        """Return sentences about keys without a stream so far: they may be misspelt, or early."""
         known = ", ".join(sorted(self._sensors))
         seen = f"seen so far: {known}" if known else "none has come so far"
         return [
@@ -153,10 +153,10 @@ class Parameters:
                 name = f"{owner}.{key}"
                 descriptor = _descriptor(key, dynamic=True)
                 if self._node.has_parameter(name):
-                    # It was set before its sensor was known, and has no description yet.
+                    # A key that was set before its sensor was known has no description yet.
                     self._node.set_descriptor(name, descriptor)
                 else:
-                    # A bad value of a parameter file was dropped, and must not come back.
+                    # An invalid value of a parameter file was dropped and must not come back.
                     self._node.declare_parameter(name, None, descriptor, ignore_override=True)
 
     def _value(self, key: str, identity: DeviceIdentity, data_name: str) -> bool | int:
@@ -169,7 +169,7 @@ class Parameters:
         return self._node.get_parameter(key).value
 
     def _drop_invalid(self) -> None:
-        """Undo bad values of a parameter file: it is read before anything can refuse them."""
+        """Undo invalid values of a parameter file, which is read before they can be refused."""
         for name, parameter in self._node.get_parameters_by_prefix("").items():
             if _is_unset(parameter):
                 self._node.undeclare_parameter(parameter.name)
@@ -178,7 +178,7 @@ class Parameters:
             if fault is not None:
                 self._node.get_logger().error(f"{fault}; it is ignored")
                 self._node.undeclare_parameter(name)
-                # A publisher would declare its own with the bad value again.
+                # Otherwise a publisher would declare its override with the invalid value again.
                 overrides: dict[str, Any] = getattr(self._node, "_parameter_overrides", {})
                 overrides.pop(name, None)
 
@@ -188,7 +188,7 @@ class Parameters:
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _asked(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Note what somebody sets; what is declared does not come this way."""
+        """Record parameters that a user sets; declared ones do not come this way."""
         self._asked_for = {parameter.name for parameter in parameters}
         return [Parameter(each.name) if _is_unset(each) else each for each in parameters]
 
@@ -197,14 +197,14 @@ class Parameters:
         given = [parameter for parameter in parameters if parameter.name in asked_for]
         if given:
             self._on_set(given)
-        # Declaring is setting to ROS; a hundred streams declare a thousand parameters.
+        # For ROS, declaring is setting, and a hundred streams declare a thousand parameters.
         is_ours = any(not parameter.name.startswith(QOS_OVERRIDES) for parameter in parameters)
         if is_ours and not self._is_declaring:
             self._on_change()
 
 
 def prefixes(identity: DeviceIdentity, data_name: str) -> list[str]:
-    """Key prefixes that apply to a stream, the most specific first."""
+    """Return the key prefixes of a stream, the most specific first."""
     plain = naming.sanitise(identity.sensor)
     sensors = [plain]
     if identity.label:
@@ -220,7 +220,7 @@ def _is_unset(parameter: Parameter) -> bool:
 
 
 def _fault(name: str, value: object) -> str | None:
-    """Say why a parameter is refused; parameters that are not ours pass."""
+    """Return why a parameter is refused; None if it is valid or not of this node."""
     key = name.rpartition(".")[2]
     if node_parameters.is_known(name):
         return None if value is None else node_parameters.fault(name, value)

@@ -1,1 +1,1 @@
-"""Says how the streams and devices are: ``/diagnostics`` and the list of streams."""
+"""Reports the state of streams and devices: ``/diagnostics`` and the list of streams."""
