@@ -1,8 +1,8 @@
-"""Sets the environment that ROS reads when it starts: Fast DDS, and a folder for log files.
+"""Sets the environment of ROS before it starts: Fast DDS, and a folder for log files.
 
-Fast DDS is set up for lossy networks and for programs that crash: lost messages are sent again
-after 50 ms, and messages go over UDP on one machine, too, never through shared memory. The node
-announces itself twice a second, and is ready when the others answer. Why:
+Fast DDS is configured for lossy networks and for programs that crash: lost messages are resent
+after 50 ms, and messages use UDP also on one machine, never shared memory. The node announces
+itself twice a second, and is ready when the others answer. Why:
 docs/decisions/node/fast-dds-profile.md.
 """
 
@@ -15,20 +15,20 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 
-# Fast DDS 2 reads the first, Fast DDS 3 the second; ROS's own part beside Fast DDS 3 hands it the
-# first one's file, too.
+# Fast DDS 2 reads the first variable, Fast DDS 3 the second; the middleware of ROS for Fast DDS 3
+# also passes the first one's file on.
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _FIRST_WITH_3 = 9
-"""The rclpy of Kilted, the first distribution that has Fast DDS 3. Jazzy has 7."""
+"""Major version of rclpy in Kilted, the first distribution with Fast DDS 3. Jazzy has 7."""
 IN_FOLDER = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
-"""The predecessor of the range, which comes first where it is 1, and knows no peers."""
+"""The range's deprecated predecessor, which has precedence if it is 1, and has no peers."""
 
 
 def fast_dds_generation() -> int:
-    """Return which Fast DDS this ROS has, 2 or 3: neither takes a file of the other."""
+    """Return the major version of Fast DDS, 2 or 3; their profile files are incompatible."""
     try:
         major = int(version("rclpy").partition(".")[0])
     except PackageNotFoundError:
@@ -39,18 +39,18 @@ def fast_dds_generation() -> int:
 def configure_fast_dds(
     environment: MutableMapping[str, str], folder: Path, middleware: str, fast_dds: int
 ) -> bool:
-    """Set Fast DDS for this process, unless the user has profiles.
+    """Configure Fast DDS for this process, unless the user has profiles.
 
-    It has to be called before ROS starts.
+    Call it before ROS starts.
 
     Parameters
     ----------
     environment
-        What Fast DDS and ROS read.
+        Variables that Fast DDS and ROS read.
     folder
-        The working folder, where Fast DDS looks for profiles that no variable names.
+        Working folder, where Fast DDS searches profiles if no variable names them.
     middleware
-        ROS's name of it; only that of Fast DDS begins with ``rmw_fastrtps``.
+        ROS's name of the middleware; that of Fast DDS begins with ``rmw_fastrtps``.
     fast_dds
         2 or 3.
 
@@ -66,8 +66,8 @@ def configure_fast_dds(
     if not environment.get(TRANSPORTS):
         environment[TRANSPORTS] = "UDPv4"
         if _is_local(environment):
-            # There ROS sets the transports itself, with shared memory. So it is told of a
-            # subnet, and the profiles say what it would have: no multicast, and this machine.
+            # For LOCALHOST, ROS would set the transports itself, with shared memory. So the range
+            # is set to the subnet, and the profiles allow this machine only, without multicast.
             environment[RANGE] = "SUBNET"
             profiles = "localhost.xml"
     file = files("lsl_to_ros").joinpath(f"fastdds{fast_dds}_{profiles}")
@@ -80,7 +80,7 @@ def _has_profiles(folder: Path) -> bool:
 
 
 def _is_local(environment: MutableMapping[str, str]) -> bool:
-    """Whether ROS is to stay on this machine; said by the range alone from then on."""
+    """Whether ROS is limited to this machine; afterwards only the range variable says so."""
     if environment.get(LOCALHOST_ONLY) == "1":
         for name in (LOCALHOST_ONLY, PEERS):
             environment.pop(name, None)
@@ -92,12 +92,12 @@ _VARIABLE, _HOME_VARIABLE = "ROS_LOG_DIR", "ROS_HOME"
 
 
 def ensure_log_folder(environment: MutableMapping[str, str]) -> str:
-    """Set a temporary folder where the usual one cannot be written: rclpy does not start without.
+    """Set a temporary log folder if the usual one is not writable, without which rclpy fails.
 
     Returns
     -------
     str
-        A sentence on it; empty if the usual one is used.
+        A sentence about it; empty if the usual folder is used.
     """
     usual = usual_folder(environment)
     try:
@@ -111,7 +111,7 @@ def ensure_log_folder(environment: MutableMapping[str, str]) -> str:
 
 
 def usual_folder(environment: Mapping[str, str]) -> Path:
-    """Return where rcl writes its log files."""
+    """Return the folder for rcl's log files."""
     if environment.get(_VARIABLE):
         return Path(environment[_VARIABLE]).expanduser()
     home = environment.get(_HOME_VARIABLE) or "~/.ros"

@@ -1,7 +1,7 @@
-"""Tells recorders of LSL what the system clock shows, in the stream ``lsl_to_ros/events``.
+"""Sends pairs of system and LSL time in the stream ``lsl_to_ros/events``.
 
-Stamps of topics are system time, those of streams LSL time. With the pairs of both that a
-recording has from here, it and a bag of the same session fall onto one axis. Each sample is a
+Stamps of topics are system time, those of streams LSL time. With these pairs, a recording and a
+bag of the same session can be put onto one time axis. Each sample is a
 JSON object like those of the agent's events: ``event`` (``heartbeat``), ``lsl_time``, ``node``,
 ``use_sim_time``, and ``clock`` as in :mod:`biosensor_common.ros_clock`. Under ``use_sim_time``
 the pairs are still of the system clock, to which the stamps of the topics then have no relation.
@@ -29,7 +29,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.table import channels, hardware
 
 CLOCK_PERIOD_S = 0.5
-"""How often to look whether there is something to tell."""
+"""Period of the checks whether a pair is to be sent."""
 HEARTBEAT_S = 10.0
 
 EVENTS = hardware(
@@ -42,17 +42,17 @@ EVENTS = hardware(
 
 
 class ClockPairs:
-    """The node's own stream; a node that cannot have one goes on without.
+    """The node's own stream; a node that cannot offer one continues without.
 
-    A pair is told every ten seconds, when somebody begins to receive, and when the system
-    clock has been set.
+    A pair is sent every ten seconds, when a receiver connects, and when the system clock has
+    been set.
 
     Parameters
     ----------
     node
-        It says its name and domain, by which nodes of one computer differ.
+        Its name and domain distinguish the nodes of one computer.
     warn
-        Called with a sentence if there can be no stream.
+        Called with a sentence if the stream cannot be offered.
     """
 
     def __init__(self, node: Node, warn: Callable[[str], None]) -> None:
@@ -63,7 +63,7 @@ class ClockPairs:
         self._had_receivers = False
 
     def look(self) -> None:
-        """Tell a pair if it is time; call it a few times a second."""
+        """Send a pair if one is scheduled; call it a few times a second."""
         if self._outlet is None:
             return
         pair = measure_clock_pair(time.time_ns, pylsl.local_clock)
@@ -108,7 +108,7 @@ def _outlet(node: Node, warn: Callable[[str], None]) -> LslOutlet | None:
 
 
 def events_outlet(node: Node, model: str) -> LslOutlet:
-    """Offer a node's own stream of events; `model` is the program that has it.
+    """Offer a node's own stream of events; *model* is the program's name.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def events_outlet(node: Node, model: str) -> LslOutlet:
 
 
 def unit_of(hostname: str, node: Node) -> str:
-    """Name the node among all: its computer, and what is not as usual."""
+    """Return a unique unit for a node: its computer, and its name and domain if not the default."""
     name = node.get_fully_qualified_name().strip("/").replace("/", "_")
     domain = node.context.get_domain_id()
     other_name = f"_{name}" if name != NODE else ""

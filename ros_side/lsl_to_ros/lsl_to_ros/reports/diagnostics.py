@@ -2,14 +2,14 @@
 
 Levels of a stream:
 
-* ERROR: what :class:`biosensor_common.refusal.Refusal` says is one: its name is not its own,
-  because two units or two streams claim it; another sender with the same source_id is left out;
-  another node has published it, too, for longer than a node that was killed stays known.
+* ERROR: errors of :class:`biosensor_common.refusal.Refusal`: two units or two streams claim its
+  name; another sender with the same source_id is left out; another node publishes it, too, for
+  longer than DDS remembers a node that was killed.
 * STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
   agent, from which nothing at all has come for 1.5 s.
-* WARN: what else was left out, doubled, renamed or guessed, if it lasts or was in the last 10 s;
-  in the last 10 s samples were lost, or the measured rate is more than 10 % off; a topic goes
-  out faster than subscribers take it.
+* WARN: other data was left out, duplicated, renamed or guessed, now or in the last 10 s; in the
+  last 10 s samples were lost, or the measured rate is more than 10 % off; a topic is published
+  faster than subscribers receive it.
 * OK: none of these.
 """
 
@@ -38,7 +38,7 @@ _RELIEF = (
 
 
 def overload(load: LoadFacts) -> str:
-    """Say what is too much for the node; empty if it keeps up."""
+    """Return a sentence about the node's overload; empty if it keeps up."""
     share = "" if load.share is None else f"{100 * load.share:.0f} % of a core"
     if load.is_busy:
         waited = f", and data have waited {load.age_s:.1f} s in it" if load.age_s >= 0.1 else ""
@@ -53,7 +53,7 @@ def overload(load: LoadFacts) -> str:
 
 
 def crowded_out(streams: Sequence[str]) -> str:
-    """Say which streams are left out because no more files may be opened; empty if none is."""
+    """Return a sentence about streams beyond the limit of open files; empty if there are none."""
     if not streams:
         return ""
     named = ", ".join(streams[:_MOST_NAMED]) + ", ..." * (len(streams) > _MOST_NAMED)
@@ -61,16 +61,16 @@ def crowded_out(streams: Sequence[str]) -> str:
 
 
 def too_fast(rate: float, topics: Sequence[str], best_effort: Sequence[str]) -> str:
-    """Say that a topic goes out faster than subscribers take it.
+    """Return a sentence about a topic that is published faster than subscribers receive it.
 
     Parameters
     ----------
     rate
-        Messages of it in a second.
+        Messages per second.
     topics
-        Those that have the same samples in fewer messages.
+        Topics with the same samples in fewer messages.
     best_effort
-        Nodes to which DDS sends nothing twice.
+        Nodes that read with best effort, to which DDS does not resend.
     """
     instead = f"; read {' or '.join(topics)} instead" if topics else ""
     unsafe = f"; {', '.join(best_effort)}: best effort, nothing is sent twice" * bool(best_effort)
@@ -81,22 +81,22 @@ def too_fast(rate: float, topics: Sequence[str], best_effort: Sequence[str]) -> 
 
 
 def not_taken(messages: int) -> str:
-    """Say that a subscriber does not take what is published."""
+    """Return a sentence about a subscriber that does not keep up."""
     return (
         f"a subscriber stands still or is too slow: {messages} messages of a backlog in the last"
         " 10 s went out before it had taken those before, and it may lose some"
     )
 
 
-# A regular stream is stale after so long without a sample.
+# A regular stream is stale after this time without a sample.
 STALE_AFTER_S = 5.0
 RATE_TOLERANCE = 0.1
-# Stamps so far from now are of another clock than LSL's; the agent refuses them at 30 s.
+# Stamps that differ more from now are not on the LSL clock; the agent refuses them at 30 s.
 CLOCK_TOLERANCE_S = 30.0
-# A clock that is unknown for longer cannot be asked: UDP does not get through.
+# If a clock is unknown for longer, it cannot be measured, because UDP is blocked.
 CLOCK_PATIENCE_S = 10.0
 
-# For so long DDS keeps the publishers of a node that was killed.
+# How long DDS keeps the publishers of a node that was killed.
 LEASE_S = 25.0
 
 PROGRAM = "lsl_to_ros"
@@ -104,46 +104,46 @@ PROGRAM = "lsl_to_ros"
 
 @dataclass(frozen=True, slots=True)
 class StreamFacts:
-    """One look at a stream.
+    """Facts of one stream for a report.
 
     Attributes
     ----------
     age_s
-        Of the newest sample, on this machine's LSL clock.
+        Age of the newest sample, on this machine's LSL clock.
     rate
-        Measured, in Hz.
+        Measured rate in Hz.
     correction_s, spread_s
-        Offset between the sender's LSL clock and ours and its recent spread; the
-        offset is None if it is not measured yet.
+        Offset between the sender's LSL clock and ours, and its recent spread; None before
+        the first measurement.
     delays
-        Of the samples since the last report, from their stamps to their receipt.
+        Delays from stamp to receipt of the samples since the last report.
     lost_lately
-        In the last 10 s.
+        Samples lost in the last 10 s.
     refused
-        What was not published as it came, and shows now.
+        Present reports of data that was not published unchanged.
     silent_s
-        Since a report first saw the newest sample.
+        Seconds since a report first saw the newest sample.
     attached_s
         How long the node has had this stream.
     not_taken_lately
-        Messages of a backlog that went out in the last 10 s before the subscribers had taken
-        those before.
+        Messages of a backlog that were published in the last 10 s before the subscribers had
+        received the previous ones.
     published_hz
-        Messages of the first topic in a second, over the last 10 s.
+        Messages per second of the first topic, over the last 10 s.
     is_fast
-        Whether that is faster than a usual subscriber takes them.
+        Whether that is faster than a usual subscriber receives them.
     waited_s
-        The longest that samples have waited in the node since the last report.
+        Longest time that samples have waited in the node since the last report.
     trouble
-        What is wrong with the computer that sends it; empty if nothing is.
+        Sentence about the sending computer if it is silent, else empty.
     twins
-        Computers of other senders with the same source_id, which are left out.
+        Computers of other senders with the same source_id that are left out.
     senders
-        Computers of all senders with the same source_id, which have a topic each.
+        Computers of all senders with the same source_id that have a topic each.
     doubled_s
-        For how many seconds somebody else has published its first topic, too; 0 if nobody does.
+        For how many seconds another node has published its first topic, too; 0 if none does.
     best_effort
-        Nodes that read the first topic with best effort; asked for only if it is fast.
+        Nodes that read the first topic with best effort; determined only if it is fast.
     """
 
     topic: TopicName
@@ -177,7 +177,7 @@ def stream_facts(
     now_s: float,
     trouble: str = "",
 ) -> StreamFacts:
-    """Look at one stream; *now_s* is this machine's LSL clock."""
+    """Collect the facts of one stream; *now_s* is this machine's LSL clock."""
     counters: NodeCounters = bridge.counters
     lost = counters.lost(can_estimate=can_estimate_losses(bridge.header))
     first = bridge.outputs.of_samples[0].publisher
@@ -204,7 +204,7 @@ def stream_facts(
 
 
 def stream_status(facts: StreamFacts) -> DiagnosticStatus:
-    """Describe one stream."""
+    """Make the status of one stream."""
     bridge, header = facts.bridge, facts.bridge.header
     level, message = judge(facts)
     replay = header.replay
@@ -266,12 +266,12 @@ def status(
 
 
 def words_of(refusals: Refusals) -> str:
-    """Return what was not passed on as it came since the start, by its words."""
+    """Return the total counts of refusals since the start, by their words."""
     return ", ".join(f"{each.what.word} {each.count}" for each in refusals.all)
 
 
 def judge(facts: StreamFacts) -> tuple[bytes, str]:
-    """Return level and reason; the module's text has the thresholds."""
+    """Return level and reason; the module's docstring has the thresholds."""
     bridge = facts.bridge
     refused = sorted(_refused(facts), key=lambda each: -each[0])
     errors = [sentence for level, sentence in refused if level is Level.ERROR]
@@ -279,12 +279,12 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, errors[0]
     if facts.trouble:
         return DiagnosticStatus.STALE, facts.trouble
-    # Not by the samples' age: their stamps may be old, or of another clock, and keep coming.
+    # Not by the age of samples: they may keep coming with old stamps, or stamps of another clock.
     is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
     if bridge.header.rate > 0 and is_silent:
         return DiagnosticStatus.STALE, "no samples"
     others = [reason for is_so, reason in _warnings(facts) if is_so]
-    # One of what can be measured, which often has one cause; all that was left out or guessed.
+    # Only the first measured warning, because several often have one cause; but all refusals.
     warnings = [*(sentence for _, sentence in refused), *others[:1]]
     if warnings:
         return DiagnosticStatus.WARN, "; ".join(warnings)
@@ -292,7 +292,7 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
 
 
 def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:
-    """Return what is left out, doubled or guessed of a stream, as far as it is known."""
+    """Return level and sentence of what is left out, duplicated or guessed of a stream."""
     bridge = facts.bridge
     is_agent = bridge.header.identity.sensor == AGENT
     is_foreign_clock = _has_foreign_clock(facts) and not bridge.has_unix_stamps
@@ -331,7 +331,7 @@ def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
 
 
 def _slower(bridge: Bridge) -> list[str]:
-    """Return the topics that have many samples in one message."""
+    """Return the topics that have several samples per message."""
     chunk = [bridge.outputs.chunk.publisher] if bridge.outputs.chunk else []
     several = [*chunk, *(writer.publisher for writer in bridge.outputs.timed)]
     return [each.name for each in several if each.name.endswith(("_chunk", "_stamped"))]

@@ -23,17 +23,17 @@ from lsl_to_ros.topics.publishers import make_publisher
 TOPIC = "~/streams"
 USE_SIM_TIME = "use_sim_time"
 COMPUTER_BUSY = "computer_busy"
-"""Whether other programs keep data waiting in the node, ``true`` or ``false``."""
+"""Key: whether other programs delay data in the node, ``true`` or ``false``."""
 _MOST_NAMED = 5
 
 
 class Rhythm:
-    """Says which of the looks, one a second, are to be published.
+    """Decides which of the reports, made once a second, are published.
 
     Parameters
     ----------
     period_s
-        Returns the seconds between two reports.
+        Returns the seconds between two published reports.
     """
 
     def __init__(self, period_s: Callable[[], float]) -> None:
@@ -42,7 +42,7 @@ class Rhythm:
         self._looks = 0
 
     def is_due(self, statuses: Iterable[DiagnosticStatus]) -> bool:
-        """Whether it is time; what has become worse or better does not wait."""
+        """Whether to publish now; a changed level is published at once."""
         before, self._levels = self._levels, {each.name: each.level for each in statuses}
         self._looks += 1
         if self._levels == before and self._looks < round(self._period_s()):
@@ -68,7 +68,7 @@ class Reporting:
         self._concerns()
 
     def list_streams(self, entries: Sequence[DiagnosticStatus]) -> None:
-        """Publish which stream fills which topics, if that has changed."""
+        """Publish which stream is on which topics, if that has changed."""
         ordered = sorted(entries, key=lambda entry: entry.name)
         if ordered == self._listed:
             return
@@ -76,7 +76,7 @@ class Reporting:
         self._streams.publish(DiagnosticArray(header=self._header(), status=ordered))
 
     def report(self, part: Part) -> None:
-        """Publish the state of everything if it is time."""
+        """Publish the state of everything if a report is scheduled."""
         values = {
             "clock_steps": str(self._ros_time.steps),
             "stamped_topics": "yes" if HAS_STAMPED_TOPICS else "no",
@@ -87,7 +87,7 @@ class Reporting:
             self._diagnostics.publish(DiagnosticArray(header=self._header(), status=statuses))
 
     def _concerns(self) -> list[Concern]:
-        """Look at what concerns the whole node."""
+        """Collect the concerns of the node as a whole."""
         now_s = monotonic()
         if self._node.count_publishers(self._streams.topic_name) < 2:
             self._doubled_s = now_s
@@ -110,12 +110,12 @@ class Reporting:
 def node_status(
     part: Part, values: Mapping[str, str], concerns: Sequence[Concern]
 ) -> DiagnosticStatus:
-    """Describe the node.
+    """Make the status of the node.
 
     Parameters
     ----------
     values, concerns
-        What concerns the node as a whole, and what is wrong with it.
+        Facts about the node as a whole, and its problems.
     """
     load = part.load
     facts = {
@@ -144,7 +144,7 @@ def _judge(part: Part) -> tuple[bytes, list[str]]:
 
 
 def stream_list(routes: Iterable[Route]) -> list[DiagnosticStatus]:
-    """Return a status a stream, named by its raw topic, its facts as values."""
+    """Return one status per stream, named by its raw topic, with its facts as values."""
     return [_entry(route) for route in routes if route.bridge is not None]
 
 

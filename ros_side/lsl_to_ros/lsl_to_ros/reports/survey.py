@@ -1,4 +1,4 @@
-"""Looks at the streams and their devices, for ``/diagnostics``."""
+"""Collects the state of streams and devices for ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LOW_BATTERY_PERCENT = 10.0
 
 
 class Concern(NamedTuple):
-    """Something that is not as it should be; its level is that of ``/diagnostics``."""
+    """A problem, with its level in ``/diagnostics``."""
 
     level: int
     text: str
@@ -38,18 +38,18 @@ class Concern(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What there is to report.
+    """Content of a report.
 
     Attributes
     ----------
     streams, refused
-        How many it has, and how many it cannot use.
+        Number of streams, and of those that cannot be used.
     crowded_out
-        Names of streams for which it may open no more files.
+        Names of streams beyond the limit of open files.
     concerns
-        What was left out or guessed and has no entry of its own.
+        Data that was left out or guessed and has no separate entry.
     statuses, devices
-        Of the streams, and of their devices as far as these streams tell.
+        Statuses of the streams, and of their devices as reported in these streams.
     """
 
     load: LoadFacts
@@ -62,7 +62,7 @@ class Part:
 
 
 class Survey:
-    """Looks at everything that the node has."""
+    """Collects the state of the whole node."""
 
     def __init__(
         self,
@@ -83,12 +83,12 @@ class Survey:
         self._overloads = False, False
 
     def look(self) -> None:
-        """See how long samples have waited in liblsl and for their turn; call it often."""
+        """Measure how long samples wait in liblsl and for publishing; call it often."""
         now_s = monotonic()
         for route in self._routing.routes:
             bridge, inlet = route.bridge, route.inlet
             if bridge is not None and inlet.is_delivering:
-                # In this order: what is read in between then counts as gone, not as late.
+                # In this order, samples that are read in between count as delivered, not as late.
                 received = bridge.counters.received
                 age_s = route.status.backlog.age(now_s, received, inlet.waiting)
                 age_s += bridge.oldest_waiting_s
@@ -144,12 +144,12 @@ class Survey:
         return stream_status(facts)
 
     def _look_at_readers(self, bridge: Bridge) -> None:
-        """See who subscribes to the topics of a stream in a way that brings nothing."""
+        """Report subscribers of a stream's topics that are incompatible and receive nothing."""
         key = bridge.header.identity.sensor, bridge.header.data_name
         is_known_otherwise = key in ORIGINALS and bridge.outputs.shape is None
         for publisher in bridge.outputs.publishers:
             name = publisher.name
-            # Who is matched is counted often, and asking for all that there are costs little.
+            # Matched subscribers are counted often anyway, and counting all costs little.
             has_others = self._node.count_subscribers(name) > publisher.readers
             known = self._node.get_subscriptions_info_by_topic(name) if has_others else []
             told = [why for each in known if (why := publisher.misfit(each))]
@@ -160,7 +160,7 @@ class Survey:
             bridge.counters.refusals.hold(Refusal.READ_IN_VAIN, bool(why), about=name, why=why)
 
     def _doubled_for_s(self, topic: str) -> float:
-        """Return for how long another node has published a topic, too."""
+        """Return for how many seconds another node has published a topic, too."""
         if self._node.count_publishers(topic) < 2:
             self._doubled.pop(topic, None)
             self._has_said_doubled &= bool(self._doubled)
@@ -172,7 +172,7 @@ class Survey:
         return max(1e-9, for_s)
 
     def _best_effort_readers(self, topic: str) -> list[str]:
-        """Ask DDS; of its readers' queues, it does not tell the length."""
+        """Return the nodes that read a topic with best effort, according to DDS."""
         infos = self._node.get_subscriptions_info_by_topic(topic)
         return sorted(
             {
@@ -192,25 +192,25 @@ class Survey:
 
 
 def concerns_of(*books: Refusals) -> list[Concern]:
-    """Return what is left out or guessed now and has no entry of its own."""
+    """Return refusals that are present now and have no separate entry."""
     shown = [each for book in books for each in book.present]
-    # Those are counted and named together.
+    # Streams beyond the limit of files are counted and named together.
     others = [each for each in shown if each.what is not Refusal.NO_FILES]
     return [Concern(each.what.level, each.sentence_about) for each in others]
 
 
 def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[DiagnosticStatus]:
-    """Describe each device by battery, contact, signal, and its clock as the agent tells.
+    """Make the status of each device: battery, contact, signal, and the agent's facts of its clock.
 
     Parameters
     ----------
     bridges
-        Streams, each with its device's name as in the topics.
+        Streams, each with its device's name in the topics.
 
     Yields
     ------
     DiagnosticStatus
-        WARN if a battery is at 10 % or less, or a sensor says that it is not worn.
+        WARN if a battery is at 10 % or less, or a sensor reports that it is not worn.
     """
     devices: defaultdict[str, list[Bridge]] = defaultdict(list)
     for name, bridge in bridges:
@@ -226,7 +226,7 @@ def _texts(bridges: Iterable[Bridge]) -> Iterator[tuple[str, str]]:
     """Yield the newest values under their data and channel names, and the clock's state."""
     for bridge in bridges:
         for key, value in bridge.counters.clock.items():
-            # An offset of years, to the microsecond.
+            # Enough digits for an offset of years, to the microsecond.
             yield f"clock/{key}", f"{value:.6f}".rstrip("0").rstrip(".")
         data_name = bridge.header.data_name
         for column, value in _newest(bridge):
@@ -234,14 +234,14 @@ def _texts(bridges: Iterable[Bridge]) -> Iterator[tuple[str, str]]:
 
 
 def _told(header: StreamHeader) -> list[int]:
-    """Return the columns that tell of the device: all of some types of stream."""
+    """Return the columns about the device: all columns for some content types."""
     if header.content_type in TYPES_OF_DEVICE:
         return list(range(len(header.roles)))
     return [column for column, role in enumerate(header.roles) if role in ROLES_OF_DEVICE]
 
 
 def _newest(bridge: Bridge) -> Iterator[tuple[int, float]]:
-    """Yield what a stream told last of its device, with its column."""
+    """Yield the newest values of a stream about its device, with their columns."""
     if bridge.newest is not None and not bridge.header.message_type.is_text:
         for column in _told(bridge.header):
             yield column, float(bridge.newest[column])

@@ -1,1 +1,1 @@
-"""The second node: sends topics of ROS as LSL streams."""
+"""The second node: sends ROS topics as LSL streams."""

@@ -1,4 +1,4 @@
-"""The node ``ros_to_lsl``: finds topics, and sends them."""
+"""The node ``ros_to_lsl``, which finds topics and sends them as streams."""
 
 from __future__ import annotations
 
@@ -51,21 +51,21 @@ from lsl_to_ros.topics.publishers import make_publisher
 
 LOOK_PERIOD_S = 0.25
 LOOKS_BETWEEN = 4
-"""So often the publishers of a topic are asked for that has some already: it takes a while."""
+"""The publishers of a topic that has some are queried once in so many rounds, which saves time."""
 LOOKS_TO_MEET = 4
-"""So often who publishes a topic that was asked for is seen before it is subscribed."""
+"""Rounds in which the publishers of a requested topic are seen before it is subscribed."""
 LOOKS_TO_SETTLE = 8
-"""So often a topic has been seen when it is known whose it is."""
-# By then a node has found the others.
+"""Rounds after which the node of a topic's publisher is known."""
+# By then the node has discovered the others.
 FOUND_AFTER_S = 5.0
 REPORT_PERIOD_S = 1.0
 HEARTBEAT_S = 5.0
 OFFSET_ANSWERS = 5
-"""So many make a measurement."""
+"""Number of answers in one measurement."""
 OFFSET_EVERY_S = 30.0
-"""Between the end of a measurement and the begin of the next."""
+"""Pause between two measurements."""
 OFFSET_GIVE_UP_S = 5.0
-"""A node that has not answered for so long does not answer: it may have no such service."""
+"""Time limit for an answer; a node without it may not have the service."""
 _ASKED_FOR = "use_sim_time"
 
 
@@ -105,14 +105,14 @@ class RosToLsl(Node):
             self._open(request)
         self._diagnostics = make_publisher(self, "/diagnostics", DiagnosticArray)
         self._rhythm = Rhythm(lambda: value(DIAGNOSTICS_PERIOD).value)
-        # By the node's own clock they would rest for as long as that is set back.
+        # With the node's own clock the timers would stop for as long as that is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
         self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
         self._look()
 
     def stop(self) -> None:
-        """Send what has come, and end."""
+        """Send the messages received so far, and stop."""
         self._taker.stop()
         for each in self._topics.values():
             each.bridge.end()
@@ -124,7 +124,7 @@ class RosToLsl(Node):
         self._topics[request.topic] = topic
 
     def _look(self) -> None:
-        """See who publishes what, and do what is due."""
+        """Update the publishers of all topics, and do scheduled work."""
         graph = Graph(self)
         if self._requests.all_small:
             self._open_small(graph)
@@ -143,7 +143,7 @@ class RosToLsl(Node):
         self._events.look(now)
 
     def _open_small(self, graph: Graph) -> None:
-        """Open what has been seen for a while: by then it is known whose it is."""
+        """Open small topics once they were seen long enough to know their publisher's node."""
         self._left_out = sorted(set(graph.left_out()) - self._topics.keys())
         topics = ", ".join(self._left_out)
         self._refusals.hold(Refusal.NOT_SMALL, bool(topics), topics=topics)
@@ -173,14 +173,14 @@ class RosToLsl(Node):
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
 
     def _is_met(self, graph: Graph, topic: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
-        """Whether a topic's publishers have been there long enough to know whose they are."""
+        """Whether a topic's publishers were seen long enough to know their nodes."""
         self._met[topic] += 1
-        # What is no ROS node never has a name.
+        # Publishers that are not ROS nodes never get a node name.
         needed = LOOKS_TO_MEET if are_named(publishers) else LOOKS_TO_SETTLE
         return self._met[topic] > needed
 
     def _say_missing(self, graph: Graph) -> None:
-        """Say which topics nobody publishes: a name may be misspelt."""
+        """Report requested topics without publishers: a name may be misspelt."""
         published = [name for name in graph.topics if name not in self._topics]
         for name, each in self._topics.items():
             if not each.publishers:
@@ -195,7 +195,7 @@ class RosToLsl(Node):
         self._events.notice(topic, sentence)
 
     def _fail(self, subscription: Subscription, error: Exception) -> None:
-        # It may be each message, so it is no event: the log says it once a minute.
+        # Every message may fail, so this is not an event; the log repeats it once a minute.
         topic = subscription.topic_name
         self._refusals.refuse(Refusal.SEND_FAILED, about=topic, why=repr(error))
 
@@ -242,14 +242,14 @@ def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:
 
 
 class Events:
-    """Sends events; any thread may.
+    """Sends events; thread-safe.
 
     Parameters
     ----------
     node
-        It says its name and domain, by which nodes of one computer differ.
+        Its name and domain distinguish the nodes of one computer.
     topics
-        Tells of every topic, for the heartbeat.
+        Returns facts about every topic, for the heartbeat.
     """
 
     def __init__(self, node: Node, topics: Callable[[], Mapping[str, object]]) -> None:
@@ -261,11 +261,11 @@ class Events:
         self._send("started", _clock_facts())
 
     def notice(self, topic: str, text: str) -> None:
-        """Say what the log says of a topic."""
+        """Send a log sentence about a topic as an event."""
         self._send("notice", {"topic": topic, "text": text})
 
     def look(self, now: float) -> None:
-        """Send a heartbeat if one is due; a few times a second, with the LSL time."""
+        """Send a heartbeat if one is scheduled; call it a few times a second with the LSL time."""
         has_consumers = self._outlet.have_consumers()
         has_come, self._had_consumers = has_consumers and not self._had_consumers, has_consumers
         if has_come or now >= self._due_s:
@@ -285,28 +285,28 @@ def _clock_facts() -> dict[str, object]:
 
 
 class Answer(Protocol):
-    """What ROS tells of an answer, in nanoseconds since 1970."""
+    """Timestamps that ROS reports for an answer, in nanoseconds since 1970."""
 
     @property
     def source_timestamp(self) -> int:
-        """When it was sent, by the clock of who did it."""
+        """Time of sending, on the sender's clock."""
         ...
 
     @property
     def received_timestamp(self) -> int:
-        """When it came, by this computer's clock."""
+        """Time of arrival, on this computer's clock."""
         ...
 
 
 class Bounds:
-    """What the answers of one measurement say together."""
+    """Bounds of a clock offset from the answers of one measurement."""
 
     def __init__(self) -> None:
         self.answers = 0
         self._least_ns, self._most_ns = -math.inf, math.inf
 
     def take(self, asked_ns: int, answer: Answer) -> None:
-        """Take in an answer, and when it was asked for."""
+        """Add an answer and the time of its request."""
         if not answer.source_timestamp or not answer.received_timestamp:
             return  # nothing is dropped: it only tells a time
         self.answers += 1
@@ -315,21 +315,21 @@ class Bounds:
 
     @property
     def offset(self) -> Offset | None:
-        """The clock's offset; None before an answer, or if a clock was set in between."""
+        """Return the clock's offset; None without answers, or if a clock was set in between."""
         if not self.answers or self._least_ns > self._most_ns:
             return None
         return Offset(self._least_ns / NS_PER_S, self._most_ns / NS_PER_S)
 
 
 class SenderOffsets:
-    """Measures the clocks of nodes, as long as somebody wants to know them."""
+    """Measures the clocks of nodes for as long as a topic needs them."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._asked: dict[str, SenderOffset] = {}
 
     def look(self, topics: Iterable[Topic]) -> None:
-        """Do what is due; a few times a second."""
+        """Do scheduled work; call it a few times a second."""
         wanted: dict[str, list[Topic]] = {}
         for each in topics:
             if each.sender and each.wants_offset:
@@ -345,27 +345,27 @@ class SenderOffsets:
                     each.bridge.take_offset(offset)
 
     def restart(self) -> None:
-        """Give up what is being measured, since this computer's own clock was set."""
+        """Abort measurements, because this computer's clock was set."""
         for each in self._asked.values():
             each.stop()
         self._asked.clear()
 
 
 class SenderOffset:
-    """Asks one node, again and again; :meth:`look` never waits."""
+    """Measures one node's clock repeatedly; :meth:`look` never blocks."""
 
     def __init__(self, node: Node, name: str) -> None:
         self._node = node
         self._client = node.create_client(
             GetParameters, f"{name}/get_parameters", callback_group=TakenElsewhere()
         )
-        # rclpy's client throws away what it is told of an answer.
+        # rclpy's client discards the timestamps of an answer.
         self._handle = self._client.handle
         self._bounds = Bounds()
         self._asked_ns, self._asked_s, self._due_s, self._number = 0, 0.0, 0.0, 0
 
     def look(self) -> Offset | None:
-        """Ask, or take the answer; return the offset when it has been measured."""
+        """Send a request or take an answer; return the offset once it is measured."""
         now_s = monotonic()
         if self._asked_ns:
             self._take(now_s)
@@ -379,12 +379,12 @@ class SenderOffset:
         return None  # nothing is dropped: there is no offset yet
 
     def stop(self) -> None:
-        """Ask nothing more."""
+        """Stop measuring."""
         self._node.destroy_client(self._client)
 
     def _take(self, now_s: float) -> None:
         told, answer = self._handle.take_response(GetParameters.Response)
-        # One that was given up may still come.
+        # The answer to an aborted request may still come.
         if answer is not None and told.request_id.sequence_number == self._number:
             self._bounds.take(self._asked_ns, told)
             self._asked_ns = 0

@@ -1,4 +1,4 @@
-"""Sends the messages of one topic."""
+"""Sends the messages of one topic as LSL streams."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 
 MAX_HELD = 5000
-"""So many messages wait while it is in doubt whether a clock is right."""
+"""Largest number of messages that wait while a clock is in doubt."""
 OLD_MESSAGES_S = 1.0
-"""What a latched topic sends to a new subscriber comes within that, and may be of any age."""
+"""A latched topic's old messages reach a new subscriber within this time, and may be of any age."""
 
 
 SAID_AGAIN_S = 1.0
-"""Each loss and each change of channels is said: a recording of the events shall have it."""
+"""Losses and changes of channels are logged each time, so that recorded events have them all."""
 _WHAT = {
     StampSource.HEADER: Refusal.DOUBTFUL_STAMPS,
     StampSource.SOURCE: Refusal.DOUBTFUL_CLOCK,
 }
 MAX_PAIRS = 200
-"""So many pairs of frames of one topic become streams, each with an outlet."""
+"""Largest number of pairs of frames of one topic that become streams, each with an outlet."""
 _NO_NAME = re.compile(r"[^A-Za-z0-9_-]+")
 Part = TypeVar("Part")
 
 
 class Doubts:
-    """What was said of the clocks of one topic."""
+    """The reports about the clocks of one topic."""
 
     def __init__(self, refusals: Refusals) -> None:
         self._refusals = refusals
         self._said: set[tuple[StampSource, ClockState]] = set()
 
     def tell(self, doubtful: Mapping[StampSource, Doubt]) -> None:
-        """Report what is known now."""
+        """Report the doubtful clocks."""
         for source, what in _WHAT.items():
             doubt = doubtful.get(source)
             if doubt is None or (source, doubt.state) not in self._said:
@@ -61,7 +61,7 @@ class Doubts:
                 self._refusals.refuse(what, why=doubt_of(source, doubt))
 
     def restart(self) -> None:
-        """Say everything again: this computer's own clock has jumped."""
+        """Report everything again after a step of this computer's clock."""
         self._said.clear()
 
 
@@ -75,25 +75,25 @@ class MessageType:
 
 
 class Bridge:
-    """The way of one topic's messages into its streams; any thread may call it.
+    """Sends one topic's messages to its streams; thread-safe.
 
     Parameters
     ----------
     say
-        Called with what a person should know of the topic.
+        Called with sentences about the topic for the user.
     whole
-        The topic's own bridge, of the bridge of a part.
+        The bridge of the whole topic, if this one is for a part of it.
 
     Attributes
     ----------
     received
-        Messages.
+        Number of messages.
     newest_s
-        LSL time of the newest one, 0 before the first.
+        LSL time of the newest message, 0 before the first.
     refusals
-        What is not sent as it came.
+        Reports of data that is not sent unchanged.
     is_latched
-        Whether its publishers keep their last messages for those who come later.
+        Whether its publishers keep their last messages for late subscribers.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Bridge:
         self._held: deque[tuple[RosMessage, MessageInfo]] = deque()
         self._doubts = Doubts(self.refusals)
         if request.send_as in (SendAs.MARKERS, SendAs.JSON):
-            # Before anybody publishes: a recorder must see it before the first event.
+            # Opened before anybody publishes: a recorder must see it before the first event.
             try:
                 self._marker_outlet()
             except GatewayError as error:  # nothing is dropped: `_fail` reports it
@@ -131,7 +131,7 @@ class Bridge:
 
     @property
     def streams(self) -> Mapping[str, int]:
-        """Samples or markers that were pushed, by stream."""
+        """Number of samples or markers that were pushed, by stream."""
         own = {each.name: each.outlet.pushed for each in self._senders if each.outlet is not None}
         for each in self.parts:
             own |= each.streams
@@ -139,58 +139,58 @@ class Bridge:
 
     @property
     def is_received(self) -> bool:
-        """Whether anybody receives any of the streams."""
+        """Whether any of the streams has a receiver."""
         outlets = [each.outlet for each in self._senders]
         own = any(outlet.have_consumers() for outlet in outlets if outlet is not None)
         return own or any(each.is_received for each in self.parts)
 
     @property
     def replaced(self) -> int:
-        """How often an outlet made way for one with other channels."""
+        """How often an outlet was replaced by one with other channels."""
         senders = (each for each in self._senders if isinstance(each, NumberSender))
         own = sum(each.replaced for each in senders)
         return own + sum(each.replaced for each in self.parts)
 
     @property
     def parts(self) -> list[Bridge]:
-        """One for each pair of frames, for a type that lists transforms."""
+        """The bridges per pair of frames, for a type that lists transforms."""
         return self._pairs.parts
 
     @property
     def left_out(self) -> int:
-        """How many pairs of frames are not sent, because there are too many."""
+        """Number of pairs of frames that are not sent, because there are too many."""
         return len(self._pairs.left_out)
 
     @property
     def fault(self) -> str:
-        """Why nothing is sent; empty if something is."""
+        """Why nothing is sent; empty if messages are sent."""
         return self._fault
 
     def refuse(self, reason: str) -> None:
-        """Send nothing while there is a reason; an empty one says that there is none."""
+        """Send nothing while there is a reason; an empty text ends that."""
         self._fault = reason
         self.refusals.hold(Refusal.NOT_SENT, bool(reason), why=reason)
 
     @property
     def stampings(self) -> list[MessageStamping]:
-        """Of the topic, or of its parts."""
+        """The stampings of the topic, or of its parts."""
         if self._list is None:
             return [self.stamping]
         return [each.stamping for each in self.parts]
 
     @property
     def doubtful_clocks(self) -> dict[StampSource, Doubt]:
-        """Of the topic; of its parts the worst."""
+        """The doubtful clocks of the topic; the worst ones of its parts."""
         return worst_of(self.stampings)
 
     def take_offset(self, offset: Offset) -> None:
-        """Take in what was measured of its publisher's clock."""
+        """Store the measured offset of its publisher's clock."""
         with self._lock:
             for each in self.stampings:
                 each.clocks[StampSource.SOURCE].take_offset(offset)
 
     def connect(self, kind: MessageType) -> None:
-        """Take note of the type of the messages that will come."""
+        """Prepare for messages of a type."""
         with self._lock:
             headed = has_header(kind.message_class)
             self.stamping = MessageStamping(
@@ -215,10 +215,8 @@ class Bridge:
 
         Parameters
         ----------
-        message, info
-            As ROS gives them.
         may_be_old
-            It may have been published long before, and says nothing of a clock.
+            Whether it may have been published long ago, so that it shows nothing about a clock.
         """
         with self._lock:
             self.received += 1
@@ -243,7 +241,7 @@ class Bridge:
                 self._send(message, info)
 
     def look(self, now: float) -> None:
-        """Do what is due; a few times a second, with the LSL time."""
+        """Do scheduled work; call it a few times a second with the LSL time."""
         with self._lock:
             self.stamping.look(time_ns())
             if self._held and not self.stamping.is_in_doubt:
@@ -259,14 +257,14 @@ class Bridge:
             self.judge_clocks()
 
     def clock_was_set(self) -> None:
-        """Judge the publishers' clocks again: this computer's own one has jumped."""
+        """Check the publishers' clocks again, after a step of this computer's clock."""
         with self._lock:
             for each in self.stampings:
                 each.restart()
             self._doubts.restart()
 
     def end(self) -> None:
-        """Send what is held, and nothing more."""
+        """Send the messages that are held, and stop."""
         with self._lock:
             self._send_held()
             for each in self.parts:
@@ -288,11 +286,11 @@ class Bridge:
 
     def _fail(self, error: GatewayError) -> None:
         self.refuse(str(error))
-        # A stream that will never have anything must not be in anybody's list.
+        # A stream that will never have samples must not be listed.
         self._senders, self._markers = [], None
 
     def _take_parts(self, message: RosMessage, info: MessageInfo, *, may_be_old: bool) -> None:
-        """Send each element of a list as a message of its own."""
+        """Send each element of a list as a separate message."""
         assert self._list is not None
         elements = getattr(message, self._list.name)
         self.refusals.hold(Refusal.NO_NUMBER, not (elements or self.parts))
@@ -335,11 +333,11 @@ class Bridge:
 
 
 class PublicationLosses:
-    """Follows the numbers that a publisher gives its messages.
+    """Counts lost messages from the sequence numbers of a publisher.
 
-    They are of one publisher, and a message does not say whose it is: with two publishers on
-    a topic nothing can be known. What is missing therefore counts only at the next look, if
-    there was one publisher then, too.
+    Each publisher has its own numbers, and a message does not name its publisher, so losses are
+    unknown with two publishers on a topic. Missing numbers are therefore counted only at the next
+    look, if there is still one publisher.
     """
 
     def __init__(self) -> None:
@@ -350,21 +348,21 @@ class PublicationLosses:
 
     @property
     def lost(self) -> int | None:
-        """How many, since the first message; None if nobody can know."""
+        """Lost messages since the first one; None if unknown."""
         return None if self._is_unknown else self._lost
 
     def take(self, number: int | None) -> None:
-        """Take in the number of a message; None if the middleware gives none."""
+        """Add the number of a message; None if the middleware has none."""
         if number is None:
             self._is_unknown = True
             return  # nothing is dropped: this counts only
-        # A smaller one is of a publisher that was started again.
+        # A smaller number belongs to a publisher that was restarted.
         if self._newest is not None and number > self._newest + 1:
             self._missing += number - self._newest - 1
         self._newest = number
 
     def look(self, publishers: int) -> int:
-        """Take in how many publishers there are; return how many messages are newly missing."""
+        """Update the number of publishers; return the number of newly lost messages."""
         if publishers > 1:
             self._is_unknown = True
         new, self._missing = self._missing, 0
@@ -375,21 +373,21 @@ class PublicationLosses:
 
 
 class Pairs(Generic[Part]):
-    """The parts of one topic, by their frames.
+    """The parts of one topic, by frames.
 
     Parameters
     ----------
     request
-        Of the topic.
+        Request of the topic.
     make
-        Makes the part for a request, whose messages are of the class.
+        Makes the part for a request and a message class.
     refusals
-        Of the topic.
+        Refusals of the topic.
 
     Attributes
     ----------
     left_out
-        Pairs of frames that are not sent, because there are too many.
+        Number of pairs of frames that are not sent, because there are too many.
     """
 
     def __init__(
@@ -405,11 +403,11 @@ class Pairs(Generic[Part]):
 
     @property
     def parts(self) -> list[Part]:
-        """Those that there are."""
+        """The present parts."""
         return list(self._parts.values())
 
     def part_of(self, element: RosMessage, kind: type[Any]) -> Part | None:
-        """Return the part to which an element belongs; None if there are too many."""
+        """Return the part of an element; None if there are too many."""
         pair = (element.header.frame_id, element.child_frame_id)
         if pair not in self._parts and len(self._parts) >= MAX_PAIRS:
             self.left_out.add(pair)
@@ -421,7 +419,7 @@ class Pairs(Generic[Part]):
         return self._parts[pair]
 
     def _name(self, pair: tuple[str, str]) -> str:
-        # Frames may have slashes, and names of streams may not: two pairs may look alike.
+        # Slashes of frames are replaced in names of streams, so two pairs may look alike.
         plain = "-".join((self._request.name, *(_NO_NAME.sub("-", each) for each in pair)))
         names = (plain if number == 1 else f"{plain}-{number}" for number in count(1))
         name = next(each for each in names if each not in self._names)
@@ -430,7 +428,7 @@ class Pairs(Generic[Part]):
 
 
 def parted(message_class: type[Any], request: TopicRequest) -> FramedList | None:
-    """Return the list whose elements become streams, if a topic is to be sent so."""
+    """Return the list field whose elements become streams; None if the topic is sent as a whole."""
     found = framed_list(message_class)
     if found is None or request.send_as in (SendAs.MARKERS, SendAs.JSON):
         return None  # nothing is dropped: it is sent as a whole

@@ -1,4 +1,4 @@
-"""Reads what fields a message type has from its class."""
+"""Reads the fields of a message type from its rclpy class."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from biosensor_common.ros import fields
 from biosensor_common.ros.fields import HEADER, Field, Slot
 
 FRAMES = ("frame_id", "child_frame_id")
-"""Text that says where something is measured; it belongs into the header of a stream."""
+"""Text fields that name frames; they belong into the header of a stream."""
 
 
 def type_name(message_class: type[Any]) -> str:
-    """Return a class's name as ROS has it: ``sensor_msgs/msg/JointState``."""
+    """Return the ROS name of a class: ``sensor_msgs/msg/JointState``."""
     package = message_class.__module__.split(".")[0]
     return f"{package}/msg/{message_class.__name__}"
 
@@ -37,7 +37,7 @@ def message_class(name: str) -> type[Any]:
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE`` if it is no name of a type, ``NOT_FOUND`` if it is not installed here.
+        ``WRONG_VALUE`` if the name is not valid, ``NOT_FOUND`` if the type is not installed.
     """
     package, _, rest = name.partition("/")
     kind = rest.removeprefix("msg/")
@@ -62,23 +62,23 @@ def fields_of(message_class: type[Any]) -> tuple[Field, ...]:
 
 @cache
 def has_header(message_class: type[Any]) -> bool:
-    """Whether messages of a type have a header, with a stamp."""
+    """Whether messages of a type have a stamped header."""
     return fields.has_header(_Class(message_class))
 
 
 @cache
 def bulk_of(message_class: type[Any]) -> str:
-    """Return the field with an image, a cloud of points or the like; empty without any."""
+    """Return the name of a field with bulk data, such as images or point clouds; else empty."""
     return fields.bulk_of(_Class(message_class))
 
 
 class FramedList(NamedTuple):
-    """The only field of a message, a list of what is measured between pairs of frames.
+    """The only field of a message: a list of elements between pairs of frames.
 
     Attributes
     ----------
     element
-        Class of what is in it; it has a header and a ``child_frame_id``.
+        Class of the elements, which have a header and a ``child_frame_id``.
     """
 
     name: str
@@ -87,7 +87,7 @@ class FramedList(NamedTuple):
 
 @cache
 def framed_list(message_class: type[Any]) -> FramedList | None:
-    """Return the list of a type such as ``tf2_msgs/msg/TFMessage``."""
+    """Return the list of a type such as ``tf2_msgs/msg/TFMessage``; None for other types."""
     slots = [each for each in _Class(message_class).slots() if each.name != HEADER]
     if len(slots) != 1 or not slots[0].is_array or not isinstance(slots[0].message, _Class):
         return None
@@ -97,7 +97,7 @@ def framed_list(message_class: type[Any]) -> FramedList | None:
 
 
 class _Class:
-    """The definition of a message that its class of rclpy tells."""
+    """The definition of a message, from its rclpy class."""
 
     def __init__(self, message_class: type[Any]) -> None:
         self.message_class = message_class
@@ -134,9 +134,9 @@ def _class_of(slot: NamespacedType) -> type[Any]:
 
 
 def _constants(owner: type[Any], name: str) -> dict[int, str]:
-    """Return the constants whose names begin with the field's, which is how types enumerate."""
+    """Return the constants whose names begin with the field's name, as in enumerations."""
     prefix = f"{name.upper()}_"
-    # `STATUS__DEFAULT` is what the field begins with, and no name of a value.
+    # `STATUS__DEFAULT` is the field's default, not the name of a value.
     constants = (
         each
         for each in vars(type(owner))
@@ -147,7 +147,7 @@ def _constants(owner: type[Any], name: str) -> dict[int, str]:
 
 
 def frames_of(message: object) -> dict[str, str]:
-    """Return the frames that a message names, in its header or itself."""
+    """Return the frames of a message, from its header and its own field."""
     holders = (getattr(message, HEADER, None), message)
     return {
         name: str(getattr(holder, name))

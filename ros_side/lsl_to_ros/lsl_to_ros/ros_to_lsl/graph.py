@@ -1,4 +1,4 @@
-"""Looks at who publishes what."""
+"""Queries the topics of the ROS graph and their publishers."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from biosensor_common.ros.fields import all_fields
 from lsl_to_ros.ros_to_lsl.fields import bulk_of, fields_of, message_class
 
 QUEUE = 1000
-"""A second of the fastest topics that Python can take."""
+"""Queue depth: one second of the fastest topics that Python can receive."""
 _STREAM_LIST = "/streams"
 _STREAM_LIST_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
-# As rmw calls the node of who has been found, but has not said which nodes it has.
+# rmw's node name for a participant that was discovered but has not announced its nodes.
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 _OF_ROS = frozenset({"/rosout", "/parameter_events", "/clock"})
 
 
 class Quality(NamedTuple):
-    """How a topic is subscribed: as its publishers offer it.
+    """Quality of service of a subscription, as offered by the publishers.
 
     Attributes
     ----------
     is_reliable
-        All of them are; a reliable subscriber would get nothing from one that is not.
+        Whether all are reliable; a reliable subscriber does not match others.
     is_latched
-        All of them keep their last messages for later subscribers.
+        Whether all keep their last messages for late subscribers.
     """
 
     is_reliable: bool = True
@@ -38,7 +38,7 @@ class Quality(NamedTuple):
 
     @property
     def profile(self) -> QoSProfile:
-        """ROS's form of it."""
+        """Return the QoS profile."""
         return QoSProfile(
             depth=QUEUE,
             reliability=ReliabilityPolicy.RELIABLE
@@ -55,7 +55,7 @@ class Quality(NamedTuple):
 
 
 def quality_of(publishers: Sequence[TopicEndpointInfo]) -> Quality:
-    """Return the quality of service with which all these publishers are heard."""
+    """Return a quality of service that matches all these publishers."""
     profiles = [each.qos_profile for each in publishers]
     return Quality(
         all(each.reliability is not ReliabilityPolicy.BEST_EFFORT for each in profiles),
@@ -65,20 +65,20 @@ def quality_of(publishers: Sequence[TopicEndpointInfo]) -> Quality:
 
 
 def are_named(publishers: Iterable[TopicEndpointInfo]) -> bool:
-    """Whether it is known of all of them which node they are of; that comes a little later."""
+    """Whether the nodes of all publishers are known, which takes a little longer."""
     return all(each.node_name != _UNNAMED for each in publishers)
 
 
 class Graph:
-    """One look at the topics of the network.
+    """A snapshot of the topics in the ROS graph.
 
-    Nodes of ``lsl_to_ros`` are known by the list of streams that each of them publishes as
-    ``~/streams``, whatever they are called.
+    Nodes of ``lsl_to_ros`` are recognised by the topic ``~/streams`` that each of them publishes,
+    whatever their names.
 
     Attributes
     ----------
     topics
-        Their types, by full name.
+        Types of the topics, by full name.
     """
 
     def __init__(self, node: Node) -> None:
@@ -88,7 +88,7 @@ class Graph:
         self._gateways = set(self._find_gateways())
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Return who publishes a topic."""
+        """Return the publishers of a topic."""
         return list(self._node.get_publishers_info_by_topic(topic)) if topic in self.topics else []
 
     def is_ours(self, publishers: Iterable[TopicEndpointInfo]) -> bool:
@@ -98,13 +98,13 @@ class Graph:
     def small(self) -> list[str]:
         """Return the topics that ``all_small`` means.
 
-        Hidden ones and ROS's own are not of them, nor what has sequences of bytes without a
-        limit: images and clouds of points.
+        Excluded are hidden topics, ROS's own, and those with unbounded byte sequences: images and
+        point clouds.
         """
         return [topic for topic in self._shown() if all(map(_is_small, self.topics[topic]))]
 
     def left_out(self) -> list[str]:
-        """Return the topics that ``all_small`` leaves out for their type."""
+        """Return the topics that ``all_small`` leaves out because of their type."""
         return [topic for topic in self._shown() if not all(map(_is_small, self.topics[topic]))]
 
     def _shown(self) -> list[str]:

@@ -17,7 +17,7 @@ def main() -> None:
     limit_arenas(os.environ)
     liblsl.provide(os.environ)
     with liblsl.needed_by("ros_to_lsl"):
-        # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
+        # Imported only now: ROS's libraries start threads at import, and the arenas of these stay.
         settle("ros_to_lsl", sys.argv[1:], _usage)
         import_module("lsl_to_ros.ros_to_lsl.application").run()
 

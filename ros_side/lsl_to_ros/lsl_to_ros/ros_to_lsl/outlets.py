@@ -1,7 +1,7 @@
-"""Makes outlets for topics; their headers say where the samples come from.
+"""Makes outlets for topics; their headers describe the origin of the samples.
 
-Beside XDF's fields a header has one block, by which ``lsl_to_ros`` knows what it must not
-publish again::
+In addition to XDF's fields a header has one block, by which ``lsl_to_ros`` recognises streams
+that it must not publish again::
 
     <ros>
       <topic>/joint_states</topic> <type>sensor_msgs/msg/JointState</type>
@@ -32,24 +32,24 @@ from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
 from lsl_to_ros.ros_to_lsl.stamping import StampSource
 
 READY = "ros_to_lsl ready"
-"""A marker of our own: somebody begins to receive, and nobody did before. Some versions of the
-loader for MATLAB cannot load a stream of markers without any."""
+"""A marker sent when the first receiver connects. Some versions of the MATLAB loader cannot load a
+stream without markers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the samples of a stream come from.
+    """Origin of the samples of a stream.
 
     Attributes
     ----------
     type_name, type_hash
-        Of the message; empty if nobody has published yet.
+        Name and hash of the message type; empty before anybody publishes.
     frames
-        ``frame_id`` and ``child_frame_id`` of the first message, as far as there are.
+        ``frame_id`` and ``child_frame_id`` of the first message, if it has them.
     stamp_source
-        By what the first message was stamped, or is expected to be.
+        Source of the first message's stamp, or the expected one.
     clock
-        Of the one who made that stamp.
+        State of the clock of that stamp.
     clock_edge_s
         Its lower edge of arrival minus stamp; None before a message has come.
     """
@@ -66,7 +66,7 @@ class Origin:
 def sample_info(
     name: str, origin: Origin, channels: Sequence[Channel], rate: float
 ) -> pylsl.StreamInfo:
-    """Return LSL's description of a stream of numbers, as they stand in a layout."""
+    """Return the StreamInfo of a numeric stream with the channels of a layout."""
     shape = sha256("\n".join(each.label for each in channels).encode()).hexdigest()[:8]
     info = pylsl.StreamInfo(
         name,
@@ -90,7 +90,7 @@ def sample_info(
 
 
 class SampleOutlet:
-    """An outlet of numbers, as they stand in a layout."""
+    """An outlet of numbers, with the channels of a layout."""
 
     def __init__(self, name: str, origin: Origin, channels: Sequence[Channel], rate: float) -> None:
         self._outlet = LslOutlet(sample_info(name, origin, channels, rate))
@@ -107,7 +107,7 @@ class SampleOutlet:
 
 
 class MarkerOutlet:
-    """An outlet of text."""
+    """An outlet of text markers."""
 
     def __init__(self, name: str, origin: Origin) -> None:
         info = pylsl.StreamInfo(
@@ -129,13 +129,13 @@ class MarkerOutlet:
 
     def push(self, text: str, stamp: float) -> None:
         """Push one marker."""
-        # Whoever gets this one needs no other to begin with.
+        # A receiver of this marker needs no start marker.
         self._had_consumers = self.have_consumers()
         self._outlet.push_sample([text], stamp)
         self.pushed += 1
 
     def look(self, stamp: float) -> None:
-        """Tell whoever has begun to receive that the stream is there; at an LSL time."""
+        """Send the start marker, with an LSL time, if the first receiver has connected."""
         had_consumers, self._had_consumers = self._had_consumers, self.have_consumers()
         if self._had_consumers and not had_consumers:
             self._outlet.push_sample([READY], stamp)
@@ -146,19 +146,19 @@ class MarkerOutlet:
 
 
 def with_stamp(origin: Origin, source: StampSource, clock: ClockState, edge_s: float) -> Origin:
-    """Return an origin that says by what the stream is stamped."""
+    """Return an origin with the source and clock of the stamps."""
     edge = edge_s if math.isfinite(edge_s) else None
     return replace(origin, stamp_source=source, clock=clock, clock_edge_s=edge)
 
 
 def _source_id(name: str) -> str:
-    # The same topic may be on another computer, or in another ROS domain.
+    # The same topic may exist on another computer or in another ROS domain.
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     return f"ros-{naming.sanitise(socket.gethostname())}-{domain}-{name}"
 
 
 def _content_type(origin: Origin, channels: Sequence[Channel]) -> str:
-    """Return XDF's word for poses, else the message's own name."""
+    """Return XDF's content type for poses, else the message's name."""
     is_pose = any(each.kind.startswith(("Position", "Orientation")) for each in channels)
     return ContentType.MOCAP.value if is_pose else origin.type_name.rpartition("/")[2]
 
@@ -167,7 +167,7 @@ def _describe(description: Element, origin: Origin, *, can_drop_samples: bool) -
     synchronization = SubElement(description, "synchronization")
     _fill(synchronization, offset_mean="0")
     if can_drop_samples:
-        # Without it pyxdf smears a gap of less than 500 samples over the recording.
+        # Without this flag pyxdf spreads a gap of less than 500 samples over the whole recording.
         _fill(synchronization, can_drop_samples="true")
     ros = SubElement(description, "ros")
     _fill(ros, topic=origin.topic, type=origin.type_name, type_hash=origin.type_hash)

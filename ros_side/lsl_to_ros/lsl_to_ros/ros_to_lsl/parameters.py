@@ -1,4 +1,4 @@
-"""The parameters of ``ros_to_lsl``; they are read at the start, and what is wrong ends it."""
+"""The parameters of ``ros_to_lsl``; they are read at the start, and errors end the program."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from lsl_to_ros.parameters.node import (
 
 @unique
 class SendAs(StrEnum):
-    """What becomes of a topic's messages."""
+    """How a topic's messages are sent."""
 
     AUTO = ""
-    """Numbers are samples, and text beside them markers when it changes; else markers."""
+    """Numbers as samples, and text next to them as markers when it changes; else markers."""
     SAMPLES = "samples"
     MARKERS = "markers"
-    """Each message is one marker: its only field, or all of it as JSON."""
+    """One marker per message: its only field, or the whole message as JSON."""
     JSON = "json"
-    """Each message is one marker, all of it as JSON."""
+    """One marker per message, the whole message as JSON."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicRequest:
-    """What the parameters say of one topic.
+    """The request of the parameters for one topic.
 
     Attributes
     ----------
@@ -48,11 +48,11 @@ class TopicRequest:
     name
         Of the stream.
     fields
-        Which of the message's; all if there is none.
+        Fields of the message to send; all if empty.
     rate
-        Nominal, in Hz; 0 for an irregular stream.
+        Nominal rate in Hz; 0 for an irregular stream.
     type_name
-        Of the message, if it was said; else the publishers say it.
+        Type of the message; if empty, the publishers define it.
     """
 
     topic: str
@@ -65,14 +65,14 @@ class TopicRequest:
 
 @dataclass(frozen=True, slots=True)
 class Requests:
-    """What the parameters say in all.
+    """All requests of the parameters.
 
     Attributes
     ----------
     all_small
-        Send every other topic, too, but those with bytes without a limit.
+        Whether to send every other topic, too, except those with unbounded bytes.
     by_arrival
-        Stamp everything by the time of its arrival.
+        Whether to stamp everything with its arrival time.
     """
 
     topics: tuple[TopicRequest, ...] = ()
@@ -83,7 +83,7 @@ class Requests:
 def stream_name(topic: str) -> str:
     """Return a stream's name for a topic: ``robot-odom`` for ``/robot/odom``.
 
-    Topics have no hyphen, so different ones have different names.
+    Topics contain no hyphens, so different topics have different names.
     """
     return topic.strip("/").replace("/", "-")
 
@@ -92,7 +92,7 @@ TOPICS, ALL_SMALL, STAMPS = "topics", "all_small", "stamps"
 MEASURED, ARRIVAL = "measured", "arrival"
 AS, FIELDS, NAME, RATE, TYPE = "as", "fields", "name", "rate", "type"
 USE_SIM_TIME = "use_sim_time"
-# Of ROS itself.
+# Parameters of ROS itself.
 _OF_ROS = frozenset({USE_SIM_TIME, "start_type_description_service"})
 _QOS_OVERRIDES = "qos_overrides."
 _STREAM_NAME = re.compile(r"[A-Za-z0-9_-]{1,100}")
@@ -100,14 +100,14 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg/)?[A-Z][A-Za-z0-9]*")
 
 
 class Option(NamedTuple):
-    """What a parameter takes.
+    """Declaration of a parameter.
 
     Attributes
     ----------
     default
-        Its type is that of the parameter, too.
+        Default value, whose type is the parameter's type.
     text
-        For ``ros2 param describe`` and ``--help``.
+        Description for ``ros2 param describe`` and ``--help``.
     """
 
     default: str | float | bool | list[str]
@@ -140,7 +140,7 @@ _TYPES: dict[type[Any], int] = {
 
 
 def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
-    """Declare every parameter; return what is to be sent.
+    """Declare every parameter and return the requests.
 
     Parameters
     ----------
@@ -165,12 +165,12 @@ def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
 
 
 def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requests:
-    """Return what parameters ask for; raises what :func:`read_requests` raises.
+    """Return the requests of parameter values; raises as :func:`read_requests` does.
 
     Parameters
     ----------
     given
-        By name, with ROS's values.
+        Values of ROS, by name.
     resolve
         Full name of a topic; raises RuntimeError, TypeError or ValueError where there is none.
     """
@@ -287,7 +287,7 @@ def _check_stamps(stamps: str, *, use_sim_time: bool) -> None:
 
 
 def _declare(node: Node, values: Mapping[str, Any]) -> None:
-    """Show the parameters to ``ros2 param``; none can be changed while the node runs."""
+    """Declare the parameters for ``ros2 param``, as read-only."""
     for name, value in values.items():
         option = NODE_OPTIONS.get(name) or TOPIC_OPTIONS[name.rpartition(".")[2]]
         if node.has_parameter(name):
