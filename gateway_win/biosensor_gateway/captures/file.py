@@ -9,6 +9,7 @@ import gzip
 import json
 import zlib
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -92,6 +93,14 @@ class Event(BaseModel):
         return self.error == CANCELLED
 
 
+class Arrivals(StrEnum):
+    """Whether the times of a capture are those of arrival."""
+
+    MEASURED = "measured"
+    UNKNOWN = "not known"
+    """They are the device's own, so that nothing can be said of stamps."""
+
+
 class Header(BaseModel):
     """What a capture is of.
 
@@ -134,6 +143,7 @@ class Header(BaseModel):
     consent: Text = ""
     source: Text = ""
     note: Text = ""
+    arrivals: Arrivals = Arrivals.MEASURED
 
 
 class Capture(BaseModel):

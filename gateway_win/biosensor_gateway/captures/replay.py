@@ -23,7 +23,7 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.captures.bluetooth import backends
-from biosensor_gateway.captures.file import Capture
+from biosensor_gateway.captures.file import Arrivals, Capture
 from biosensor_gateway.captures.player import Player, ReplayedLink
 from biosensor_gateway.captures.ports import ReplayedPorts
 from biosensor_gateway.devices.registry import declared, driver
@@ -240,6 +240,10 @@ async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Repo
         begun_s = clock()
         is_played = await _play(player, clock)
         report = _report(sink, player, supervisor, capture.header.left_out)
+        if capture.header.arrivals is Arrivals.UNKNOWN:
+            for stream in report.streams.values():
+                stream.ages_s.clear()
+            report.notes.append("when it arrived is not known, so nothing is said of its stamps")
         report.seconds = clock() - begun_s
         if not is_played:
             report.problems.append(

@@ -169,7 +169,8 @@ def _print(path: Path, capture: Capture, report: Report) -> None:
         headings = ("stream", "samples", "lost", "refused", "least ms", "median ms", "most ms")
         terminal = console()
         terminal.print(table_of_names(headings, rows, terminal.width))
-        say("ms: from the stamp of a packet's last sample to its arrival.")
+        if any(each.ages_s for each in report.streams.values()):
+            say("ms: from the stamp of a packet's last sample to its arrival.")
     if report.reanchors:
         say(f"! the device's clock jumped {report.reanchors} times; its stamps are re-anchored")
     for sentence in (*report.sentences, *report.problems, *report.notes):
