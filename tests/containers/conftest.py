@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 RELEASE = "bookworm"
 PACKAGES = "python3,python3-venv,ca-certificates"
 CERTIFICATES = Path("/etc/ssl/certs/ca-certificates.crt")
+BASE = "localhost/debian-python"
 LIMIT_S = 1500.0
 
 
@@ -118,10 +119,10 @@ def engine(tmp_path_factory: pytest.TempPathFactory) -> Generator[Engine]:
     )
     made = engine.run("from", "scratch").split()[-1]
     engine.run("add", made, base)
-    engine.run("commit", "--quiet", made, "localhost/debian-python")
+    engine.run("commit", "--quiet", made, BASE)
     engine.run("rm", made)
     base.unlink()
-    engine.make("containers", "localhost/debian-python")
+    engine.make("containers", BASE)
     with closing(engine):
         yield engine
     shutil.rmtree(folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -73,3 +74,18 @@ def test_a_heart_rate_comes_from_one_container_to_the_other(engine: Engine) -> N
     ended(streaming)
     bridging.terminate()
     assert "ble_heart_rate/hr (std_msgs/msg/Float32)" in bridging.communicate(timeout=60)[0]
+
+
+@pytest.mark.parametrize(("image", "most_mb"), [("agent", 450.0), ("node", 650.0)])
+def test_an_image_is_not_much_larger_than_the_documents_say(
+    engine: Engine, image: str, most_mb: float
+) -> None:
+    sizes = {
+        name: each["size"]
+        for each in json.loads(engine.run("images", "--json"))
+        for name in each["names"] or ()
+    }
+    (size,) = (size for name, size in sizes.items() if f"gateway-{image}:" in name)
+    number, unit = size.split()
+    assert unit == "MB", sizes
+    assert float(number) < most_mb, sizes
