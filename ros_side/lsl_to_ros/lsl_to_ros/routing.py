@@ -1,4 +1,4 @@
-"""Assigns topics to streams."""
+"""Assigns topics to streams, and connects inlets to them."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from lsl_to_ros.topics.pacing import Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
 from lsl_to_ros.topics.writers import StreamContext
 
-# So many topics of streams that are away stay open for their subscribers.
+# Number of topics of absent streams that stay open for their subscribers.
 ABSENT_TOPICS = 1000
 
 
 @dataclass(slots=True)
 class Route:
-    """One attached stream on its way to ROS."""
+    """One attached stream with its topic and bridge."""
 
     inlet: Inlet
     header: StreamHeader
@@ -50,7 +50,7 @@ class Route:
 
 @dataclass(slots=True)
 class _Record:
-    """What is remembered of a stream over all its outlets."""
+    """State of a stream that outlives its outlets."""
 
     counters: NodeCounters
     uid: str = ""
@@ -65,14 +65,14 @@ class Routing:
     prefix
         First part of every topic, relative.
     aliases
-        Names of sensors by those of other programs' LSL streams.
+        Sensor names by the names of other programs' LSL streams.
     is_as_original
-        Whether topics are to be as the original framework has them, see `topics.originals`.
+        Whether topics have the original framework's form, see `topics.originals`.
 
     Attributes
     ----------
     refusals
-        What is not published as it came, and has no entry of its own.
+        Reports of data not published unchanged that have no separate entry.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Routing:
         self._joined: dict[tuple[DeviceIdentity, str], Joined] = {}
         self._publishers = TopicPublishers(node, pacer)
         self._prefix = prefix
-        # Devices that keep their names: another one's data must not appear under them.
+        # Devices that keep their names, because another device's data must not appear under them.
         self._lasting: set[DeviceIdentity] = set()
         self._parameters = parameters
         self._time = ros_time
@@ -106,7 +106,7 @@ class Routing:
         self._due: list[Route] = []
 
     def device_name(self, route: Route) -> str:
-        """Name of a stream's device as in its topics: ``p01/zephyr_left``."""
+        """Return the name of a stream's device in its topics: ``p01/zephyr_left``."""
         return route.topic.frame_id(self._prefix) if route.topic else ""
 
     @property
@@ -116,7 +116,7 @@ class Routing:
 
     def update(self, ready: list[Inlet], gone: list[Inlet]) -> bool:
         """Attach and detach streams; return whether anything changed."""
-        # What is gone need not have been here: a dead outlet is reported for a while.
+        # A lost stream may be unknown here, because ended outlets are reported for a while.
         left = [route for inlet in gone if (route := self._routes.pop(inlet.uid, None))]
         for route in left:
             name = route.topic.name if route.topic else route.inlet.core.name
@@ -152,10 +152,10 @@ class Routing:
                 )
 
     def count_readers(self) -> None:
-        """Ask for the subscribers of every topic, and begin with the streams that are due.
+        """Count the subscribers of every topic, and start delivery of new streams.
 
-        A stream begins one look after its topics opened: subscribers that wait for them
-        have found them by then, and liblsl keeps the samples.
+        A stream starts one look after its topics were opened. By then waiting subscribers
+        have found them, and liblsl buffers the samples.
         """
         self._publishers.count_readers()
         due, self._due, self._newest = self._due, self._newest, []
@@ -179,7 +179,7 @@ class Routing:
         self._close_topics(left | self._crowded(topics))
 
     def _crowded(self, topics: Mapping[str, TopicName]) -> set[str]:
-        """Names that several units would have; the one that had it may be absent by now."""
+        """Return names that several units would have, including units that are absent now."""
         crowded = [self._routes[uid].header for uid, topic in topics.items() if topic.conflict]
         return {
             naming.topic(header.identity, header.data_name, self._prefix).rpartition("/")[0]
@@ -187,10 +187,10 @@ class Routing:
         }
 
     def _close_topics(self, bases: set[str]) -> None:
-        """Close what nobody publishes any more under these names, and what changed its type.
+        """Close unused topics below these names, and topics whose type has changed.
 
-        Topics of streams that are merely absent stay: their subscribers then need
-        not match again when the stream returns.
+        Topics of absent streams stay open, so that their subscribers need not match
+        again when the stream returns.
         """
         used = self._used_publishers()
         names = {publisher.name for publisher in used}
@@ -216,7 +216,7 @@ class Routing:
         header, inlet = route.header, route.inlet
         counters = self._record(route).counters
         if counters.received:
-            # What is lost before it is back counts as lost now.
+            # Samples that are lost until the stream is back count as lost.
             lost = counters.lost(can_estimate=can_estimate_losses(header))
             route.status.recent(max(lost.count, 0), 0)
         self._parameters.declare(header.identity, header.data_name, header.chunk)
@@ -262,7 +262,7 @@ class Routing:
         self._log.inform(f"{topic.name} ({header.message_type}){replay}")
 
     def _listen_only(self, inlet: Inlet, header: StreamHeader) -> None:
-        """Take in an agent's counters that another node publishes."""
+        """Receive an agent's counters that another node publishes."""
         bridge = Bridge(
             header,
             Outputs(),
@@ -316,11 +316,11 @@ class Routing:
             (original,) = ORIGINALS[header.identity.sensor, part_of]
             return self._joined_of(header, part_of, original).take
         is_counters = header.message_type is MessageType.DIAGNOSTIC_ARRAY
-        # Counts in a replay are of samples that another computer got on another day.
+        # Counters in a replay are about samples of another computer and day.
         return self._take_counters if is_counters and header.replay is None else None
 
     def _take_counters(self, block: Block) -> None:
-        """Hand on the agent's counters; runs in the thread that reads that stream."""
+        """Apply the agent's counters; runs in the thread that reads their stream."""
         for sample in block.samples:
             self._take_report(sample)
 
@@ -343,14 +343,14 @@ def _key(header: StreamHeader) -> tuple[str, str]:
 
 
 def renamed(header: StreamHeader, lsl_name: str, aliases: Mapping[str, str]) -> StreamHeader:
-    """Return the header of a stream under the name that the user has for it, if there is one.
+    """Return the header of a stream with the user's sensor name for it, if there is one.
 
-    Streams of agents keep their names: label and participant are set where they are.
+    Streams of agents keep their names, because label and participant are set in the agent.
 
     Parameters
     ----------
     aliases
-        Names of sensors by those of LSL streams; in these, ``*`` is any text. The first one holds.
+        Sensor names by LSL stream names, in which ``*`` matches any text; the first match is used.
     """
     for pattern, alias in aliases.items():
         texts = map(re.escape, pattern.split("*"))
@@ -360,10 +360,10 @@ def renamed(header: StreamHeader, lsl_name: str, aliases: Mapping[str, str]) -> 
 
 
 def _is_named_after_unit(header: StreamHeader) -> bool:
-    """Whether the name stands for one device for good.
+    """Whether the name always denotes the same device.
 
-    A participant or a label names a place, where a device may be replaced, and
-    another program may give its stream a new source_id at every start.
+    A participant or a label denotes a place, where a device may be replaced, and another
+    program may give its stream a new source_id at every start.
     """
     identity = header.identity
     return not (header.foreign or identity.participant or identity.label)

@@ -1,4 +1,4 @@
-"""Takes messages from subscriptions, in a thread of its own."""
+"""Takes messages from subscriptions in a separate thread."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 REST_S = 0.0015
-"""After each round, so that messages that come close together are taken together: a round
-costs more than a message."""
+"""Pause after each round, so that messages close in time are taken together: a round costs more
+than a message."""
 _WAIT_NS = 50_000_000
 _MAX_TAKEN = 200
-"""Of one subscription in a round, so that a flood does not keep the others waiting."""
+"""Messages of one subscription per round, so that a flood does not delay the others."""
 _END_S = 5.0
 
 RosMessage: TypeAlias = Any
-"""A message of whatever type."""
+"""A message of any type."""
 
 
 class MessageInfo(TypedDict):
-    """What ROS tells of a message besides; None where the middleware does not know.
+    """Metadata of a message; None where the middleware does not provide it.
 
     Attributes
     ----------
     source_timestamp, received_timestamp
-        When it was published and when it arrived, in nanoseconds since 1970.
+        Times of publication and arrival, in nanoseconds since 1970.
     publication_sequence_number
-        Counted by its publisher.
+        Sequence number of its publisher.
     """
 
     source_timestamp: int
@@ -45,15 +45,15 @@ Take = Callable[[RosMessage, MessageInfo], None]
 
 
 def nobody(message: RosMessage) -> None:
-    """Stand where rclpy demands a callback of a subscription from which a `Taker` takes."""
+    """Serve as the callback that rclpy requires; a `Taker` takes the messages instead."""
     del message
 
 
 class TakenElsewhere(CallbackGroup):
-    """Keeps subscriptions away from the node's executor."""
+    """Callback group whose subscriptions the node's executor ignores."""
 
     def can_execute(self, entity: object) -> bool:
-        """No executor takes from them."""
+        """Return that no executor may take from them."""
         del entity
         return False
 
@@ -61,21 +61,21 @@ class TakenElsewhere(CallbackGroup):
 class _Entry:
     def __init__(self, subscription: Subscription, take: Take) -> None:
         self.subscription, self.take = subscription, take
-        # Asked for by every round, which a property of rclpy makes dear.
+        # Stored, because every round needs it and rclpy's property is slow.
         self.handle = subscription.handle
 
 
 class Taker:
-    """Waits for messages of any subscription, and hands each to whom it belongs.
+    """Waits for messages of all subscriptions, and calls each one's receiver.
 
     An executor of rclpy takes two to three times the processor time.
 
     Parameters
     ----------
     node
-        That made the subscriptions.
+        Node of the subscriptions.
     failed
-        Called with an error that a receiver has raised.
+        Called with an error raised by a receiver.
     """
 
     def __init__(self, node: Node, failed: Callable[[Subscription, Exception], None]) -> None:
@@ -88,12 +88,12 @@ class Taker:
         self._thread.start()
 
     def add(self, subscription: Subscription, take: Take) -> None:
-        """Hand the messages of a subscription to *take* from now on."""
+        """Call *take* with each message of a subscription from now on."""
         entry = _Entry(subscription, take)
         self._todo.put(lambda: self._entries.update({subscription.handle.pointer: entry}))
 
     def remove(self, subscription: Subscription) -> None:
-        """Take what has come, and nothing more; the subscription may be destroyed then."""
+        """Take a subscription's last messages; afterwards it may be destroyed."""
         done = threading.Event()
 
         def leave() -> None:
@@ -106,7 +106,7 @@ class Taker:
         done.wait(_END_S)
 
     def stop(self) -> None:
-        """Take what has come, and end."""
+        """Take the messages received so far, and stop."""
         self._stopping.set()
         self._thread.join(_END_S)
 

@@ -1,4 +1,4 @@
-"""Finds out whether who stamps messages has this computer's time."""
+"""Determines whether a publisher's clock agrees with this computer's clock."""
 
 from __future__ import annotations
 
@@ -10,49 +10,48 @@ from biosensor_common.lower_envelope import LateRun, LowerEnvelope, Patience
 from biosensor_common.ros_clock import NS_PER_S
 
 AHEAD_S = 0.002
-"""By how much a message may seem to come before it was sent: what NTP leaves in a lab's network."""
+"""By how much a message may seem to arrive before it was sent: NTP's error in a lab network."""
 WAY_S = 0.02
-"""The fastest messages in a lab's network take no longer; what is later may be the clock."""
+"""The fastest messages in a lab network take no longer; a larger delay may be the clock's error."""
 BEHIND_S = 1.0
-"""No way takes so long: what is later is the clock."""
+"""No network takes so long; a larger delay is the clock's error."""
 PATIENCE_S = 2.0
-"""As long as all that came was late, it may have waited on its way."""
+"""For this time, late messages may still be explained by a backlog."""
 SET_BACK = Patience(10.0, 10, spread=0.5)
-"""When messages of a clock that was right stay late, and all by the same, it was set."""
+"""If messages of a correct clock stay late, all by the same time, the clock was set."""
 _PERIOD_S = 1.0
 
 
 @unique
 class ClockState(StrEnum):
-    """What is known of a clock."""
+    """State of a publisher's clock."""
 
     UNKNOWN = "unknown"
-    """Nothing has come, or only late messages, and not for long."""
+    """No message yet, or only late ones for a short time."""
     SYNCHRONISED = "synchronised"
-    """To `WAY_S`, or as it was measured."""
+    """To within `WAY_S`, or by measurement."""
     BEHIND = "behind"
-    """By up to the edge; how much of that is the way, nobody knows."""
+    """By up to the edge, of which an unknown part is transmission delay."""
     WRONG = "wrong"
 
 
 class Offset(NamedTuple):
-    """Between what a publisher's clock minus this computer's was found to be, in seconds."""
+    """Bounds of a publisher's clock minus this computer's clock, in seconds."""
 
     least_s: float
     most_s: float
 
 
 class PublisherClock:
-    """Follows the lower edge of arrival minus stamp, which is the fastest way plus the offset.
+    """Tracks the lower edge of arrival minus stamp: the smallest delay plus the clock offset.
 
-    Delays are never negative, so the edge of a clock that is right lies just above 0. Where it
-    lies higher, only a measurement can tell the clock from the way. Once a clock was found to be
-    wrong it stays so: what it will stamp next is not to be trusted.
+    Delays are never negative, so the edge of a correct clock is just above 0. If it is higher, only
+    a measurement can separate offset and delay. A clock that was wrong once stays untrusted.
 
     Attributes
     ----------
     offset
-        What was measured; None if nothing was.
+        Measured offset; None without a measurement.
     """
 
     def __init__(self) -> None:
@@ -66,7 +65,7 @@ class PublisherClock:
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether something has come, and it may still be the way that was slow."""
+        """Whether messages were received, but their delay may still be the network's."""
         return self._envelope is not None and self.state is ClockState.UNKNOWN
 
     @property
@@ -80,13 +79,13 @@ class PublisherClock:
 
     @property
     def bound_s(self) -> float:
-        """By how much the clock may be behind, in seconds: the edge, or what was measured."""
+        """By how much the clock may be behind, in seconds: the edge, or the measured offset."""
         if self.offset is not None and self.state is ClockState.SYNCHRONISED:
             return min(-self.offset.least_s, self.edge_s)
         return self.edge_s
 
     def observe(self, stamp_ns: int, arrival_ns: int) -> None:
-        """Take in a message.
+        """Add the times of a message.
 
         Parameters
         ----------
@@ -105,12 +104,12 @@ class PublisherClock:
         if height_s < self._lowest[1]:
             self._lowest = passed_s, height_s
         if passed_s - self._period_begin_s > _PERIOD_S and self._envelope is not None:
-            # Of each second the lowest point, for a fit takes longer than all the rest.
+            # Only the lowest point of each second, because a fit takes longer than all other work.
             self._envelope.add(*self._lowest)
             self._lowest, self._period_begin_s = (0.0, math.inf), passed_s
         self._late.add(delay_s, WAY_S, passed_s)
         self._judge(delay_s)
-        # Of a clock that was measured to be right, late messages are the way.
+        # If the clock was measured to be right, late messages are due to the network.
         is_right = self.state is ClockState.SYNCHRONISED and self.offset is None
         is_to_doubt = is_right or self._late.least > BEHIND_S
         if self.state in _NOT_WRONG and is_to_doubt and self._late.outlasts(SET_BACK):
@@ -124,14 +123,14 @@ class PublisherClock:
         self._late = LateRun()
 
     def look(self, now_ns: int) -> None:
-        """Judge by the time that has passed, also if nothing comes any more."""
+        """Update the state by the elapsed time, also without new messages."""
         if self.is_in_doubt:
             passed_s = (now_ns - self._first_arrival_ns) / NS_PER_S
             if passed_s > PATIENCE_S:
                 self.state = _late_state(self.edge_s)
 
     def take_offset(self, offset: Offset) -> None:
-        """Take in what was measured of the publisher's clock."""
+        """Store the measured offset of the publisher's clock."""
         self.offset = offset
         if offset.least_s > AHEAD_S or offset.most_s < -WAY_S:
             self.state = ClockState.WRONG

@@ -2,10 +2,10 @@
 
 Levels of a topic:
 
-* ERROR: it cannot be sent, and why.
+* ERROR: it cannot be sent; the message says why.
 * STALE: a topic with a nominal rate, without a message for 5 s.
-* WARN: something of it is not sent as it came, now or in the last 10 s; a clock is not
-  synchronised. :class:`biosensor_common.refusal.Refusal` has all that there is.
+* WARN: some of it is not sent unchanged, now or in the last 10 s; a clock is not synchronised.
+  :class:`biosensor_common.refusal.Refusal` lists all cases.
 * OK: none of these.
 """
 
@@ -30,7 +30,7 @@ PROGRAM = "ros_to_lsl"
 def node_status(
     topics: int, streams: int, clock_steps: int, left_out: Sequence[str], refusals: Refusals
 ) -> DiagnosticStatus:
-    """Describe the node, and which topics ``all_small`` leaves out."""
+    """Make the status of the node, with the topics that ``all_small`` leaves out."""
     present = refusals.present
     values = {
         "topics": str(topics),
@@ -44,7 +44,7 @@ def node_status(
 
 
 def topic_status(topic: Topic) -> DiagnosticStatus:
-    """Describe one topic."""
+    """Make the status of one topic."""
     bridge = topic.bridge
     lost = bridge.losses.lost
     rate = topic.status.meter.rate(bridge.received, bridge.newest_s)
@@ -69,7 +69,7 @@ def topic_status(topic: Topic) -> DiagnosticStatus:
 
 
 def topic_facts(topic: Topic) -> dict[str, object]:
-    """Return what a heartbeat says of one topic."""
+    """Return the facts of one topic for a heartbeat."""
     bridge = topic.bridge
     wrong = {s.value: round(d.edge_s, 6) for s, d in bridge.doubtful_clocks.items()}
     clocks = {
@@ -116,7 +116,7 @@ def _stamped_by(bridge: Bridge) -> str:
 
 
 def _stamped(bridge: Bridge) -> Mapping[StampSource, int]:
-    """Return how many samples were stamped by which."""
+    """Return the number of samples per source of stamps."""
     counts: Counter[StampSource] = Counter()
     for each in bridge.stampings:
         counts.update(each.sources)
@@ -124,7 +124,7 @@ def _stamped(bridge: Bridge) -> Mapping[StampSource, int]:
 
 
 def _clocks(bridge: Bridge) -> Mapping[StampSource, tuple[str, float]]:
-    """Return state and edge of each clock; of the parts of a topic, the one that is worst."""
+    """Return state and edge of each clock; for a topic with parts, the worst of them."""
     found: dict[StampSource, tuple[str, float]] = {}
     for stamping in bridge.stampings:
         for source, clock in stamping.clocks.items():

@@ -1,4 +1,4 @@
-"""Sends what messages say: their numbers as samples, their text as markers."""
+"""Sends the content of messages: numbers as samples, text as markers."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
 from lsl_to_ros.subscriber_thread import RosMessage
 
 LINGER_S = 0.25
-"""How long an outlet stays after its last sample, which LSL sends from a thread of its own."""
+"""How long an outlet stays open after its last sample, which LSL sends in a separate thread."""
 MAX_REPLACED, REPLACED_WITHIN_S = 10, 60.0
 _BULK = (
     "its messages carry bulk data in {!r} (images, clouds of points and the like), which is not"
     " for LSL; record it with ros2 bag, or name other fields"
 )
 TEXT_SUFFIX = "__text"
-"""No topic has two underscores, so no other stream has this name."""
+"""Suffix with two underscores, which no topic has, so that the name is unique."""
 ToText = Callable[[Any], str]
 
 
@@ -37,7 +37,7 @@ class Sender(Protocol):
 
     @property
     def name(self) -> str:
-        """The stream's."""
+        """Name of the stream."""
         ...
 
     @property
@@ -46,32 +46,32 @@ class Sender(Protocol):
         ...
 
     def send(self, message: RosMessage, stamp: float, origin: Callable[[], Origin]) -> None:
-        """Send what belongs into this stream, at an LSL time.
+        """Send a message's data for this stream, with an LSL time.
 
         Raises
         ------
         SpecError
-            If the message cannot be sent as it was asked for.
+            If the message cannot be sent as requested.
         """
         ...
 
     def look(self, now: float) -> None:
-        """Do what is due; a few times a second, with the LSL time."""
+        """Do scheduled work; call it a few times a second with the LSL time."""
         ...
 
 
 class NumberSender:
-    """The numbers of a message, as a sample.
+    """Sends the numbers of a message as a sample.
 
-    The outlet is there from the first message on that has any. One whose sequences have another
-    length or other names gets a new outlet, because LSL cannot change a stream's channels.
+    The outlet is opened by the first message with numbers. A message whose sequences have another
+    length or other names opens a new outlet, because LSL cannot change a stream's channels.
 
     Attributes
     ----------
     replaced
-        How often that was.
+        How often the outlet was replaced.
     inexact
-        Label of a channel that had an integer which is too large for a float; empty if none had.
+        Label of a channel with an integer that a float cannot represent; empty without any.
     """
 
     def __init__(self, fields: Sequence[Field], request: TopicRequest, refusals: Refusals) -> None:
@@ -110,17 +110,17 @@ class NumberSender:
         self.outlet.push(values, stamp)
 
     def look(self, now: float) -> None:
-        """Let go of outlets that have been replaced."""
+        """Close outlets that have been replaced."""
         del now
         self._left = [each for each in self._left if monotonic() - each[0] < LINGER_S]
 
     def has_new_receiver(self) -> bool:
-        """Whether somebody has begun to receive the stream since this was asked, and nobody did."""
+        """Whether the stream has receivers now, and had none at the last call."""
         had, self._had_consumers = self._had_consumers, self._has_consumers()
         return self._had_consumers and not had
 
     def repeat(self, stamp: float) -> None:
-        """Push the newest sample once more: what a latched topic said still holds."""
+        """Push the newest sample again, because the value of a latched topic is still valid."""
         if self.outlet is not None and self._newest is not None:
             self.outlet.push(self._newest, stamp)
 
@@ -131,7 +131,7 @@ class NumberSender:
         before = self.outlet
         layout = Layout(self._fields, message, self._request.fields)
         if not layout.channels:
-            # All of its sequences are empty: wait for one that says how many channels there are.
+            # All sequences are empty: wait for a message that defines the number of channels.
             self._refusals.refuse(Refusal.NO_NUMBER)
             return
         self._refusals.over(Refusal.NO_NUMBER)
@@ -158,7 +158,7 @@ class NumberSender:
 
 
 class TextSender:
-    """The text beside numbers: a marker at the first message, and whenever it changes."""
+    """Sends the text fields of a numeric message as a marker at first and at each change."""
 
     def __init__(self, fields: Sequence[Field], name: str) -> None:
         self.name = name
@@ -182,12 +182,12 @@ class TextSender:
 
 
 class MarkerSender:
-    """Each message as a marker.
+    """Sends each message as a marker.
 
     Parameters
     ----------
     outlet
-        Which is there already, because a recorder must see it before the first event.
+        Open already, because a recorder must see it before the first event.
     """
 
     def __init__(self, read: ToText, name: str, outlet: MarkerOutlet) -> None:
@@ -211,26 +211,26 @@ def senders_for(
     markers: Callable[[], MarkerOutlet],
     refusals: Refusals,
 ) -> list[Sender]:
-    """Return what sends the messages of a type.
+    """Return the senders of a message type.
 
     Parameters
     ----------
     markers
-        Gives the outlet of markers under the topic's own name.
+        Returns the marker outlet with the topic's own name.
     refusals
-        Of the topic.
+        Refusals of the topic.
 
     Raises
     ------
     SpecError
-        ``INVALID`` if fields are asked for that are not there, ``TOO_LARGE`` for bulk data.
+        ``INVALID`` if a requested field does not exist, ``TOO_LARGE`` for bulk data.
     """
     fields = fields_of(message_class)
     bulk = bulk_of(message_class)
     touched = any(is_part(each, bulk) or is_part(bulk, each) for each in request.fields)
     if bulk and (touched or not request.fields):
         raise SpecError(SpecReason.TOO_LARGE, _BULK.format(bulk))
-    # What nobody wants of it would be read with each message.
+    # Without a request for them, its numbers would be read from each message for nothing.
     fields = tuple(each for each in fields if each.path != bulk)
     send_as = request.send_as
     if send_as is SendAs.AUTO:
@@ -265,26 +265,26 @@ def is_text(field: Field) -> bool:
 
 
 def has_records(fields: Sequence[Field]) -> bool:
-    """Whether there is a list of messages that have text of their own, as in a report."""
+    """Whether there is a list of messages with text fields, as in a report."""
     return any(is_text(inside) for each in fields for inside in each.elements)
 
 
 def text_of(fields: Sequence[Field], wanted: Sequence[str] = ()) -> ToText:
-    """Return what makes a marker of a message's text fields.
+    """Return a function that makes a marker of a message's text fields.
 
-    One field is a marker as it is; several are a JSON object with their paths.
+    One field becomes a marker unchanged; several become a JSON object by their paths.
 
     Parameters
     ----------
     fields
         Of the message's type.
     wanted
-        Which of them; all that are text if there is none.
+        Requested fields; all text fields if empty.
 
     Raises
     ------
     SpecError
-        ``INVALID`` if one of these is no field, or none is left.
+        ``INVALID`` if a requested field does not exist, or none is left.
     """
     chosen = _chosen(fields, wanted)
     if len(chosen) == 1 and not chosen[0].is_array:
@@ -295,15 +295,14 @@ def text_of(fields: Sequence[Field], wanted: Sequence[str] = ()) -> ToText:
 
 
 def marker_of(message_class: type[Any], topic: str, wanted: Sequence[str] = ()) -> ToText:
-    """Return what makes one marker of a message: its only field as it is, else all as JSON.
+    """Return a function that makes a marker of a message: its only field, or all as JSON.
 
-    A message without fields, ``std_msgs/msg/Empty``, says only that it came: its marker is the
-    name of the topic.
+    A message without fields, ``std_msgs/msg/Empty``, becomes a marker with the topic's name.
 
     Raises
     ------
     SpecError
-        ``INVALID`` if something that is wanted is no field.
+        ``INVALID`` if a requested field does not exist.
     """
     fields = fields_of(message_class)
     if not fields:
@@ -316,7 +315,7 @@ def marker_of(message_class: type[Any], topic: str, wanted: Sequence[str] = ()) 
 def as_json(message: RosMessage) -> str:
     """Return a whole message as a JSON object.
 
-    JSON has no words for NaN and the infinities; they are text, as in the JSON of protobuf.
+    JSON cannot represent NaN and the infinities; they become text, as in protobuf's JSON.
     """
     return _json(_plain_value(message))
 
@@ -363,7 +362,7 @@ def _json(value: object) -> str:
 
 def _plain_value(value: Any) -> object:  # noqa: ANN401 - whatever a message has
     if isinstance(value, bytes):
-        # Python has a byte of a message as bytes, also in arrays.
+        # rclpy represents a byte of a message as bytes, also in arrays.
         return value[0]
     if isinstance(value, (str, bool, int)):
         return value

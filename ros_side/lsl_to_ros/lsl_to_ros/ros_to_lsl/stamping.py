@@ -1,4 +1,4 @@
-"""Chooses the time of a message, and puts it on the LSL clock."""
+"""Selects the stamp of a message and converts it to the LSL clock."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 
 @unique
 class StampSource(StrEnum):
-    """Whose time a sample has."""
+    """Source of a sample's stamp."""
 
     HEADER = "header"
-    """``header.stamp`` of the message: when it was measured, says the publisher."""
+    """``header.stamp`` of the message: the time of measurement, by the publisher."""
     SOURCE = "source"
-    """When it was published, says the middleware of the publisher."""
+    """The time of publication, by the publisher's middleware."""
     ARRIVAL = "arrival"
-    """When it came to this computer."""
+    """The time of arrival at this computer."""
 
 
 class Stamped(NamedTuple):
-    """The time of one message.
+    """The stamp of one message.
 
     Attributes
     ----------
     lsl_s
-        On this computer's LSL clock.
+        Stamp on this computer's LSL clock.
     """
 
     lsl_s: float
@@ -39,16 +39,16 @@ class Stamped(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """What is known of a clock that may not be this computer's time.
+    """State of a clock that may differ from this computer's clock.
 
     Attributes
     ----------
     edge_s
         Lower edge of arrival minus stamp, in seconds.
     offset
-        What was measured; None if nothing was.
+        Measured offset; None without a measurement.
     is_used
-        Whether its stamps are used all the same.
+        Whether its stamps are used nevertheless.
     """
 
     state: ClockState
@@ -60,21 +60,21 @@ class Doubt(NamedTuple):
 class MessageStamping:
     """The stamps of one topic.
 
-    The first one is taken that is there and whose clock is not known to be wrong.
+    The first source is used that the message has and whose clock is not known to be wrong.
 
     Parameters
     ----------
     ros_time
-        This computer's clock to LSL time.
+        Converts this computer's clock to LSL time.
     by_arrival
-        Take no other than the time of arrival.
+        Use the time of arrival only.
 
     Attributes
     ----------
     clocks
-        Of the header's stamps and of the source's.
+        Clocks of the header's stamps and of the middleware's.
     sources
-        How many messages were stamped by which.
+        Number of messages per source.
     """
 
     def __init__(self, ros_time: RosTime, *, has_header: bool, by_arrival: bool) -> None:
@@ -86,19 +86,19 @@ class MessageStamping:
 
     @property
     def expected(self) -> StampSource:
-        """What messages of this type are stamped by as a rule."""
+        """The usual source of stamps for messages of this type."""
         if self._by_arrival:
             return StampSource.ARRIVAL
         return StampSource.HEADER if self._has_header else StampSource.SOURCE
 
     @property
     def moved(self) -> int:
-        """How many stamps did not follow the one before, and were moved behind it."""
+        """Number of stamps that were moved behind their predecessor."""
         return self._monotonic.corrections
 
     @property
     def doubtful_clocks(self) -> dict[StampSource, Doubt]:
-        """Those that are known not to be synchronised, or not known to be."""
+        """Clocks that are not, or may not be, synchronised."""
         return {
             source: Doubt(clock.state, clock.edge_s, clock.offset, is_used=self._trusts(source))
             for source, clock in self.clocks.items()
@@ -107,7 +107,7 @@ class MessageStamping:
 
     @property
     def wants_offset(self) -> bool:
-        """Whether only a measurement can say if the publisher's clock is right."""
+        """Whether only a measurement can decide if the publisher's clock is right."""
         clock = self.clocks[StampSource.SOURCE]
         return clock.is_in_doubt or clock.state is ClockState.BEHIND or clock.offset is not None
 
@@ -122,25 +122,25 @@ class MessageStamping:
             self.clocks[StampSource.SOURCE].observe(info["source_timestamp"], arrival_ns)
 
     def look(self, now_ns: int) -> None:
-        """Judge the clocks by the time that has passed."""
+        """Update the clocks' states by the elapsed time."""
         for clock in self.clocks.values():
             clock.look(now_ns)
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether it is not known yet if a clock is right."""
+        """Whether it is still unknown if a clock is right."""
         return any(clock.is_in_doubt for clock in self.clocks.values())
 
     def restart(self) -> None:
-        """Judge the clocks again, since this computer's own one was set."""
+        """Start again with all clocks, because this computer's clock was set."""
         self.clocks = _new_clocks()
 
     def choose(self, message: RosMessage, info: MessageInfo) -> StampSource:
-        """Return by what a message is to be stamped."""
+        """Return the source of a message's stamp."""
         return self._chosen(message, info)[0]
 
     def stamp(self, message: RosMessage, info: MessageInfo) -> Stamped:
-        """Return a message's LSL time, after that of the message before."""
+        """Return a message's LSL time, later than that of the previous message."""
         source, stamp_ns = self._chosen(message, info)
         self.sources[source] += 1
         (lsl_s,) = self._monotonic.apply([self._ros_time.to_lsl_s(stamp_ns)])
@@ -152,7 +152,7 @@ class MessageStamping:
         return stamp
 
     def _chosen(self, message: RosMessage, info: MessageInfo) -> tuple[StampSource, int]:
-        """Return also the stamp, in nanoseconds since 1970."""
+        """Return the source and the stamp in nanoseconds since 1970."""
         is_headed = self._has_header and self._trusts(StampSource.HEADER)
         if is_headed and (stamp_ns := _header_ns(message)):
             return StampSource.HEADER, stamp_ns
@@ -164,13 +164,13 @@ class MessageStamping:
     def _trusts(self, source: StampSource) -> bool:
         state = self.clocks[source].state
         if source is StampSource.HEADER and state is ClockState.BEHIND:
-            # It was measured before it was published, by a computer whose clock is right.
+            # The message was measured before it was published, by a computer whose clock is right.
             return self.clocks[StampSource.SOURCE].state is ClockState.SYNCHRONISED
         return state in (ClockState.UNKNOWN, ClockState.SYNCHRONISED)
 
 
 def worst_of(stampings: Sequence[MessageStamping]) -> dict[StampSource, Doubt]:
-    """Return of each clock what is furthest off, of several that stamp one topic."""
+    """Return the largest error of each clock over several stampings of one topic."""
     worst: dict[StampSource, Doubt] = {}
     for each in stampings:
         for source, doubt in each.doubtful_clocks.items():
@@ -180,7 +180,7 @@ def worst_of(stampings: Sequence[MessageStamping]) -> dict[StampSource, Doubt]:
 
 
 def doubt_of(source: StampSource, doubt: Doubt) -> str:
-    """Say what is known of a clock that may be wrong, and what is done about it."""
+    """Return a sentence about a clock that may be wrong, and whether its stamps are used."""
     if doubt.is_used:
         return (
             f"the stamps in its headers are up to {doubt.edge_s:.3f} s older than their arrival;"

@@ -1,4 +1,4 @@
-"""One topic that is sent: its subscription follows its publishers."""
+"""One topic that is sent, whose subscription adapts to its publishers."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 
 _USUAL = Quality()
-"""Of a topic that nobody publishes yet: what most publishers will offer."""
+"""Quality of service for a topic without publishers: what most of them will offer."""
 
 
 class Topic:
-    """Subscribes a topic as its publishers offer it, again when that changes.
+    """Subscribes to a topic with its publishers' quality of service, again when that changes.
 
     Attributes
     ----------
     status
-        What reports remember of it.
+        State for its reports.
     kind
         Type of the messages; None before it is known.
     quality
-        Of the subscription.
+        Quality of service of the subscription.
     publishers
-        How many there are.
+        Number of publishers.
     sender
-        Full name of the node that publishes; empty if there is none, or several.
+        Full name of the publishing node; empty if there is none, or several.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Topic:
         self._subscription: Subscription | None = None
         self._subscribed_s = 0.0
         if bridge.request.type_name:
-            # Before anybody publishes, for the first message may be the only one.
+            # Subscribed before anybody publishes, because the first message may be the only one.
             self._connect(bridge.request.type_name, "")
 
     @property
@@ -65,11 +65,11 @@ class Topic:
 
     @property
     def wants_offset(self) -> bool:
-        """Whether its publisher's clock is to be measured."""
+        """Whether its publisher's clock should be measured."""
         return any(each.wants_offset for each in self.bridge.stampings)
 
     def follow(self, publishers: Sequence[TopicEndpointInfo]) -> int:
-        """Take in who publishes it now; return how many messages were newly lost on the way."""
+        """Update the publishers; return the number of newly lost messages."""
         self.publishers = len(publishers)
         senders = {full_name(each.node_namespace, each.node_name) for each in publishers}
         is_one = len(senders) == 1 and are_named(publishers)

@@ -1,1 +1,1 @@
-"""Counts what came, what was lost and when it was measured."""
+"""Counts received and lost samples, and converts their stamps."""

@@ -1,4 +1,4 @@
-"""Measures whether the node keeps up: its share of a core, and how long data wait in it."""
+"""Measures the node's load: its share of a core, and how long data wait in it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Clock = Callable[[], float]
 
 # Starting up, and finding many streams at once, takes a whole core for some seconds.
 SHARE_WINDOW_S = 10.0
-# From a whole core on, the interpreter's lock makes data wait.
+# From a whole core on, data wait for the GIL.
 BUSY_SHARE, CALM_SHARE = 0.8, 0.65
-# A burst waits half a second at most because it is paced, and the backlog of a cut network is
-# gone within 2 s. What waits longer, in each of so many reports, is too much.
+# Pacing delays a burst by at most half a second, and the backlog after a network cut is gone within
+# 2 s. A longer delay in each of so many reports is too much.
 LONG_AGE_S, SHORT_AGE_S = 1.0, 0.5
 REPORTS = 5
 MOST_MARKS = 600
@@ -23,12 +23,12 @@ MOST_MARKS = 600
 
 @dataclass(slots=True)
 class Hysteresis:
-    """A yes or no about a value, which does not change with each small change of it.
+    """A state derived from a value, which does not flip at small changes of it.
 
     Attributes
     ----------
     begins, ends
-        It is on from *begins* on, until the value is below *ends*.
+        The state is on from *begins* on, until the value is below *ends*.
     """
 
     begins: float
@@ -36,17 +36,17 @@ class Hysteresis:
     is_on: bool = False
 
     def judge(self, value: float, floor: float | None = None) -> bool:
-        """Take in a value; *floor*, if given, is the one that has to reach *begins*."""
+        """Update the state; *floor*, if given, is compared with *begins* instead of *value*."""
         begins = value if floor is None else floor
         self.is_on = value >= self.ends if self.is_on else begins >= self.begins
         return self.is_on
 
 
 class Backlog:
-    """How long the oldest of what waits has waited, from counts alone.
+    """Age of the oldest waiting sample, computed from counts alone.
 
-    Stamps do not tell it: they are as old as the device's own packet. It is as exact as the
-    looks are frequent, and looks back over 600 of them.
+    Stamps cannot be used, because they include the delay of the device. The resolution is the
+    period of the calls, of which the last 600 are remembered.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class Backlog:
         self._marks: deque[tuple[float, int]] = deque(maxlen=MOST_MARKS)
 
     def age(self, now_s: float, gone: int, waiting: int) -> float:
-        """Take in how many have gone and how many wait; return seconds, 0 if none waits."""
+        """Add the counts of delivered and waiting samples; return seconds, 0 if none waits."""
         marks = self._marks
         while marks and marks[0][1] <= gone:
             marks.popleft()
@@ -67,16 +67,16 @@ class Backlog:
 
 @dataclass(frozen=True, slots=True)
 class LoadFacts:
-    """One look at the node's load.
+    """The node's load at one time.
 
     Attributes
     ----------
     share
-        Of one core, by all threads of the process, over the last 10 s; None before.
+        Share of one core used by all threads over the last 10 s; None before.
     age_s
-        The longest that data have waited in the node since the report before.
+        Longest time that data have waited in the node since the previous report.
     is_busy, is_late
-        Whether either is too much, which ends only when it is clearly less.
+        Whether share or age is too high, with hysteresis.
     """
 
     share: float | None
@@ -87,7 +87,7 @@ class LoadFacts:
 
 @dataclass(slots=True)
 class Load:
-    """Follows the load of this process from one report to the next."""
+    """Tracks the load of this process from one report to the next."""
 
     clock: Clock = monotonic
     cpu_clock: Clock = time.process_time
@@ -98,11 +98,11 @@ class Load:
     _oldest_s: float = 0.0
 
     def waited(self, age_s: float) -> None:
-        """Take note of what has waited so long at this moment."""
+        """Record the present age of waiting data."""
         self._oldest_s = max(self._oldest_s, age_s)
 
     def look(self) -> LoadFacts:
-        """Judge what was since the look before; call it once a second."""
+        """Return the load since the previous call; call it once a second."""
         age_s, self._oldest_s = self._oldest_s, 0.0
         self._ages.append(age_s)
         share = self._share()
@@ -117,7 +117,7 @@ class Load:
     def _share(self) -> float | None:
         now, points = self.clock(), self._points
         points.append((now, self.cpu_clock()))
-        # The last point that is old enough stays, so that the whole window is looked at.
+        # The last point that is old enough stays, so that the whole window is covered.
         while len(points) > 1 and now - points[1][0] >= SHARE_WINDOW_S:
             points.popleft()
         begun, used = points[0]

@@ -1,9 +1,9 @@
-"""Counts what became of a stream's samples: received, lost, left out.
+"""Counts a stream's received, lost and refused samples.
 
-Of another program's regular stream, gaps of the stamps tell what is lost; of ours, the agent's own
-count does. The agent says once a second how many samples of each stream it has pushed, up
-to which stamp, and how many it lost before. Compared with what was pulled up
-to that stamp, the difference is what LSL did not deliver. The comparison waits
+Losses of other programs' regular streams are estimated from gaps between stamps; for our streams
+the agent counts them. Once a second it reports how many samples of each stream it has pushed, up
+to which stamp, and how many it lost before. The difference to the samples that were pulled up to
+that stamp was lost in LSL. The comparison waits
 until the stream has passed the stamp: both come over connections of their own,
 and samples that were pushed together may have one stamp.
 """
@@ -27,23 +27,23 @@ from biosensor_common.stream_header import StreamHeader
 
 # Two samples whose stamps are further apart than this many periods are not neighbours.
 GAP_PERIODS = 1.5
-# Other programs often stamp with the time at which they push, so their stamps jitter.
+# Other programs often use the time of the push as stamp, so their stamps jitter.
 FOREIGN_JITTER_S = 0.1
-# Stamps that jump to another clock must not make a count that no message can hold.
+# A step to another clock must not give a count that no message can hold.
 MOST_MISSING = 1_000_000_000
-# Up to so many stamps are looked at one by one, in less time than numpy needs to begin.
+# Up to this number of stamps, a loop is faster than numpy.
 FEW = 32
 
 
 class Gap(NamedTuple):
-    """A break before one sample of a block.
+    """A gap before one sample of a block.
 
     Attributes
     ----------
     place
-        Of the first sample after the gap.
+        Index of the first sample after the gap.
     missing
-        Samples that would fit into it, an estimate.
+        Estimated number of missing samples.
     """
 
     place: int
@@ -51,14 +51,14 @@ class Gap(NamedTuple):
 
 
 class GapFinder:
-    """Looks at every stamp of one stream, in the order of arrival.
+    """Finds gaps between the stamps of one stream, in the order of arrival.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz; an irregular stream (0) has no gaps.
+        Nominal rate in Hz; an irregular stream (0) has no gaps.
     foreign
-        Whether the stamps are another program's, which may be anything.
+        Whether the stamps are another program's and therefore may jitter.
     """
 
     def __init__(self, rate: float, *, foreign: bool) -> None:
@@ -73,7 +73,7 @@ class GapFinder:
         return self._last or 0.0
 
     def find(self, stamps: Stamps) -> list[Gap]:
-        """Take in the stamps of a block; return its gaps."""
+        """Add the stamps of a block; return its gaps."""
         if len(stamps) == 1:
             return self._find_one(0, stamps.item())
         if len(stamps) <= FEW:
@@ -121,7 +121,7 @@ class Losses:
     Attributes
     ----------
     device
-        Lost between sensor and agent; from the start of the agent that was there first.
+        Lost between sensor and agent, since the start of the first agent.
     transport
         Lost between agent and this node since it first attached.
     """
@@ -131,14 +131,14 @@ class Losses:
 
     @property
     def total(self) -> int:
-        """Both together."""
+        """Sum of both."""
         return self.device + self.transport
 
 
 class CountersComparison:
     """Compares one stream's pulled samples with the agent's counters.
 
-    Its two callers are two threads: the stream's reader and the counters' reader.
+    It is called by two threads: the stream's reader and the counters' reader.
     """
 
     def __init__(self) -> None:
@@ -152,13 +152,13 @@ class CountersComparison:
         # nothing is dropped: a later report has all counts of an earlier one
         self._waiting: deque[_Report] = deque(maxlen=_WAITING)
         self._device = self._transport = 0
-        # What was lost of outlets that have ended.
+        # Losses of outlets that have ended.
         self._earlier = Losses(device=0, transport=0)
         self._is_known = False
 
     @property
     def losses(self) -> Losses | None:
-        """The latest result, None as long as the agent has said nothing."""
+        """The latest result; None before the agent's first report."""
         if not self._is_known:
             return None
         earlier = self._earlier
@@ -168,13 +168,13 @@ class CountersComparison:
     def before(self) -> int | None:
         """Samples that the outlet had sent before this node first attached, None while unknown.
 
-        They are not lost: nobody was there. After a node that was there before, they tell
-        how many came between the two.
+        They are not lost, because no node was receiving. After a restart of the node, they
+        give the number of samples between the two nodes.
         """
         return self._before
 
     def pulled(self, stamps: Sequence[float]) -> None:
-        """Count samples; the stamps are the sender's, as the agent's report has them."""
+        """Count samples; the stamps are on the sender's clock, as in the agent's reports."""
         with self._lock:
             self._pulled += len(stamps)
             self._recent.extend(stamps)
@@ -182,7 +182,7 @@ class CountersComparison:
                 self._settle()
 
     def reported(self, pushed: int, lost: int, last_stamp: float) -> None:
-        """Take in what the agent said of this stream."""
+        """Add an agent's report about this stream."""
         with self._lock:
             if not pushed:
                 self._take_device(lost)
@@ -196,20 +196,20 @@ class CountersComparison:
         Parameters
         ----------
         undelivered
-            Samples that the node had received of the outlet before, and LSL dropped
-            when it ended.
+            Samples that the node had received from the previous outlet, and that LSL
+            dropped when it ended.
         """
         with self._lock:
             self._waiting.clear()
             self._recent.clear()
-            # What the new outlet sends before it is attached is lost: the node was there.
+            # Samples that the new outlet sends before it is attached are lost, as the node runs.
             self._pulled, self._base = 0, 0
             transport = self._earlier.transport + self._transport + undelivered
             self._earlier = Losses(self._earlier.device, transport)
             self._transport = 0
 
     def _take_device(self, lost: int) -> None:
-        """Take in the agent's own count; one that falls is that of an agent that started again."""
+        """Add the agent's own count; a smaller one shows that the agent was restarted."""
         if lost < self._device:
             self._earlier = Losses(self._earlier.device + self._device, self._earlier.transport)
         self._device = lost
@@ -227,8 +227,8 @@ class CountersComparison:
             if later == _RECENT:
                 continue  # nothing is dropped: a later report tells the same
             if self._base is None and later == self._pulled:
-                # Reports may come before the stream is attached: what was pushed between
-                # this one and the first sample is in no count yet.
+                # Reports may come before the stream is attached: samples pushed between
+                # this report and the first sample are in no count yet.
                 self._at_least_before = report.pushed
                 continue  # nothing is dropped: a later report tells the same
             if self._base is None:
@@ -260,9 +260,9 @@ class Lost:
     Attributes
     ----------
     count
-        -1 if nobody can know.
+        -1 if unknown.
     is_estimated
-        From stamps, not from the agent's count.
+        Whether it was estimated from stamps, not counted by the agent.
     """
 
     count: int
@@ -276,21 +276,21 @@ class Lost:
 
 @dataclass(slots=True)
 class Delays:
-    """Ages of blocks of samples when the node got them, in seconds."""
+    """Ages of blocks of samples when the node received them, in seconds."""
 
     total: float = 0.0
     count: int = 0
     longest: float = 0.0
 
     def add(self, age_s: float) -> None:
-        """Take in the age of a block's newest sample."""
+        """Add the age of a block's newest sample."""
         self.total += age_s
         self.count += 1
         self.longest = max(self.longest, age_s)
 
     @property
     def mean(self) -> float | None:
-        """None if there was no block."""
+        """Mean age; None without blocks."""
         return self.total / self.count if self.count else None
 
 
@@ -303,18 +303,18 @@ class NodeCounters:
     received
         Samples received.
     missing
-        Samples that did not come, estimated from the stamps of a regular stream.
+        Missing samples, estimated from the stamps of a regular stream.
     refusals
-        What was not published as it came.
+        Reports of data that was not published unchanged.
     undelivered
         Samples that LSL dropped with the last connection.
     comparison
-        Of the agent's counters with what was pulled.
+        Comparison of the agent's counters with the pulled samples.
     delays
-        Since the last report.
+        Delays since the last report.
     clock
-        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.topic_text`; of one
-        stream of each device.
+        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.topic_text`; only one
+        stream per device has it.
     """
 
     received: int = 0
@@ -341,7 +341,7 @@ class NodeCounters:
         return self.refusals.count(Refusal.CHUNK_CUT)
 
     def lost(self, *, can_estimate: bool) -> Lost:
-        """By the agent's count, else by an estimate, else unknown."""
+        """Return the losses: the agent's count, else an estimate, else unknown."""
         losses = self.comparison.losses
         if losses is not None:
             return Lost(losses.total, is_estimated=False)
@@ -350,20 +350,20 @@ class NodeCounters:
         )
 
     def connection_ended(self, undelivered: int) -> None:
-        """Take note of what LSL dropped; an outlet that continues reports it itself."""
+        """Record samples that LSL dropped; an outlet that continues is counted by its reports."""
         self.undelivered = undelivered
         self.missing += undelivered
         if undelivered:
             self.refusals.refuse(Refusal.UNDELIVERED, undelivered)
 
     def shape_changed(self, name: str, channels: int, kind: ChannelFormat, rate: float) -> None:
-        """Report that a stream came back in another shape; each time, however soon."""
+        """Report each time that a stream came back in another shape."""
         shape = f"{channels} channels of {kind} at {rate or 'an irregular rate'}"
         self.refusals.over(Refusal.FORMAT_CHANGED, name)
         self.refusals.refuse(Refusal.FORMAT_CHANGED, about=name, shape=shape)
 
     def outlet_changed(self) -> None:
-        """Take note that the samples to come are another outlet's."""
+        """Record that the following samples come from another outlet."""
         self.comparison.restarted(self.undelivered)
         self.undelivered = 0
 
@@ -374,8 +374,8 @@ class NodeCounters:
 
 
 def can_estimate_losses(header: StreamHeader) -> bool:
-    """Whether gaps of the stamps tell of losses; our own streams have the agent's count.
+    """Whether losses are estimated from gaps between stamps; our streams have the agent's count.
 
-    A replay has none: it is sent by a program that measures nothing.
+    A replay of our streams has no such count, because no agent sends it.
     """
     return (header.foreign or header.replay is not None) and header.rate > 0

@@ -1,4 +1,4 @@
-"""Converts LSL time to ROS time, and back; a stream's stamps by its sender's clock."""
+"""Converts LSL time to ROS time and back, and a stream's stamps by its sender's clock."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from biosensor_common.ros_clock import (
 class RosTime:
     """Maps stamps of this machine's LSL clock to ROS time.
 
-    Under ``use_sim_time`` there is no relation to map by: the time of what came together is
-    then the simulated time at which it was received.
+    Under ``use_sim_time`` the clocks are not related: samples that came together then get the
+    simulated time at which they were received.
     """
 
     def __init__(self, node: Node) -> None:
@@ -32,20 +32,20 @@ class RosTime:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether ROS goes by ``/clock``."""
+        """Whether ROS time comes from ``/clock``."""
         return self._clock.ros_time_is_active
 
     @property
     def steps(self) -> int:
-        """How often the system clock jumped against the LSL clock."""
+        """Number of steps of the system clock against the LSL clock."""
         return self._tracker.steps
 
     def refresh(self) -> int | None:
-        """Measure again, once a second; return a jump of the system clock in nanoseconds."""
+        """Measure the offset, once a second; return a step of the system clock in nanoseconds."""
         return self._tracker.update(_measure(), pylsl.local_clock())
 
     def are_times(self, lsl_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Say of each stamp on this machine's LSL clock whether ROS has such a time."""
+        """Return for each stamp on this machine's LSL clock whether ROS can represent it."""
         if self.is_simulated:
             return np.isfinite(lsl_s)
         offset_s = self._tracker.to_ros_ns(0.0) / NS_PER_S
@@ -68,7 +68,7 @@ def _measure() -> int:
 
 
 NEAR_S = 86_400.0
-"""A stamp within a day of now, by a clock, is meant by that clock."""
+"""A stamp within a day of a clock's present time is taken to be on that clock."""
 _UNKNOWN = "the sender's clock has not been measured yet"
 
 
@@ -78,7 +78,7 @@ class Stamping:
     Parameters
     ----------
     ros_time
-        This machine's LSL clock to ROS time.
+        Converts this machine's LSL clock to ROS time.
     correction
         Returns the seconds between the sender's LSL clock and ours, None while unknown.
 
@@ -111,11 +111,11 @@ class Stamping:
             raise ValueError(_UNKNOWN)
         is_near = abs(stamp - time.time()) < NEAR_S
         self.is_unix = is_near and abs(stamp + correction - local_clock()) >= NEAR_S
-        # By the sender's system clock, which nobody has measured: as it is.
+        # The sender's system clock cannot be measured, so the stamp is used unchanged.
         return self._ros_time.to_lsl_s(_to_ns(stamp)) if self.is_unix else stamp + correction
 
     def are_times(self, stamps: Stamps) -> NDArray[np.bool_]:
-        """Say of each stamp whether :meth:`to_ns` has a time for it.
+        """Return for each stamp whether :meth:`to_ns` can convert it.
 
         Raises
         ------
@@ -142,8 +142,8 @@ class Stamping:
     def of_run(self, stamps: Stamps) -> NDArray[np.int64]:
         """Return the ROS times of samples that came together, in nanoseconds.
 
-        They are as far apart as their stamps. In simulated time the newest is of now, and no
-        sample of later: there would be no transform for it.
+        Their spacing is that of the stamps. In simulated time the newest sample gets the present
+        time and none a later one, for which there would be no transform.
 
         Raises
         ------
@@ -154,13 +154,13 @@ class Stamping:
             (now,) = self.to_ns(stamps[-1:])
             ages_s = np.clip(stamps[-1] - stamps, 0.0, now / NS_PER_S)
             return now - np.rint(ages_s * NS_PER_S).astype(np.int64)
-        # One time for all, for the relation of the clocks may change from one to the next.
+        # One conversion for all, because the offset may change from one to the next.
         offsets = np.rint((stamps - stamps[0]) * NS_PER_S).astype(np.int64)
         return self.to_ns(stamps[:1]) + offsets
 
 
 def _are_unix(stamps: Stamps, correction: float) -> NDArray[np.bool_]:
-    """Say of each stamp whether it is a time since 1970; some LSL clocks count from then, too."""
+    """Return for each stamp whether it is Unix time; some LSL clocks count from 1970, too."""
     with np.errstate(invalid="ignore"):
         is_unix = np.abs(stamps - time.time()) < NEAR_S
         return is_unix & (np.abs(stamps + correction - local_clock()) >= NEAR_S)

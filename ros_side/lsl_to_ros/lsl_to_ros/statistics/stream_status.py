@@ -1,4 +1,4 @@
-"""Follows a stream's rate, silences and losses over the last seconds."""
+"""Tracks a stream's rate, silences and losses over the last seconds."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ RATE_WINDOW_S = 10.0
 
 
 class RateMeter:
-    """Mean rate over the last seconds, from a count that only grows.
+    """Mean rate over the last seconds, from a growing count.
 
-    Samples come in packets, so the time that counts is that of the newest sample,
-    not that of the look: at 250 Hz in packets of 63 the difference is 2 percent.
+    Samples come in packets, so the newest sample's time is used, not the time of the
+    call: at 250 Hz in packets of 63 the difference is 2 percent.
     """
 
     def __init__(self) -> None:
         self._points: deque[_Point] = deque()
 
     def rate(self, count: int, newest_s: float) -> float:
-        """Take in the present count and the newest sample's time; return samples per second."""
+        """Add the present count and the newest sample's time; return samples per second."""
         now = monotonic()
         if newest_s and (not self._points or count != self._points[-1].samples):
             self._points.append(_Point(now, count, newest_s))
@@ -42,13 +42,13 @@ class _Point(NamedTuple):
     newest_s: float
 
 
-# Messages of one topic in a second. A subscriber in Python that has a core of its own takes
+# Messages of one topic per second. A subscriber in Python with a core to itself receives
 # 4000 to 6000; of 10 000 it lost a third, of 4000 a hundredth.
 FAST_HZ, USUAL_HZ = 4000.0, 3000.0
 
 
 class Outflow:
-    """Follows the messages of one topic over the last 10 s."""
+    """Tracks the published messages of one topic over the last 10 s."""
 
     def __init__(self) -> None:
         self.rate = 0.0
@@ -57,17 +57,17 @@ class Outflow:
 
     @property
     def is_fast(self) -> bool:
-        """Whether it goes out faster than a usual subscriber takes it."""
+        """Whether it is published faster than a usual subscriber receives it."""
         return self._fast.is_on
 
     def look(self, published: int, not_taken: int) -> int:
-        """Take in a topic's counts; return by how much the second one grew in the last 10 s.
+        """Add a topic's counts; return by how much the second one grew in the last 10 s.
 
-        The rate is in messages per second, 0 until the topic has been looked at for 10 s.
+        The rate is in messages per second, 0 for the first 10 s of a topic.
         """
         now, points = monotonic(), self._points
         if points and published < points[-1][1]:
-            # Another topic's: the stream has moved.
+            # Smaller counts belong to another topic: the stream was renamed.
             points.clear()
         points.append((now, published, not_taken))
         while len(points) > 1 and now - points[1][0] >= RATE_WINDOW_S:
@@ -81,7 +81,7 @@ class Outflow:
 
 @dataclass(slots=True)
 class StreamStatus:
-    """What the reports of one stream remember from one to the next."""
+    """State of one stream's reports from one to the next."""
 
     meter: RateMeter = field(default_factory=RateMeter)
     begun_s: float = field(default_factory=monotonic)
@@ -93,23 +93,23 @@ class StreamStatus:
     oldest_s: float = 0.0
 
     def waited(self, age_s: float) -> None:
-        """Take note for how long something has waited at this moment."""
+        """Record the present age of waiting data."""
         self.oldest_s = max(self.oldest_s, age_s)
 
     def take_oldest(self) -> float:
-        """Return the longest of these since the last call, in seconds."""
+        """Return the largest recorded age since the last call, in seconds."""
         oldest_s, self.oldest_s = self.oldest_s, 0.0
         return oldest_s
 
     def silence(self, received: int) -> float:
-        """Take in the count of samples; return for how many seconds it has stood still."""
+        """Add the count of samples; return for how many seconds it has not changed."""
         now = monotonic()
         if received != self.received:
             self.received, self.heard_s = received, now
         return now - self.heard_s
 
     def recent(self, lost: int, unfit: int) -> tuple[int, int]:
-        """Take in the present counts; return how much they grew in the last 10 s."""
+        """Add the present counts; return how much they grew in the last 10 s."""
         now = monotonic()
         self.troubles.append((now, lost, unfit))
         while now - self.troubles[0][0] > RATE_WINDOW_S:
