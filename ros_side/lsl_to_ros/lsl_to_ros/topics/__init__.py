@@ -1,1 +1,1 @@
-"""Turns samples into messages and publishes them."""
+"""Converts samples to messages and publishes them."""

@@ -21,24 +21,24 @@ from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.runs import Run, part, split
 from lsl_to_ros.topics.writers import ChunkWriter, Writer
 
-# Runs that wait until the sender's clock has been measured, which takes 0.7 s.
+# Limit of the runs that wait for the measurement of the sender's clock, which takes 0.7 s.
 HELD_RUNS = 10_000
 
 
 @dataclass(slots=True)
 class Outputs:
-    """What a stream is written to.
+    """Writers and publishers of a stream.
 
     Attributes
     ----------
     raw
-        Without stamps; None where the raw message has one itself.
+        Writer without stamps; None if the raw message has a stamp.
     timed
-        What needs the time of a sample.
+        Writers that need the time of a sample.
     chunk
-        None for a stream without chunks.
+        Writer of chunks; None for a stream without chunks.
     shape
-        Makes what `raw` and `chunk` get of the samples; None if they get them as they are.
+        Transforms the samples for `raw` and `chunk`; None if they get them unchanged.
     """
 
     raw: Writer | None = None
@@ -48,12 +48,12 @@ class Outputs:
 
     @property
     def of_samples(self) -> list[Writer]:
-        """All that write sample by sample; what is raw comes first, for it waits for nothing."""
+        """All writers of single samples; the raw one comes first, because it never waits."""
         return [*([self.raw] if self.raw else []), *self.timed]
 
     @property
     def publishers(self) -> list[TopicPublisher]:
-        """All topics."""
+        """All publishers."""
         chunk = [self.chunk.publisher] if self.chunk else []
         return [*(writer.publisher for writer in self.of_samples), *chunk]
 
@@ -66,9 +66,9 @@ class Bridge:
     Parameters
     ----------
     counters
-        Their refusals are told what cannot be published.
+        Counters, whose refusals get reports of data that cannot be published.
     listen
-        Called with what comes before it is published.
+        Called with each block before it is published.
 
     Attributes
     ----------
@@ -121,30 +121,30 @@ class Bridge:
 
     @property
     def readers(self) -> int:
-        """Subscribers of all its topics."""
+        """Number of subscribers of all its topics."""
         return sum(publisher.readers for publisher in self._publishers)
 
     @property
     def waiting(self) -> int:
-        """Messages of its topics that are paced and have not gone out yet."""
+        """Number of paced messages of its topics that are not published yet."""
         return sum(publisher.lane.waiting for publisher in self._publishers)
 
     @property
     def oldest_waiting_s(self) -> float:
-        """For how many seconds the oldest of them has waited."""
+        """Return for how many seconds the oldest of these has waited."""
         return max((publisher.lane.age_s for publisher in self._publishers), default=0.0)
 
     @property
     def wants_each_sample(self) -> bool:
-        """Whether somebody reads single samples; else they can be drained in batches."""
+        """Whether single samples have subscribers; else they can be drained in batches."""
         if self._listen is not None:
             return True
         return self.settings.raw and any(publisher.readers for publisher in self._of_samples)
 
     @property
     def is_full(self) -> bool:
-        """Whether so much waits to be published that LSL should keep the rest."""
-        # A loop: a generator takes longer than what it asks for.
+        """Whether its backlog is so large that LSL should buffer the rest."""
+        # A loop, because a generator takes longer than the checks themselves.
         for lane in self._lanes:  # noqa: SIM110
             if lane.is_full:
                 return True
@@ -169,12 +169,12 @@ class Bridge:
             self.counters.delays.add(local_clock() - self._stamping.local(self.last_stamp))
 
     def clock_known(self) -> None:
-        """Write what waited for the sender's clock."""
+        """Write the samples that waited for the sender's clock."""
         while self._held:
             self._write_timed(self._held.popleft())
 
     def end(self, undelivered: int) -> None:
-        """Give up what is not complete: what comes next, comes after a break."""
+        """Give up incomplete chunks, because the next samples follow a gap."""
         self.counters.connection_ended(undelivered)
         if self._held:
             self._refuse(Refusal.UNSTAMPED, sum(len(run.stamps) for run in self._held))
@@ -191,12 +191,12 @@ class Bridge:
         self._write(part(block, start, len(block.stamps), sequence))
 
     def more(self) -> None:
-        """Write what is complete by now; called by whichever thread brings what was missing."""
+        """Write samples that are complete now; called by the thread with the missing part."""
         nothing = Run(np.empty((0, len(self.header.labels))), np.empty(0), 0)
         self._write_shaped(nothing, self.settings)
 
     def _write(self, run: Run) -> None:
-        # Read once: it may be replaced by another thread at any time.
+        # Read once, because another thread may replace it at any time.
         settings = self.settings
         self._write_shaped(run, settings)
         if settings.raw:
@@ -244,7 +244,7 @@ class Bridge:
         if not fits.all():
             why = f"a stamp of {run.stamps[~fits][0]:g} s is no time"
             self._refuse(Refusal.NO_TIME, int((~fits).sum()), why=why)
-        # A text that cannot be read must not cost those that came with it.
+        # One text that cannot be decoded must not affect those that came with it.
         is_text = self.header.message_type.is_text
         for piece in split(run, fits, alone=is_text):
             for writer in self.outputs.timed:

@@ -1,8 +1,8 @@
 """Topics as ros2-foxy-wearable-biosensors publishes them, for clients that were written for it.
 
-By its code, not by its description, where the two differ: its clients were run with the code.
-With the parameter ``compat`` they get what they know; the stamped topics, which it has not, stay
-as they are. The original is a finished program of others, so that its sensors can be named here.
+Where its code and its description differ, the code counts, because its clients were used with it.
+The parameter ``compat`` switches this on; the stamped topics, which the original does not have,
+stay unchanged. The original is a finished program of others, so its sensors are named here.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Original:
-    """One topic of the original, which is made of a stream.
+    """One topic of the original that is made from a stream.
 
     Attributes
     ----------
     data
-        Last part of its name.
+        Last part of the topic's name.
     values
-        Makes its values, shape (n, columns), of the stream's, shape (n, channels).
+        Converts the stream's values, shape (n, channels), to the topic's, shape (n, columns).
     is_int32
-        Whether its messages are ``Int32``; else they are of the stream's type.
+        Whether its messages are ``Int32``; else they have the stream's type.
     beside
-        Data name of another stream of the device, whose channels stand behind those of this one.
+        Data name of another stream of the device, whose channels are appended to this one's.
     without
-        What is missing where that stream brings nothing.
+        Columns that are missing without data of that stream.
     """
 
     data: str
@@ -87,7 +87,7 @@ def _with_status(values: Values) -> Values:
 ORIGINALS: Mapping[tuple[str, str], tuple[Original, ...]] = MappingProxyType(
     {
         ("polar_h10", "hr"): (Original("hr", np.rint, is_int32=True),),
-        # It takes the two bytes of an interval for an interval and a battery.
+        # The original reads the two bytes of an interval as an interval and a battery.
         ("polar_h10", "ibi"): (
             Original("ibi", _low_byte, is_int32=True),
             Original("dev", _high_byte, is_int32=True),
@@ -110,7 +110,7 @@ ORIGINALS: Mapping[tuple[str, str], tuple[Original, ...]] = MappingProxyType(
         ("emotiv_insight", "dev"): (Original("dev", _or(-1.0), columns=9),),
     }
 )
-"""By sensor and data name of the stream; the first one of each has the stream's own topic."""
+"""Topics by the stream's sensor and data name; the first of each replaces the stream's own one."""
 BESIDE: Mapping[tuple[str, str], str] = MappingProxyType(
     {
         (sensor, first.beside): data
@@ -118,25 +118,25 @@ BESIDE: Mapping[tuple[str, str], str] = MappingProxyType(
         if first.beside
     }
 )
-"""By sensor and data name of a stream, of which other one it is a part in the original."""
+"""By a stream's sensor and data name: the stream to which it belongs in the original."""
 
 
 class Shape(Protocol):
-    """Makes of a stream's samples those that its own topics have."""
+    """Converts a stream's samples to those of its topics."""
 
     def __call__(self, run: Run) -> Run:
-        """Return as many as are complete."""
+        """Return the samples that are complete."""
         ...
 
 
 class Alone:
-    """The shape of what is made of one stream."""
+    """The shape of a topic made from one stream."""
 
     def __init__(self, original: Original) -> None:
         self._values = original.values
 
     def __call__(self, run: Run) -> Run:
-        """Return all samples in the original's values."""
+        """Return all samples with the original's values."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return run._replace(samples=self._values(run.samples.astype(np.float64)))
 
@@ -147,14 +147,14 @@ class _Row(NamedTuple):
 
 
 class Joined:
-    """The shape of what is made of two streams, sample by sample.
+    """The shape of a topic made from two streams, sample by sample.
 
-    What the other one has not brought yet is waited for.
+    Samples wait until the other stream's part has arrived.
 
     Attributes
     ----------
     refusals
-        Are told what was not waited for any longer.
+        Get reports of samples that were published without the other part.
     more
         Called by :meth:`take`, in the thread that reads the other stream.
     """
@@ -168,13 +168,13 @@ class Joined:
         self.more: Callable[[], None] | None = None
 
     def take(self, block: Block) -> None:
-        """Take in samples of the other stream."""
+        """Add samples of the other stream."""
         self._others.extend(map(_Row, block.stamps.tolist(), block.samples.copy()))
         if self.more is not None:
             self.more()
 
     def __call__(self, run: Run) -> Run:
-        """Return the samples, also earlier ones, that are complete or have waited too long."""
+        """Return samples, including earlier ones, that are complete or have waited too long."""
         numbers = range(run.sequence, run.sequence + len(run.stamps))
         self._held.extend(
             zip(map(_Row, run.stamps.tolist(), run.samples.copy()), numbers, strict=True)
@@ -197,7 +197,7 @@ class Joined:
         return self._run(rows)
 
     def _other(self, stamp: float) -> NDArray[Any] | None:
-        """Return what was measured together with a sample; None if it is not there."""
+        """Return the other stream's sample of the same time; None if there is none."""
         while self._others and self._others[0].stamp < stamp - _TOLERANCE_S:
             # nothing is dropped: it is on a topic of its own
             self._others.popleft()
@@ -216,12 +216,12 @@ class Int32Writer(Writer):
     """One ``Int32`` per sample."""
 
     def write(self, run: Run) -> None:
-        """Publish each sample; what is no number raises ValueError."""
+        """Publish each sample; raise ValueError for NaN."""
         self.publisher.publish(*(Int32(data=int(value)) for (value,) in run.samples.tolist()))
 
 
 class FurtherWriter(Int32Writer):
-    """Another topic that the original makes of a stream."""
+    """Another topic that the original makes from a stream."""
 
     def __init__(self, publisher: TopicPublisher, original: Original) -> None:
         super().__init__(publisher)
@@ -233,14 +233,14 @@ class FurtherWriter(Int32Writer):
 
 
 def message_class(original: Original, usual: type[Any]) -> type[Any]:
-    """Return what the original's messages are."""
+    """Return the class of the original's messages."""
     return Int32 if original.is_int32 else usual
 
 
 def writer(
     publisher: TopicPublisher, original: Original, kind: MessageType, refusals: Refusals
 ) -> Writer:
-    """Return what writes samples that have their shape already."""
+    """Return a writer for samples that are already converted."""
     if original.is_int32:
         return Int32Writer(publisher)
     return NumberWriter(publisher, kind, original.columns, refusals)

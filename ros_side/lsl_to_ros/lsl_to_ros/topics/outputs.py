@@ -1,4 +1,4 @@
-"""Opens the topics of a stream, with the class of its messages and a writer for each."""
+"""Opens the topics of a stream, with a message class and a writer for each."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ STANDARD_CLASSES: dict[str, type[Any]] = {
     f"sensor_msgs/msg/{each.__name__}": each
     for each in (BatteryState, Imu, MagneticField, Temperature)
 }
-"""Of what a stream has beside its own topics: see `biosensor_common.ros.standard_messages`."""
+"""Classes of additional messages, see `biosensor_common.ros.standard_messages`."""
 
 
 def _own() -> dict[bool, type[Any]]:
@@ -79,7 +79,7 @@ HAS_STAMPED_TOPICS = bool(_OWN)
 
 
 def stamped_class(message_type: MessageType) -> type[Any]:
-    """Return what a stream's stamped topic carries: ``Event`` of text, else ``Samples``.
+    """Return the message class of a stamped topic: ``Event`` for text, else ``Samples``.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def open_outputs(
     Parameters
     ----------
     originals, shape
-        What the original framework made of this stream, if the topics are to be as there.
+        The original framework's topics of this stream, if they are wanted.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def open_outputs(
     header, topic = context.header, context.topic
 
     def opened(name: str, kind: type) -> TopicPublisher:
-        # A late subscriber of a state sees the last value at once.
+        # Latched, so that a late subscriber of a state gets the last value at once.
         latched = header.is_state
         return publishers.open(
             f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used
@@ -139,7 +139,7 @@ def open_outputs(
         try:
             publisher = opened(standard.data, STANDARD_CLASSES[standard.type_name])
         except TopicTypeError:
-            # Another stream of the device has that name as its own.
+            # Another stream of the device already has that name.
             name = f"{topic.base}/{standard.data}"
             context.refusals.refuse(Refusal.NO_STANDARD_TOPIC, topic=name)
             continue
@@ -147,7 +147,7 @@ def open_outputs(
         outputs.timed.append(StandardMessageWriter(publisher, standard, context.stamping))
     if header.chunk:
         kind = chunk_type(header.message_type)
-        # Its name is that of another data name only where a declaration says so.
+        # The chunk's name differs from the data name only where a declaration says so.
         data = topic.data if header.chunk == header.data_name else header.chunk
         publisher = opened(f"{data}_chunk", CLASSES[kind])
         columns = first.columns if first else len(header.labels)

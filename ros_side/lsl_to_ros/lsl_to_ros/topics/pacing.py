@@ -1,9 +1,9 @@
-"""Spreads a topic's messages if more come at once than subscribers can queue.
+"""Spreads bursts of a topic's messages, so that they fit subscribers' queues.
 
 Devices send in bursts, by Bluetooth up to 73 samples at once, and a subscriber's queue
-usually holds 5 or 10 messages. What comes alone goes out at once, in the thread that read
-it. The rest waits in the `Lane` of its topic, from which one thread, the `Pacer`,
-publishes it in order and sample by sample.
+usually holds 5 or 10 messages. A single message is published at once, by the thread that
+read it. Other messages wait in the `Lane` of their topic, from which one thread, the `Pacer`,
+publishes them in order and sample by sample.
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 
 MOST_RATE_HZ = 100_000.0
-# Sent without a pause: what a busy computer reads together of a stream without bursts. A
-# subscriber with a queue of 5 then has room for what the next 6 ms bring.
+# Messages sent without a pause: as many as a busy computer reads at once of a stream without
+# bursts. A subscriber with a queue of 5 then has room for the messages of the next 6 ms.
 AT_ONCE = 2
-# Paced faster than it comes by so much, or a fast stream would never catch up.
+# Factor by which the pace exceeds the rate, or a fast stream would never catch up.
 HEADROOM = 2.0
-# What a fast stream may send without a pause comes from so long: the pump looks at it every
-# 2 ms, and the pacer's thread waits for the interpreter until a reader lets it go.
+# A fast stream may send the messages of this time without a pause: the pump polls it every
+# 2 ms, and the pacer's thread waits until a reader releases the GIL.
 USUAL_S, LATE_S = 0.002, 0.010
-# Of what waits, a turn that comes late may send so much, lest many of them leave it behind.
+# Messages of this time may be sent at once by a late turn, or late turns would add up.
 LATE_SHARE = 0.02
-# More than devices send at once is a backlog: the longer, the faster it goes out, for beside
-# what comes, so long would empty it. What 5 s have held up is gone within 2 s.
+# More messages than devices send at once are a backlog. The pace grows with it, so that it would
+# be empty after this time. The backlog of 5 s is gone within 2 s.
 BACKLOG, BACKLOG_S = 256, 0.5
-# Beyond so many messages, or a second's, the rest is left in LSL's buffer.
+# Beyond this number of messages, or those of a second, samples stay in LSL's buffer.
 MOST_WAITING = 10_000
-# A publisher's queue is finite, too. When a backlog has filled half of it, the subscribers
-# must have all before it goes on; one that has stopped is not waited for.
+# A publisher's queue is finite, too. When a backlog has filled half of it, publishing pauses until
+# the subscribers have received all, except for one that has stopped.
 TAKEN_WITHIN_S, TAKEN_CHECK_S = 0.5, 0.01
-# The pacer publishes for all topics together, for a subscriber of many is cheaper to wake once.
-# When it ends, what waits has so long to go out paced.
+# The pacer publishes for all topics together, because waking a subscriber once is cheaper.
+# At the end, waiting messages are still paced for this time.
 TICK_S, LAST_S = 0.002, 1.0
 
 Clock = Callable[[], float]
 
 
 class Pace:
-    """How many messages a topic may send; shared by all lanes.
+    """Largest rate of messages per topic; shared by all lanes.
 
     Attributes
     ----------
     per_ms
-        Messages of one topic in a millisecond, 0 for no limit; may change at any time.
+        Messages of one topic per millisecond, 0 for no limit; may change at any time.
     """
 
     def __init__(self, per_ms: float = 0.0) -> None:
@@ -66,31 +66,31 @@ class Pace:
 
 
 class Lane:
-    """Publishes the messages of one topic in order: at once, or when their turn has come.
+    """Publishes the messages of one topic in order, at once or paced.
 
     Parameters
     ----------
     publish
-        Publishes a message, or the bytes of one.
+        Publishes a message, or its bytes.
     is_taken
-        Says without waiting whether the subscribers have all that was published.
+        Returns without waiting whether the subscribers have received all messages.
     pacer
-        Publishes what waits.
+        Publishes the waiting messages.
     rate
-        Of the messages in Hz, 0 if they are irregular.
+        Rate of the messages in Hz, 0 if irregular.
     piece
-        After how many messages of a backlog the subscribers must have all.
+        Number of messages of a backlog after which the subscribers must have received all.
     topic
-        What is told of it is about that.
+        Name of the topic for reports.
 
     Attributes
     ----------
     sent
-        Messages published.
+        Number of published messages.
     unsent
-        Messages that waited and that ROS then failed to publish.
+        Number of messages that waited and that ROS then failed to publish.
     not_taken
-        Messages that went out although the subscribers had not taken those before for too long.
+        Number of messages that were published although subscribers had not received earlier ones.
     """
 
     def __init__(
@@ -107,14 +107,14 @@ class Lane:
         self.sent = self.unsent = self.not_taken = 0
         self._publish = publish
         self._is_taken = is_taken
-        # The rate of another program's stream may be any number.
+        # A foreign stream may announce any rate.
         self._rate = min(rate, MOST_RATE_HZ)
         self._most_waiting = max(MOST_WAITING, self._rate)
         self._piece = piece
         self._pacer = pacer
-        # Held while something is published, so that messages go out in the order of sending.
+        # Held during a publish, so that messages keep their order.
         self._lock = threading.Lock()
-        # Each with the time since when it waits.
+        # Messages with the time since when they wait.
         self._messages: deque[tuple[float, Any]] = deque()
         self._now_s = self._turn_s = 0.0
         self._interval_s = 0.0
@@ -124,12 +124,12 @@ class Lane:
 
     @property
     def waiting(self) -> int:
-        """Messages that have not gone out yet."""
+        """Number of messages that are not published yet."""
         return len(self._messages)
 
     @property
     def age_s(self) -> float:
-        """For how many seconds the oldest message has waited; 0 if none does."""
+        """Return for how many seconds the oldest message has waited; 0 if none does."""
         try:
             # The pacer's thread may take it at any time.
             return max(0.0, self._pacer.clock() - self._messages[0][0])
@@ -138,13 +138,13 @@ class Lane:
 
     @property
     def is_full(self) -> bool:
-        """Whether its stream should be read no further; what is sent all the same waits, too."""
+        """Whether its stream should not be read now; messages that are sent anyway wait, too."""
         return len(self._messages) >= self._most_waiting
 
     def send(self, messages: Iterable[Any]) -> None:
-        """Publish messages in their order, those now whose turn it is.
+        """Publish messages in order, now as far as the pace allows, the rest later.
 
-        A message that ROS cannot convert raises what ROS raises; those before it are sent.
+        Raises ROS's error for a message that it cannot convert; those before it are sent.
         """
         with self._lock:
             was_idle = not self._messages
@@ -162,7 +162,7 @@ class Lane:
                     self._pacer.wake(self)
 
     def release(self) -> float | None:
-        """Publish what is due; return in how many seconds more is, None if nothing waits."""
+        """Publish scheduled messages; return the seconds until the next, None if none waits."""
         with self._lock:
             self._look(LATE_S)
             while self._messages and self._is_next():
@@ -173,13 +173,13 @@ class Lane:
             return self._turn_s - self._now_s if self._held_until_s is None else TAKEN_CHECK_S
 
     def flush(self) -> None:
-        """Publish all that waits, now."""
+        """Publish all waiting messages now."""
         with self._lock:
             while self._messages:
                 self._send_waiting()
 
     def _look(self, span_s: float) -> None:
-        """Look at the clock; what may go out without a pause is at most what comes in a span."""
+        """Update the allowance of messages without a pause, at most those of a time span."""
         self._now_s = self._pacer.clock()
         waiting = len(self._messages)
         self._interval_s = self._pacer.pace.interval(self._rate, waiting)
@@ -192,7 +192,7 @@ class Lane:
         return self._unchecked < self._piece or not self._is_held()
 
     def _is_held(self) -> bool:
-        """Whether the subscribers must have what has gone out before more does."""
+        """Whether to wait until the subscribers have received all published messages."""
         if self._held_until_s is None:
             self._held_until_s = self._now_s + (TAKEN_WITHIN_S if self._keeps_up else 0.0)
         is_taken = self._is_taken()
@@ -212,23 +212,23 @@ class Lane:
         try:
             self._send(self._messages.popleft()[1])
         except RuntimeError as error:
-            # Each of rclpy's errors is one. Other topics and the rest of this one go on.
+            # rclpy raises several classes. Other topics and later messages are not affected.
             self.unsent += 1
             self._pacer.refusals.refuse(Refusal.UNSENT, about=self._topic, why=error)
 
 
 class Pacer:
-    """One thread that publishes what waits in all lanes, each in turn.
+    """A thread that publishes the waiting messages of all lanes in turn.
 
     Parameters
     ----------
     warn
-        Called with a sentence when ROS fails to publish something that waited.
+        Called with a sentence when ROS fails to publish a waiting message.
 
     Attributes
     ----------
     refusals
-        What ROS failed to publish, and what else concerns topics.
+        Reports of messages that ROS failed to publish, and others about topics.
     """
 
     def __init__(
@@ -243,17 +243,17 @@ class Pacer:
         self._thread = threading.Thread(target=self._run, daemon=True, name="pace")
 
     def start(self) -> None:
-        """Begin; until then what waits stays where it is."""
+        """Start the thread; until then messages stay in their lanes."""
         self._thread.start()
 
     def wake(self, lane: Lane) -> None:
-        """Take note that something waits in a lane."""
+        """Notify the thread that messages wait in a lane."""
         with self._changed:
             self._busy.add(lane)
             self._changed.notify()
 
     def turn(self) -> float | None:
-        """Publish what is due; return in how many seconds more is, None if nothing waits."""
+        """Publish scheduled messages; return the seconds until the next, None if none waits."""
         with self._changed:
             lanes, self._busy = self._busy, set()
         # A lane that fills again in the meantime wakes us by itself.
@@ -263,7 +263,7 @@ class Pacer:
         return min(left.values()) if left else None
 
     def stop(self) -> None:
-        """Publish what waits, for a second at its pace and then at once, and end."""
+        """Publish waiting messages, for a second paced and then at once, and end the thread."""
         with self._changed:
             self._stop_at_s = self.clock() + LAST_S
             self._changed.notify()
@@ -278,7 +278,7 @@ class Pacer:
                 time.sleep(max(wait_s, TICK_S))
 
     def _await_lanes(self) -> bool:
-        """Wait until something waits; return whether to go on."""
+        """Wait until a lane has messages; return whether to continue."""
         with self._changed:
             self._changed.wait_for(lambda: self._busy or self._stop_at_s is not None)
             if self._stop_at_s is None:
@@ -287,9 +287,9 @@ class Pacer:
 
 
 def _copy(message: object) -> object:
-    """Return a message of its own to wait; one that ROS cannot convert fails where it is sent."""
+    """Return a copy of a message to wait; one that ROS cannot convert fails when it is sent."""
     if isinstance(message, bytes):
         return message
-    # Its bytes would do, were they not too many: ROS gives them the length that it has
-    # estimated, up to 7 more than the message has, and strict readers of bags refuse those.
+    # Its bytes cannot be used, because ROS gives them the estimated length, which is up to 7 more
+    # than the message has, and strict bag readers refuse those.
     return deserialize_message(serialize_message(message), cast("type[Any]", type(message)))

@@ -24,7 +24,7 @@ _POLICIES = (
     QoSPolicyKind.DURABILITY,
 )
 
-# What is offered, and what gets nothing of it.
+# Pairs of an offered and an incompatible requested policy.
 _TOO_LITTLE = (
     (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
     (DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL),
@@ -36,7 +36,7 @@ class TopicTypeError(Exception):
 
 
 class TopicPublisher:
-    """One topic, and how many read it.
+    """One topic, with its number of subscribers.
 
     Subscribers are counted when :meth:`count_readers` is called, because asking for
     each sample would cost as much as building its message.
@@ -48,11 +48,11 @@ class TopicPublisher:
     type_name
         As ROS writes it, such as ``std_msgs/msg/Float32``.
     readers
-        Subscribers at the last count.
+        Number of subscribers at the last count.
     latched
-        Whether a later subscriber gets the last message, so that each is published.
+        Whether late subscribers get the last message, so that each message is published.
     lane
-        Through which messages go out.
+        Lane that publishes the messages.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class TopicPublisher:
         )
 
     def publish(self, *messages: object) -> None:
-        """Publish messages, or their bytes, in their order; of many at once most wait a little."""
+        """Publish messages, or their bytes, in order; most messages of a burst are delayed."""
         self.lane.send(messages)
 
     @property
@@ -95,11 +95,11 @@ class TopicPublisher:
         self.readers = self.ros_publisher.get_subscription_count()
 
     def misfit(self, reader: TopicEndpointInfo) -> str:
-        """Say why a subscriber gets nothing; empty if it may get all."""
+        """Return why a subscriber gets nothing; empty if it is compatible."""
         who = f"{reader.node_namespace.rstrip('/')}/{reader.node_name}"
         if reader.topic_type != self.type_name:
             return f"{who} reads it as {reader.topic_type}, and it is {self.type_name}"
-        # Of what rclpy can compare besides, DDS tells other words for "none" than it is told.
+        # rclpy can compare more policies, but DDS reports other values for "none" than those set.
         offered, asked = self.ros_publisher.qos_profile, reader.qos_profile
         pairs = ((offered.reliability, asked.reliability), (offered.durability, asked.durability))
         missing = [
@@ -110,16 +110,16 @@ class TopicPublisher:
         return f"it is {' and '.join(missing)}, as {who} wants it" if missing else ""
 
     def _is_taken(self) -> bool:
-        """Whether the reliable subscribers have all that was published."""
+        """Whether the reliable subscribers have received all published messages."""
         if self.latched or not self.readers:
             return True
         return self.ros_publisher.wait_for_all_acked(Duration(seconds=0.0))
 
 
 def _publish_to(ros_publisher: Publisher) -> Callable[[Any], None]:
-    """Return what publishes a message, or the bytes of one."""
-    # rclpy's own method takes a sixth longer: it looks at the type first, and locks what nobody
-    # destroys while a lane has it.
+    """Return a function that publishes a message, or its bytes."""
+    # rclpy's own method takes a sixth longer: it checks the type first, and locks the publisher,
+    # which is never destroyed while a lane has it.
     publish_bytes: Callable[[bytes], None] = ros_publisher.handle.publish_raw
 
     def publish(message: object) -> None:
@@ -137,7 +137,7 @@ class _Key(NamedTuple):
 
 
 class TopicPublishers:
-    """All publishers of the node; a topic whose stream is away stays open.
+    """All publishers of the node; topics of absent streams stay open.
 
     Its subscribers then need not match again when the stream returns.
     """
@@ -161,7 +161,7 @@ class TopicPublishers:
         Parameters
         ----------
         rate
-            Of its messages, in Hz.
+            Rate of the messages in Hz.
         used
             Publishers of the present streams.
 
@@ -184,7 +184,7 @@ class TopicPublishers:
             publisher = TopicPublisher(
                 topic, kind, ros_publisher, self._pacer, rate, latched=latched
             )
-        # Put at the end again: the order is that of the last use.
+        # Moved to the end, so that the order is that of the last use.
         self._open[key] = publisher
         return publisher
 
@@ -194,7 +194,7 @@ class TopicPublishers:
             publisher.count_readers()
 
     def close(self, is_to_close: Callable[[TopicPublisher], bool]) -> list[str]:
-        """Close the topics of which *is_to_close* says so; return their names."""
+        """Close the topics for which *is_to_close* returns true; return their names."""
         keys = [key for key, publisher in self._open.items() if is_to_close(publisher)]
         for key in keys:
             publisher = self._open.pop(key)
@@ -203,7 +203,7 @@ class TopicPublishers:
         return [key.topic for key in keys]
 
     def close_oldest(self, used: Collection[TopicPublisher], spare: int) -> None:
-        """Close topics that are not used, those opened first, until *spare* of them are left."""
+        """Close unused topics, the oldest first, until *spare* of them are left."""
         unused = [publisher for publisher in self._open.values() if publisher not in used]
         closing = set(unused[: max(0, len(unused) - spare)])
         self.close(lambda publisher: publisher in closing)
@@ -225,14 +225,14 @@ def make_publisher(
         kind,
         topic,
         qos,
-        # Each would be looked at by the executor at every turn: 7 % of a core for 300 topics.
+        # The executor would check the event handlers in every turn: 7 % of a core for 300 topics.
         event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         qos_overriding_options=QoSOverridingOptions(_overridden(node, topic)),
     )
 
 
 def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:
-    """Return the policies that somebody has set: ROS makes a parameter of each that is named."""
+    """Return the policies that a user has set: ROS declares a parameter for each of them."""
     try:
         owner = f"{QOS_OVERRIDES}{node.resolve_topic_name(topic)}.publisher"
     except RuntimeError:

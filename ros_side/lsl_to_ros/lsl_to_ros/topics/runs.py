@@ -1,4 +1,4 @@
-"""Runs: samples on their way to topics, between which nothing is missing."""
+"""Runs: consecutive samples without a gap between them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from biosensor_common.lsl.inlet import Block, Stamps
 
 
 class Run(NamedTuple):
-    """Samples of a block between which nothing is missing.
+    """Consecutive samples of a block without a gap.
 
     Attributes
     ----------
     samples, stamps
         As in a block.
     sequence
-        Number of the first sample: how many of this stream the node got before it.
+        Number of the first sample: how many of this stream the node received before it.
     """
 
     samples: NDArray[Any]
@@ -27,17 +27,17 @@ class Run(NamedTuple):
 
 
 def part(block: Block, start: int, end: int, sequence: int) -> Run:
-    """Return samples *start* to *end* of a block whose first has that number."""
+    """Return samples *start* to *end* of a block whose first sample has this number."""
     return Run(block.samples[start:end], block.stamps[start:end], sequence + start)
 
 
 def split(run: Run, chosen: NDArray[np.bool_], *, alone: bool) -> list[Run]:
-    """Return the chosen samples as runs, each numbered without a hole.
+    """Return the chosen samples as runs, each with consecutive numbers.
 
     Parameters
     ----------
     alone
-        Whether each sample becomes a run of its own.
+        Whether each sample becomes a separate run.
     """
     if chosen.all() and not alone:
         return [run]

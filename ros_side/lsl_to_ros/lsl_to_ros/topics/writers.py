@@ -30,7 +30,7 @@ class StreamContext(NamedTuple):
     Attributes
     ----------
     frame_id
-        The sensor, with participant and label: what its topics have between prefix and data.
+        The sensor with participant and label, as in its topics.
     """
 
     header: StreamHeader
@@ -74,7 +74,7 @@ class NumberWriter(Writer):
         self._refuse = refusals.refuse
 
     def write(self, run: Run) -> None:
-        """Publish each sample; those beyond an integer message's range are refused alone."""
+        """Publish each sample; only those beyond an integer message's range are refused."""
         samples = run.samples
         fits = self._messages.fitting(samples)
         if fits is not None:
@@ -85,7 +85,7 @@ class NumberWriter(Writer):
 
 
 class TextWriter(Writer):
-    """One message of text per sample, or one that only says that it came."""
+    """One message of text per sample, or an empty one."""
 
     def __init__(self, publisher: TopicPublisher, message_type: MessageType) -> None:
         super().__init__(publisher)
@@ -98,7 +98,7 @@ class TextWriter(Writer):
 
 
 class CountersWriter(Writer):
-    """The agent's counters, whose message has a stamp of its own."""
+    """The agent's counters, whose message has a stamp itself."""
 
     def __init__(self, publisher: TopicPublisher, stamping: Stamping) -> None:
         super().__init__(publisher)
@@ -164,7 +164,7 @@ class StandardMessageWriter(Writer):
 
 
 class ChunkWriter:
-    """Collects samples whether or not somebody reads, so that no reader breaks a chunk."""
+    """Collects samples even without subscribers, so that a new one does not break a chunk."""
 
     def __init__(self, publisher: TopicPublisher, message_type: MessageType, channels: int) -> None:
         self.publisher = publisher
@@ -180,7 +180,7 @@ class ChunkWriter:
                 self.publisher.publish(numbers.chunk_message(self._type, chunk, self._channels))
 
     def discard(self) -> int:
-        """Give up the partial chunk; return its samples."""
+        """Discard the partial chunk; return its number of samples."""
         return self._chunker.discard()
 
 
@@ -199,14 +199,14 @@ class Chunker:
 
     @property
     def pending(self) -> int:
-        """Samples waiting for their chunk to be full."""
+        """Number of samples in the partial chunk."""
         return len(self._values) // self._sample_size
 
     def add(self, values: bytes, length: int) -> list[bytes]:
         """Add whole samples; return the chunks of *length* samples that are now full.
 
-        Several can be full, after many samples or when the length was reduced. Values
-        stay as they come: row-major, shape [length, channels].
+        Several can be full, after many samples or after the length was reduced. Values
+        keep their order: row-major, shape [length, channels].
         """
         collected = self._values
         collected += values
@@ -220,7 +220,7 @@ class Chunker:
         return full
 
     def discard(self) -> int:
-        """Give up a partial chunk, for a chunk never spans a gap; return its samples."""
+        """Discard the partial chunk, as no chunk spans a gap; return its number of samples."""
         discarded = self.pending
         self._values.clear()
         return discarded
