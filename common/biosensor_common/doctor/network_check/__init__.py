@@ -1,8 +1,8 @@
-"""Tells which of two computers stands in the way of LSL between them.
+"""Finds which of two computers blocks LSL between them.
 
-One of them answers, because a person there asked for it; the other asks (`sides`). They talk by
-lines of JSON over TCP once both have proved that they know a code which the first one shows
-(`channel`). Each is a `station`, which opens LSL's ports and one test stream, sends to those of
-the other, and looks for its streams; what both have found out (`facts`) is judged (`judgement`)
-and shown (`command`) on both.
+A user starts one of them as the answering side; the other one connects to it (`sides`). They
+exchange lines of JSON over TCP after both have proved that they know a code, which the answering
+side shows (`channel`). Each runs a `station`, which opens LSL's ports and one test stream, sends to
+the other's ports, and searches for its streams. The results of both (`facts`) are evaluated
+(`judgement`) and shown (`command`) on both.
 """

@@ -7,8 +7,8 @@
     asking     {"proof": ...}
     answering  {"proof": ...} or {"refused": "code"}
 
-The one who answers proves nothing before the other has, so that guessing gives away nothing.
-From then on each line is sealed with a key that is made of the code and both nonces.
+The answering side sends its proof only after a valid one, so that guessing a code reveals nothing.
+All later lines are sealed with a key derived from the code and both nonces.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from biosensor_common.errors import (
 LANGUAGE = "biosensor-gateway network check"
 VERSION = 1
 DIGITS = 6
-"""Of the code that a person carries from one computer to the other."""
+"""Number of digits of the code that the user types on the other computer."""
 GREETING_S = 5.0
 MAX_GREETING = 1024
-"""Bytes of a line from somebody who has not proved anything yet."""
+"""Largest line, in bytes, from a peer that has not proved that it knows the code."""
 MAX_LINE = 256 * 1024
 _READ = 16 * 1024
 _SEAL = 64
 _NONCE_BYTES = 16
 NONCE = re.compile(rf"[0-9a-f]{{{2 * _NONCE_BYTES}}}")
-# So that who read the greeting along cannot try all codes before the conversation has ended.
+# Slow enough that an eavesdropper cannot try all codes before the conversation has ended.
 _ROUNDS = 200_000
 _ASKING, _ANSWERING = b"asking", b"answering"
 
@@ -51,17 +51,17 @@ Message = dict[str, Any]
 
 
 def new_code() -> str:
-    """Return a code that nobody can know."""
+    """Return a random code."""
     return f"{secrets.randbelow(10**DIGITS):0{DIGITS}d}"
 
 
 def read_code(text: str) -> str:
-    """Return a code as it was typed, without blanks and hyphens.
+    """Return a typed code without blanks and hyphens.
 
     Raises
     ------
     CredentialError
-        ``REJECTED``, if it cannot be one.
+        ``REJECTED``, if it is not a valid code.
     """
     code = text.replace(" ", "").replace("-", "")
     if len(code) != DIGITS or not (code.isascii() and code.isdecimal()):
@@ -72,15 +72,15 @@ def read_code(text: str) -> str:
 
 
 def nonce() -> str:
-    """Return a number that is used once, in hexadecimal digits."""
+    """Return a number that is used once, as hexadecimal digits."""
     return secrets.token_hex(_NONCE_BYTES)
 
 
 class Channel:
-    """One end of a conversation, named by what a sentence calls the other one.
+    """One end of a conversation; *name* denotes the other end in sentences.
 
-    Closing it is the caller's. Both directions raise `TransportError`: ``LOST`` if the other end
-    is gone, ``SILENT`` if it is not heard in time.
+    The caller closes the connection. Both directions raise `TransportError`: ``LOST`` if the other
+    end is gone, ``SILENT`` after the time limit.
     """
 
     def __init__(self, connection: socket.socket, name: str) -> None:
@@ -92,7 +92,7 @@ class Channel:
         self._sent = self._received = 0
 
     def secure(self, key: bytes, own: bytes, other: bytes) -> None:
-        """Seal all that follows; *own* and *other* tell the two directions apart."""
+        """Seal all following lines; *own* and *other* distinguish the two directions."""
         self._key, self._own, self._other = key, own, other
 
     def send(self, message: Message, limit_s: float = 10.0) -> None:
@@ -115,7 +115,7 @@ class Channel:
         Raises
         ------
         ProtocolError
-            ``GARBAGE`` for what is too long, not sealed with the key, or no JSON object.
+            ``GARBAGE`` for a line that is too long, not sealed with the key, or not a JSON object.
         """
         line = self._line(limit_s)
         if self._key is not None:
@@ -167,7 +167,7 @@ class Channel:
 
 
 def greet_as_asking(channel: Channel, code: str) -> None:
-    """Agree with the one who answers.
+    """Do the handshake as the asking side.
 
     Raises
     ------
@@ -188,13 +188,13 @@ def greet_as_asking(channel: Channel, code: str) -> None:
 
 
 def greet_as_answering(channel: Channel, code: str) -> None:
-    """Agree with the one who asks; raises as `greet_as_asking` does.
+    """Do the handshake as the answering side; raises as `greet_as_asking` does.
 
-    Who does not know the code is told so.
+    A peer with a wrong code is notified.
     """
     greeting = channel.receive(GREETING_S)
     own = nonce()
-    # Also to who speaks another version: it can say so then.
+    # Sent to other versions, too, so that they can report the mismatch.
     channel.send(_greeting(own))
     key = _key(code, _nonce_of(greeting, channel.name), own)
     if not _proves(channel.receive(GREETING_S), key, _ASKING):
@@ -234,7 +234,7 @@ def _seal(key: bytes, words: bytes) -> str:
 
 
 def _is_sealed(key: bytes, words: bytes, given: str) -> bool:
-    """Whether a seal is right; takes as long whether it is or not."""
+    """Whether a seal is right, compared in constant time."""
     return hmac.compare_digest(_seal(key, words).encode("ascii"), given.encode("ascii", "replace"))
 
 

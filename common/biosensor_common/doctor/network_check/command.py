@@ -38,13 +38,13 @@ _LABEL, _COLUMN = 36, 21
 
 
 class Outcome(NamedTuple):
-    """What came of a network check; *ends* are None if there was no conversation."""
+    """Result of a network check; *ends* are None without a conversation."""
 
     report: Report
     ends: tuple[End, End] | None
 
     def as_text(self, encoding: str, width: int | None) -> str:
-        """Return what a console of that encoding, and width, can show."""
+        """Return the result as text for a console of this encoding and width."""
         found = report.as_text(self.report, encoding, width)
         if self.ends is None:
             return found
@@ -56,13 +56,13 @@ class Outcome(NamedTuple):
         return f"{table}\n\n{found}"
 
     def as_json(self) -> str:
-        """Return the same for scripts, in ASCII; ``ends`` is null without a conversation."""
+        """Return the result as JSON in ASCII; ``ends`` is null without a conversation."""
         ends = self.ends and dict(zip(("here", "there"), map(as_message, self.ends), strict=True))
         return json.dumps({**report.content(self.report), "ends": ends}, indent=2)
 
 
 class _Attempt(NamedTuple):
-    """What a person asked for: *program* asks the computer *host* at a TCP port."""
+    """The user's request: *program* connects to *host* at a TCP port."""
 
     context: Context
     program: str
@@ -71,13 +71,13 @@ class _Attempt(NamedTuple):
 
     @property
     def again(self) -> str:
-        """The command that asks once more."""
+        """The command that repeats the request."""
         option = _port_option(self.port)
         return f"{doctor_command(self.program)} --with {self.host}{option} --code CODE"
 
 
 def _judge_failure(problem: GatewayError | ProbeError, attempt: _Attempt) -> Finding:
-    """Say why there was no conversation; looks for streams of the other one if that may help."""
+    """Explain why there was no conversation; searches for the other's streams if that may help."""
     if isinstance(problem, ProbeError):
         return error(
             f"LSL cannot be used on this computer: {problem}",
@@ -114,7 +114,7 @@ def _unreached(problem: UnreachedError, attempt: _Attempt) -> Finding:
 
 
 def _silent(problem: UnreachedError, attempt: _Attempt) -> Finding:
-    """Tell a firewall from a computer that is off, as far as its streams betray it."""
+    """Distinguish a firewall from a computer that is off, by whether its streams answer."""
     host = attempt.host
     found = _streams_of(attempt)
     fix = f"{_opening(attempt)}\n{_turned_round(attempt)}"
@@ -135,12 +135,12 @@ def _silent(problem: UnreachedError, attempt: _Attempt) -> Finding:
 
 
 def _streams_of(attempt: _Attempt) -> tuple[int, int] | None:
-    """Return how many streams of a computer are seen, and how many of them can be received."""
+    """Return how many streams of a computer are found, and how many of them can be received."""
     try:
         address = socket.gethostbyname(attempt.host)
     except (OSError, UnicodeError):
         return None
-    # Programs of this computer answer besides whoever is asked.
+    # Programs of this computer answer, too, and are not counted.
     listed = listed_streams(by_unicast(attempt.context.config, address))
     own = sent_from_here(listed)
     found = [each for each in listed if each not in own]
@@ -151,7 +151,7 @@ def _streams_of(attempt: _Attempt) -> tuple[int, int] | None:
 
 
 def _opening(attempt: _Attempt) -> str:
-    """Say how the other one is opened, whatever its system is."""
+    """Return how the other computer's port is opened on any system."""
     ways = (_port_way(attempt.context, attempt.port),)
     return (
         f"on {attempt.host}, the command that stands below the code there; with ufw, for "
@@ -161,7 +161,7 @@ def _opening(attempt: _Attempt) -> str:
 
 
 def _port_way(context: Context, port: int) -> Way:
-    """Return what is to be open so that a port is: all data ports of LSL, if it is one."""
+    """Return the ports to open for a port: all data ports of LSL, if it is one of them."""
     ports = api_file.ports(context.config)
     is_of_lsl = ports.first <= port <= ports.last
     return Way(TCP, ports.first, ports.last) if is_of_lsl else Way(TCP, port, port)
@@ -184,7 +184,7 @@ def _answer(port: int) -> str:
 
 
 def check_with(context: Context, program: str, host: str, port: int, code: str) -> Outcome:
-    """Ask another computer, by name or IPv4 address; whatever goes wrong is a finding."""
+    """Check the network to a computer, by name or IPv4 address; every failure becomes a finding."""
     begun = time.monotonic()
     try:
         ends = sides.ask(context, program, host, port, code)
@@ -195,15 +195,15 @@ def check_with(context: Context, program: str, host: str, port: int, code: str) 
 
 
 def ask(context: Context, program: str, host: str, port: int, code: str, *, as_json: bool) -> int:
-    """Ask another computer and print what came of it; return the exit code."""
+    """Check the network to a computer, print the result and return the exit code."""
     if not as_json:
         _say(f"Trying the network to {printable(host)} from both sides, about 15 s ...\n")
     return _print(check_with(context, program, host, port, code), as_json=as_json)
 
 
 def answer(context: Context, program: str, port: int, *, as_json: bool) -> int:
-    """Answer one computer, print what came of it, and return the exit code."""
-    # A script wants nothing but JSON on stdout, and a person the code all the same.
+    """Answer one computer, print the result and return the exit code."""
+    # stdout is for the JSON only, so the code for the user goes to stderr.
     output = sys.stderr if as_json else sys.stdout
     begun = time.monotonic()
     try:
@@ -222,7 +222,7 @@ def answer(context: Context, program: str, port: int, *, as_json: bool) -> int:
 
 
 def answer_one(answerer: Answerer, say: Say) -> Outcome:
-    """Answer one computer, and judge what both have found out; see `Answerer.wait`."""
+    """Answer one computer and evaluate the results of both; see `Answerer.wait`."""
     begun = time.monotonic()
     ends = answerer.wait(say)
     return _outcome(judge(*ends), ends, begun)
@@ -232,15 +232,15 @@ class WayHere(NamedTuple):
     """How another computer reaches this one."""
 
     address: str
-    """The one to try first."""
+    """The address to try first."""
     others: tuple[str, ...]
-    """Adapters with further ones, in words."""
+    """Adapters with further addresses, as text."""
     opening: str
     """The command that opens the port here."""
 
 
 def way_here(context: Context, port: int) -> WayHere:
-    """Tell by which way another computer reaches a TCP port of this one."""
+    """Return the addresses at which other computers reach a TCP port of this one."""
     found = [each for each in adapters() if not each.is_loopback]
     real = [each for each in found if not each.is_virtual] or found
     address = real[0].addresses[0] if real else "127.0.0.1"
@@ -291,5 +291,5 @@ def _say(text: str, output: TextIO | None = None) -> None:
 
 
 def _port_option(port: int) -> str:
-    """Return the option that names a port, with a blank before it; none for the usual one."""
+    """Return the option for a port, with a leading blank; empty for the default port."""
     return "" if port == ANSWER_PORT else f" --port {port}"

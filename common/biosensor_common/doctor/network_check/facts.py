@@ -1,6 +1,6 @@
-"""The facts that each of the two computers tells of itself and of what reached it.
+"""Facts that each computer reports about itself and about what it received.
 
-They are read from the other one with care: what comes has the type of its field, and a size.
+The other computer's facts are not trusted: the type and size of each field are checked.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SYSTEMS = ("win32", "linux", "darwin")
 MAX_STREAMS = 256
 MAX_TEXT = 256
 MAX_TEST_PORTS = 8
-# It goes into a question to liblsl, which has a syntax.
+# The name becomes part of a liblsl query, so its characters are limited.
 _SOURCE_ID = re.compile(rf"[a-z]+-{NONCE.pattern}")
 
 Record = TypeVar("Record")
@@ -71,7 +71,7 @@ def _known_firewalls(_name: str, found: tuple[str, ...]) -> tuple[str, ...]:
 
 
 Address = Annotated[str, _address]
-# No port has the number 0; what is only an int is a port that needs no administrator.
+# Port 0 means none; the test uses ports above 1023, which need no administrator.
 _ANY, _FREE = range(65536), range(1024, 65536)
 PortOrNone = Annotated[int, _ANY]
 TestPorts = Annotated[tuple[int, ...], _few]
@@ -85,19 +85,19 @@ class Computer:
     Attributes
     ----------
     system
-        As ``sys.platform`` has it; empty for any but those of `SYSTEMS`.
+        Its ``sys.platform``; empty if not in `SYSTEMS`.
     address
-        Its own end of the conversation, by itself.
+        Address of its own end of the conversation.
     other
-        The other end, as it is seen from here.
+        Address of the other end, as seen from this computer.
     is_near
-        Whether the other's address is in a network of one of its adapters.
+        Whether the other address is in the network of one of its adapters.
     keeps_to_itself
-        Whether its LSL looks for streams on this computer only.
+        Whether its LSL searches for streams on this computer only.
     asks_the_other
-        Whether its LSL asks the other one directly (KnownPeers).
+        Whether its LSL asks the other computer directly (KnownPeers).
     firewalls
-        Which ones of Linux are on, as far as anybody can see.
+        Firewalls of Linux that are known to be active.
     """
 
     name: str
@@ -115,7 +115,7 @@ class Computer:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A real stream as a computer sees it, and the TCP port of its data."""
+    """A real stream that a computer has found, and the TCP port of its data."""
 
     name: str
     source_id: str
@@ -126,7 +126,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Where one computer can be reached during a test; *discovery* is 0 if it cannot be had."""
+    """Ports of one computer during a test; *discovery* is 0 if it could not be opened."""
 
     discovery: PortOrNone
     udp: TestPorts
@@ -135,7 +135,7 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """What one computer has opened for the other: ports, and a test stream."""
+    """The ports and the test stream that one computer has opened for the other."""
 
     targets: Targets
     source_id: Annotated[str, _source_id]
@@ -143,16 +143,16 @@ class Opened:
 
 @dataclass(slots=True)
 class Arrivals:
-    """What came in at test ports from the other computer.
+    """What the test ports received from the other computer.
 
     Attributes
     ----------
     multicast
-        From which of the other's addresses; None where it was not tried.
+        Sender's addresses of received multicast; None if not tried.
     discovery
-        Whether anything came at LSL's discovery port; None if that could not be had.
+        Whether LSL's discovery port received anything; None if it could not be opened.
     udp, tcp
-        By port, lowest first.
+        Whether each port received anything, lowest port first.
     """
 
     multicast: tuple[str, ...] | None = None
@@ -163,20 +163,20 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What liblsl made of the other's test stream.
+    """How liblsl found and received the other's test stream.
 
     Attributes
     ----------
     by_multicast
-        Whether it was found so; None where that was not tried.
+        Whether it was found by multicast; None if not tried.
     directly
         Whether it was found by asking the other's address (KnownPeers).
     address
-        From where its data came, by IPv4 or IPv6; empty if none did.
+        IPv4 or IPv6 address from which its data came; empty without data.
     received
-        Whether a sample came.
+        Whether a sample was received.
     offset_s, round_trip_s
-        Of its clock; None if that could not be measured.
+        Measurements of its clock; None if not possible.
     """
 
     by_multicast: bool | None = None
@@ -189,16 +189,16 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """One computer with all that it has found out.
+    """One computer with all of its results.
 
     Attributes
     ----------
     own
-        Streams that are sent from here.
+        Streams that are sent from this computer.
     seen
-        Streams of all others.
+        Streams of all other computers.
     reached
-        Of the other's streams, those whose data port could be opened from here, by uid.
+        Uids of the other's streams whose data port could be opened from this computer.
     """
 
     computer: Computer
@@ -210,19 +210,19 @@ class End:
 
 
 def as_message(end: End) -> Message:
-    """Return what `read` understands, which is also what scripts are told."""
+    """Return the facts as a dictionary, for `read` and for scripts."""
     message = asdict(end)
     message["computer"]["ports"] = end.computer.ports._asdict()
     return message
 
 
 def read(kind: type[Record], found: object) -> Record:
-    """Return what the other computer sent as a record, or a tuple of them.
+    """Parse a message of the other computer as a record, or a tuple of records.
 
     Raises
     ------
     ProtocolError
-        ``GARBAGE``: something in it has not the type or the size of its field.
+        ``GARBAGE``, if a field has a wrong type or size.
     """
     return cast("Record", _read("a message", kind, found))
 
@@ -242,7 +242,7 @@ def _read(name: str, kind: Any, found: object) -> object:  # noqa: ANN401 - also
         is_range = isinstance(check, range)
         return _number(name, found, check) if is_range else check(name, _read(name, plain, found))
     if origin is UnionType:
-        # With None, in each of them.
+        # All optional fields are unions with None.
         return None if found is None else _read(name, of[0], found)
     if origin is tuple:
         return tuple(_read(name, of[0], each) for each in _entries(found))
@@ -266,7 +266,7 @@ def _flag(name: str, found: object) -> bool:
 
 
 def _real(name: str, found: object) -> float:
-    # Python takes true and false for numbers.
+    # In Python, true and false are integers, too.
     if isinstance(found, bool) or not isinstance(found, int | float):
         raise _wrong(name, "a number")
     if not math.isfinite(found):
@@ -296,7 +296,7 @@ def _entries(found: object) -> list[object]:
 
 
 def _by_port(name: str, found: object) -> ByPort:
-    """Read true or false for a few ports, which JSON has as text."""
+    """Parse a mapping of ports to booleans; JSON has the ports as text."""
     fields = _object(found)
     if len(fields) > MAX_TEST_PORTS:
         raise _wrong("a list", f"of at most {MAX_TEST_PORTS} entries")

@@ -1,4 +1,4 @@
-"""Says of two computers which one blocks what, and the command that opens it; and in a table."""
+"""Evaluates which of two computers blocks what, with the command that opens it, and a table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SYSTEMS = {"win32": "Windows", "linux": "Linux", "darwin": "macOS"}
 
 
 class Party(NamedTuple):
-    """One of the two as sentences name it."""
+    """One of the two computers, with its name in sentences."""
 
     end: End
     name: str
@@ -31,12 +31,12 @@ class Party(NamedTuple):
 
     @property
     def computer(self) -> Computer:
-        """What it says of itself."""
+        """The computer's own facts."""
         return self.end.computer
 
     @property
     def doctor(self) -> str:
-        """How doctor is started there."""
+        """The command that starts doctor there."""
         return doctor_command(self.computer.program)
 
 
@@ -48,12 +48,12 @@ def _parties(here: End, there: End) -> tuple[Party, Party]:
 
 
 def doctor_command(program: str) -> str:
-    """Return how doctor is started on the computer of a program."""
+    """Return the command that starts doctor on the computer of a program."""
     return "python3 -m lsl_to_ros.doctor" if program == NODE else "biosensor-gateway doctor"
 
 
 def judge(here: End, there: End) -> list[Finding]:
-    """Say which side blocks what, and what opens it; the cause before what follows from it."""
+    """Return findings about what each side blocks and how to open it, causes first."""
     one, other = _parties(here, there)
     found = [*_judge_setting(one, other)]
     for inner, outer in ((one, other), (other, one)):
@@ -98,7 +98,7 @@ def _scope(party: Party) -> Iterator[Finding]:
     what = f"LSL on {party.name} keeps to its own computer (ResolveScope is machine)"
     why = "It looks for streams there only, and is found there only; multicast was not tried."
     fix = f"{party.on}: remove ResolveScope below [multicast] from lsl_api.cfg"
-    # Two programs of one computer need no more.
+    # For two programs on one computer this is enough.
     is_alone = ip_address(party.computer.address).is_loopback
     yield (note if is_alone else error)(what, why, fix)
 
@@ -119,7 +119,7 @@ def _translation(one: Party, other: Party) -> Iterator[Finding]:
 
 
 def _blocked_ways(inner: Party) -> list[Way]:
-    """Return the ports at which nothing, or not everything, came in."""
+    """Return the ports that received nothing, or not everything."""
     came, ports = inner.end.arrivals, inner.computer.ports
     found: list[Way] = []
     if came.discovery is False and not came.multicast:
@@ -131,7 +131,7 @@ def _blocked_ways(inner: Party) -> list[Way]:
 
 
 def _entrance(inner: Party, outer: Party) -> Iterator[Finding]:
-    """Judge what comes in at one computer."""
+    """Evaluate what one computer received."""
     blocked = _blocked_ways(inner)
     came = inner.end.arrivals
     if blocked:
@@ -167,7 +167,7 @@ def _no_multicast(inner: Party, outer: Party) -> Finding:
 
 
 def _part(inner: Party) -> str:
-    """Say where the line runs if a part of the ports is open."""
+    """Return a sentence about which ports are open, if only a part of them is."""
     for protocol, by_port in ((UDP, inner.end.arrivals.udp), (TCP, inner.end.arrivals.tcp)):
         passing = [port for port, came in by_port.items() if came]
         if passing and len(passing) < len(by_port):
@@ -192,7 +192,7 @@ def _consequence(inner: Party, outer: Party, blocked: list[Way]) -> str:
 
 
 def _hurts(inner: Party, outer: Party, blocked: list[Way]) -> bool:
-    """Whether liblsl itself was stopped; a firewall may let in answers and nothing else."""
+    """Whether liblsl itself was blocked; a firewall may let in answers and nothing else."""
     look = outer.end.look
     works = look.received and look.offset_s is not None
     is_found = bool(look.by_multicast) or (look.directly and outer.computer.asks_the_other)
@@ -201,7 +201,7 @@ def _hurts(inner: Party, outer: Party, blocked: list[Way]) -> bool:
 
 
 def _direction(sender: Party, receiver: Party, *, is_explained: bool) -> Iterator[Finding]:
-    """Judge what LSL makes of the streams of one computer on the other one."""
+    """Evaluate how LSL on one computer finds and receives the other one's streams."""
     yield from _test_stream(sender, receiver, is_explained=is_explained)
     yield from _real_streams(sender, receiver)
 
@@ -246,7 +246,7 @@ def _clock(sender: Party, receiver: Party) -> Iterator[Finding]:
 
 def _address(sender: Party, receiver: Party) -> Iterator[Finding]:
     found, asked = receiver.end.look.address, receiver.computer.other
-    # An IPv6 address is of any of its adapters.
+    # An IPv6 address does not show which adapter was used.
     if found != asked and "." in found and not ip_address(asked).is_loopback:
         yield note(
             f"{receiver.name} finds the streams of {sender.name} on {found}, not on {asked}",
@@ -293,14 +293,14 @@ def _is_bad(finding: Finding) -> bool:
 
 
 def _to_open(party: Party, ways: Sequence[Way]) -> str:
-    """Return what opens ports of one computer to the other, one command a line."""
+    """Return the commands that open ports of one computer to the other, one per line."""
     computer = party.computer
     who = firewall.NEIGHBOURS if computer.is_near else computer.other
     return f"{party.on}, {firewall.opening_on(computer.system, computer.firewalls, ways, who)}"
 
 
 def _to_ask_directly(party: Party) -> str:
-    """Return what has the LSL programs of a computer ask the other one without multicast."""
+    """Return how LSL programs of a computer are made to ask the other one without multicast."""
     address = party.computer.other
     if party.computer.program == NODE:
         return (
@@ -314,7 +314,7 @@ def _to_ask_directly(party: Party) -> str:
 
 
 class Row(NamedTuple):
-    """A line of the table: what, how it is from the other computer to here, and back."""
+    """A row of the table: title, result towards this computer, result towards the other one."""
 
     label: str
     to_here: str
@@ -322,19 +322,19 @@ class Row(NamedTuple):
 
 
 def sides_of(here: End, there: End) -> tuple[str, str]:
-    """Return a line about each of the two computers."""
+    """Return one line about each computer."""
     one = _described("This computer", here.computer)
     return one, _described("The other one", there.computer)
 
 
 def rows(here: End, there: End) -> Iterator[Row]:
-    """Return what came in, and what LSL made of it, by direction; the headings first."""
+    """Return the table of results by direction, with its heading first."""
     one, other = _parties(here, there)
     left, right = _short(other), _short(one)
     yield Row("", f"{left} -> {right}", f"{right} -> {left}")
     ports = here.computer.ports
     several = f"{ports.first} to {ports.last}"
-    # What comes in here is what the other one has sent.
+    # This computer's arrivals show the direction from the other computer.
     came = [here.arrivals, there.arrivals]
     yield Row(f"multicast, UDP {ports.discovery}", *map(_multicast, came))
     yield Row(f"UDP {ports.discovery}", *(_word(each.discovery) for each in came))

@@ -1,4 +1,4 @@
-"""The two sides of a conversation: one listens for who knows its code, the other leads."""
+"""The two sides of a conversation: the answering side listens, the asking side leads."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from biosensor_common.errors import (
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_BASE_PORT
 
 ANSWER_PORT = LSL_BASE_PORT + DEFAULT_PORT_RANGE - 1
-"""At which a computer answers: the last of LSL's ports, so that it needs no other rule."""
+"""Default port of the answering side: the last of LSL's ports, so that no other rule is needed."""
 PATIENCE_S = 600.0
-"""After so long nobody listens any more."""
+"""Time limit of waiting for the asking side."""
 MAX_TRIES = 5
 CONNECT_S = 5.0
 COMMAND_S = 60.0
-"""Both take as long for a step, so the slower one of two computers is waited for."""
+"""Time limit of a step, which allows for the slower of the two computers."""
 _BACKLOG, _STEP_S = 4, 0.5
 
 Say = Callable[[str], None]
@@ -58,29 +58,29 @@ Say = Callable[[str], None]
 
 @unique
 class Command(StrEnum):
-    """What the one who asks has both do, in this order."""
+    """Steps that the asking side starts on both sides, in this order."""
 
     OPEN = "open"
-    """Test ports and a test stream."""
+    """Open test ports and a test stream."""
     SEND = "send"
-    """To the ports of the other one."""
+    """Send to the other's ports."""
     LOOK = "look"
-    """For the other's test stream, and list all real ones."""
+    """Search for the other's test stream, and list all real streams."""
     KNOCK = "knock"
-    """At the data ports of the other's streams."""
+    """Connect to the data ports of the other's streams."""
     COMPARE = "compare"
-    """What both have found out."""
+    """Exchange the results."""
 
 
 class UnreachedError(TransportError):
-    """The other computer does not take the connection.
+    """The connection to the other computer failed.
 
-    ``ABSENT`` if it refuses, ``SILENT`` if nothing comes back, ``UNAVAILABLE`` if it is unknown.
+    ``ABSENT`` if it refuses, ``SILENT`` without an answer, ``UNAVAILABLE`` if it is unknown.
     """
 
 
 def ask(context: Context, program: str, host: str, port: int, code: str) -> tuple[End, End]:
-    """Test the network to another computer, which answers; return what each has found out.
+    """Test the network to an answering computer; return the results of both.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def ask(context: Context, program: str, host: str, port: int, code: str) -> tupl
 
 def _led_through(channel: Channel, here: Station, run: str) -> tuple[End, End]:
     def both(do: Command, details: Message, part: Callable[[], None] = lambda: None) -> Message:
-        """Have the other one do something, and do the same here meanwhile."""
+        """Start a step on the other side, and run it here at the same time."""
         channel.send({"do": do.value, **details})
         part()
         reply = channel.receive(COMMAND_S)
@@ -121,7 +121,7 @@ def _led_through(channel: Channel, here: Station, run: str) -> tuple[End, End]:
     both(Command.SEND, {}, lambda: here.send(there.targets))
     theirs = _streams_of(both(Command.LOOK, {}, lambda: here.look(there.source_id)))
     both(Command.KNOCK, _with_streams(here), lambda: here.knock(theirs))
-    # What is on its way to this computer was sent before the last reply.
+    # The other side has sent everything before its last reply, so it has arrived by now.
     end = here.end()
     return end, read(End, both(Command.COMPARE, {"end": as_message(end)}).get("end"))
 
@@ -139,34 +139,34 @@ def _connected(host: str, port: int) -> socket.socket:
         what = f"nothing comes back from TCP {port} of {host}"
         raise UnreachedError(TransportReason.SILENT, what) from error
     except OSError as error:
-        # No route, for instance, or the neighbour does not answer.
+        # For instance no route, or no answer to ARP.
         what = f"TCP {port} of {host} cannot be reached ({error.strerror or error})"
         raise UnreachedError(TransportReason.SILENT, what) from error
 
 
 class Answerer:
-    """Listens at a TCP port; a context manager.
+    """The answering side, which listens at a TCP port; a context manager.
 
     Parameters
     ----------
     program
         ``agent`` or ``node``.
     port
-        0 for any that is free.
+        0 for any free port.
     address
-        Of this computer; all of them unless one is named.
+        Address of this computer to listen at; all of them by default.
 
     Attributes
     ----------
     code
-        What the other side must know.
+        Code that the other side must know.
     is_busy
-        Whether somebody who came is being answered.
+        Whether a connection is being answered.
 
     Raises
     ------
     TransportError
-        On entering: ``BUSY`` if the port cannot be had.
+        On entering: ``BUSY`` if the port cannot be opened.
     """
 
     def __init__(
@@ -189,8 +189,8 @@ class Answerer:
     def __enter__(self) -> Self:
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         if sys.platform != "win32":
-            # Else a second test would have to wait for a minute after the first; Windows needs
-            # no such word, and would let two programs have the port by it.
+            # Otherwise a second test would have to wait a minute after the first. Windows does not
+            # need the option, and would let two programs share the port with it.
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             self._listener.bind((self._address, self.port))
@@ -214,14 +214,14 @@ class Answerer:
         self._listener.close()
 
     def wait(self, say: Say) -> tuple[End, End]:
-        """Answer until one conversation has come to its end; return what both have found out.
+        """Answer until one conversation is complete; return the results, this computer's first.
 
-        This computer comes first. Each who came and did not get to the end is a sentence for *say*.
+        *say* is called with a sentence for each conversation that failed.
 
         Raises
         ------
         TransportError
-            ``SILENT``: nobody came in time, or until it was given up.
+            ``SILENT``: no connection in time, or before `give_up`.
         CredentialError
             ``REJECTED``: the code was wrong too often.
         """
@@ -242,11 +242,11 @@ class Answerer:
                     self.is_busy = False
 
     def give_up(self) -> None:
-        """Have `wait` come to its end, from another thread; who is being answered is first."""
+        """End `wait` from another thread, after the present conversation."""
         self._is_given_up.set()
 
     def _next(self, end: float) -> tuple[socket.socket, str]:
-        # In small steps, for Windows heeds Ctrl-C between them only.
+        # In small steps, because Windows handles Ctrl-C only between them.
         self._listener.settimeout(_STEP_S)
         while time.monotonic() < end and not self._is_given_up.is_set():
             try:

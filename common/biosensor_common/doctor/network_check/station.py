@@ -35,17 +35,17 @@ from biosensor_common.lsl.api_file import PEERS, SESSION, Ports
 
 SEARCH_S, LISTEN_S = 4.0, 3.0
 CONNECT_S = 2.0
-"""So long a connection is waited for; who drops packets lets it wait for ever."""
+"""Time limit of a connection; without it, dropped packets would block for ever."""
 GROUPS = (LSL_GROUP, "224.0.0.183")
-"""Those of LSL's that routers and switches treat differently."""
+"""LSL's multicast groups that routers and switches treat differently."""
 _LOOK_S, _LIFE_S = 30.0, 120.0
 _ROUNDS, _PAUSE_S, _THREADS = 4, 0.15, 64
 _POLL_S, _READ, _BACKLOG = 0.1, 512, 8
 _ANY = "0.0.0.0"  # noqa: S104 - open for seconds, because a person asked for it
 _BROADCAST = "255.255.255.255"
-# As far as LSL's scope "site" goes.
+# The same reach as LSL's scope "site".
 _HOPS = 24
-# Below it are services of the system, and no streams.
+# Ports below it belong to system services, not to streams.
 _FIRST_FREE = 1024
 _ASKING, _ANSWERING = "asking", "answering"
 _MARK = b"biosensor-gateway network check "
@@ -58,19 +58,19 @@ class _Opened(NamedTuple):
 
 
 class OpenPorts:
-    """The ports at which LSL would listen.
+    """Test ports, at which LSL would listen.
 
     Parameters
     ----------
     ports
-        Of LSL on this computer. Tried are the lowest and the highest that are free, so that a
-        firewall that lets in a part of them shows.
+        Ports of LSL on this computer. The lowest and the highest free ones are opened, which
+        shows a firewall that lets in only a part of them.
     own, other
-        Addresses of the two computers. What others send is not counted.
+        Addresses of the two computers. Packets of other computers are not counted.
     adapters
-        All addresses of this computer; LSL listens for multicast on each.
+        All addresses of this computer; LSL listens for multicast on each of them.
     mark
-        With what each packet of the other one begins.
+        Beginning of each packet of the other computer.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class OpenPorts:
 
     @contextmanager
     def open(self) -> Generator[None]:
-        """Listen there."""
+        """Open the ports."""
         with ExitStack() as stack:
             self._opened = [*self._discovery(stack), *self._several(stack)]
             listener = threading.Thread(target=self._listen, name="test-ports", daemon=True)
@@ -98,12 +98,12 @@ class OpenPorts:
 
     @property
     def targets(self) -> Targets:
-        """Where the other computer is to send to."""
+        """Return the ports to which the other computer should send."""
         (discovery,) = self._of("discovery") or [0]
         return Targets(discovery, tuple(self._of("udp")), tuple(self._of("tcp")))
 
     def arrivals(self, with_multicast: bool) -> Arrivals:
-        """Return what has come in until now."""
+        """Return what was received until now."""
         discovery = self._of("discovery")
         udp, tcp = (
             {port: (kind, port) in self._came for port in self._of(kind)} for kind in ("udp", "tcp")
@@ -123,7 +123,7 @@ class OpenPorts:
         port = self._ports.discovery
         try:
             every = stack.enter_context(_shared(_ANY, port))
-            # What is sent to one address alone goes to who has bound to that one.
+            # Unicast packets go to the socket that is bound to the specific address.
             own = stack.enter_context(_shared(self._own, port))
         except OSError:
             return []
@@ -153,7 +153,7 @@ class OpenPorts:
                 selector.register(each.socket, selectors.EVENT_READ, each)
             while not self._ended.is_set():
                 for key, _ in selector.select(_POLL_S):
-                    # Windows tells a UDP socket what became of packets that it sent.
+                    # On Windows, a UDP socket raises errors about packets that it has sent.
                     with contextlib.suppress(OSError):
                         self._note(key.data)
 
@@ -202,7 +202,7 @@ def open_ports(other: str, ports: Iterable[int], own: str = "") -> set[int]:
     Parameters
     ----------
     own
-        Address of this computer to do it from; empty for the system's choice.
+        Address of this computer to connect from; empty for the system's choice.
     """
     several = list(dict.fromkeys(ports))
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -236,13 +236,13 @@ def _sender(address: str) -> socket.socket:
 
 
 def _to(sender: socket.socket, packet: bytes, address: str, port: int) -> None:
-    # What cannot leave does not arrive, which is what is asked.
+    # A packet that cannot be sent does not arrive, which the test reports.
     with contextlib.suppress(OSError):
         sender.sendto(packet, (address, port))
 
 
 class Station:
-    """What this computer does.
+    """The part of this computer in the test.
 
     Parameters
     ----------
@@ -251,9 +251,9 @@ class Station:
     own, other
         Addresses of the conversation's two ends.
     run
-        Of this test: names the test streams and their session, and marks the packets.
+        Number of this test, for the names of its streams and session, and in its packets.
     is_asking
-        Which of the two this is; the packets of both differ by it, for multicast comes back.
+        Whether this is the asking side; packets contain it, because multicast loops back.
     """
 
     def __init__(
@@ -274,7 +274,7 @@ class Station:
 
     @contextmanager
     def open(self) -> Generator[None]:
-        """Have test ports and a test stream; raises `ProbeError` if LSL cannot be used."""
+        """Open test ports and a test stream; raises `ProbeError` if LSL cannot be used."""
         offered: dict[str, Any] = {"config": self._config, "source_id": self._source_id}
         with self._ports.open(), Probe("offer", _LIFE_S, **offered) as outlet:
             outlet.answer()
@@ -282,12 +282,12 @@ class Station:
 
     @property
     def opened(self) -> Opened:
-        """The ports that the other one is to send to, and the stream that it is to look for."""
+        """Return the ports to which the other one should send, and the stream it should find."""
         return Opened(self._ports.targets, self._source_id)
 
     def send(self, targets: Targets) -> None:
-        """Send to the ports of the other one, in each way that LSL does."""
-        # A packet may be lost on any network; of several, one comes.
+        """Send to the other's ports in each way that LSL uses."""
+        # Any network may lose a packet, so several are sent.
         for _ in range(_ROUNDS):
             with _sender(self._own) as sender:
                 for port in filter(None, (*targets.udp, targets.discovery)):
@@ -299,7 +299,7 @@ class Station:
         open_ports(self._other, targets.tcp, self._own)
 
     def look(self, source_id: str) -> None:
-        """Look for the other's test stream, in both ways, and for all real streams."""
+        """Search for the other's test stream in both ways, and for all real streams."""
         asking = api_file.changed(self._config, {PEERS: "{}"})
         directly = by_unicast(self._config, self._other)
         with ThreadPoolExecutor(3) as pool:
@@ -313,12 +313,12 @@ class Station:
         self.own_streams = sent_from_here(self._streams)
 
     def knock(self, streams: tuple[Stream, ...]) -> None:
-        """Open the data ports of the other's streams."""
+        """Connect to the data ports of the other's streams."""
         found = open_ports(self._other, (each.port for each in streams if each.port >= _FIRST_FREE))
         self._reached = tuple(each.uid for each in streams if each.port in found)
 
     def end(self) -> End:
-        """Return all that was found out here."""
+        """Return the results of this computer."""
         arrivals = self._ports.arrivals(not self._computer.keeps_to_itself)
         own, seen = self.own_streams, self._streams
         return End(self._computer, arrivals, self._look, own, seen, self._reached)
@@ -334,7 +334,7 @@ def _met(config: str, source_id: str) -> dict[str, Any]:
 
 
 def _looked(multicast: dict[str, Any] | None, unicast: dict[str, Any]) -> Look:
-    """Put both ways together; what was received is received by any of them."""
+    """Merge the results of both ways; data received in either of them counts."""
     best = max((each for each in (multicast, unicast) if each is not None), key=_worth)
     return Look(
         None if multicast is None else bool(multicast["found"]),
@@ -351,7 +351,7 @@ def _worth(met: dict[str, Any]) -> tuple[bool, bool, bool]:
 
 
 def listed_streams(config: str) -> tuple[Stream, ...]:
-    """Return all streams that LSL finds from here; none where LSL cannot be used."""
+    """Return all streams that LSL finds from this computer; none if LSL cannot be used."""
     try:
         with Probe("list", _LOOK_S, config=config, search_s=SEARCH_S) as probe:
             found = [SurveyedStream(**each) for each in probe.answer()["streams"]]
@@ -365,13 +365,13 @@ def listed_streams(config: str) -> tuple[Stream, ...]:
 
 
 def sent_from_here(streams: Iterable[Stream]) -> tuple[Stream, ...]:
-    """Return those of this computer; another one may have the same name."""
+    """Return the streams of this computer; another one may have the same name."""
     named = [each for each in streams if each.host == socket.gethostname()]
     return tuple(each for each in named if not _is_free(each.port))
 
 
 def _is_free(port: int) -> bool:
-    """Whether no program of this computer has a TCP port; a firewall has no say in it."""
+    """Whether a TCP port is free on this computer, independent of firewalls."""
     opened = _first_free(socket.SOCK_STREAM, [port])
     if opened is not None:
         opened.close()
