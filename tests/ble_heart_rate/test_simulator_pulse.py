@@ -32,10 +32,13 @@ def shortest_for(flags: int) -> int:
     return 2 + (flags & 1) + 2 * (flags >> 3 & 1)
 
 
-# No device means to write an odd tail.
+# No device means to write an odd tail, or whether it is worn and that it cannot tell.
+NOT_WRITTEN = {"rr_odd_trailing_byte", "opentracks_u8"}
+
+
 @pytest.mark.parametrize(
     "vector",
-    [vector for vector in VECTORS if vector["name"] != "rr_odd_trailing_byte"],
+    [vector for vector in VECTORS if vector["name"] not in NOT_WRITTEN],
     ids=lambda vector: vector["name"],
 )
 def test_it_writes_the_vectors(vector: dict[str, Any]) -> None:

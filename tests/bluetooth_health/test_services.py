@@ -49,6 +49,14 @@ def test_a_value_makes_the_sample_that_it_means(vector: dict[str, Any]) -> None:
         assert sample == pytest.approx(wanted, nan_ok=True)
 
 
+@of_kind("fields")
+def test_a_value_has_the_counts_that_another_program_reads(vector: dict[str, Any]) -> None:
+    found = BY_STREAM[vector["stream"]].parse(bytes.fromhex(vector["hex"]))
+    assert found is not None
+    turns = {name: found[name] for name in found if name.endswith("_turns")}
+    assert turns == vector["expected"]
+
+
 @of_kind("sfloat")
 def test_decimal_numbers_of_16_bits(vector: dict[str, Any]) -> None:
     number = sfloat(bytes.fromhex(vector["hex"]))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from biosensor_gateway.demo.virtual_devices import make
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from tests.rigs.bluez.scene import BluezScene
 from tests.rigs.priority import before_others
@@ -52,9 +52,9 @@ class Lab:
         virtual = self._devices[command["key"]]
         match command["do"]:
             case "apply":
-                virtual.apply(Fault(FaultKind(command["kind"]), command["value"]))
+                virtual.apply(Fault(_kind(command["kind"]), command["value"]))
             case "clear":
-                virtual.clear(FaultKind(command["kind"]))
+                virtual.clear(_kind(command["kind"]))
             case "truth":
                 self._save_truth(virtual, command["path"])
             case "call":
@@ -70,6 +70,11 @@ class Lab:
             samples = virtual.truth.samples(name)
             arrays[f"{name}.times"], arrays[f"{name}.values"] = samples.times, samples.values
         np.savez(path, **arrays)
+
+
+def _kind(word: str) -> FaultKind | Untidiness:
+    kinds: dict[str, FaultKind | Untidiness] = {e.value: e for e in (*FaultKind, *Untidiness)}
+    return kinds[word]
 
 
 def main() -> None:

@@ -244,3 +244,17 @@ def test_the_vendor_s_data_packet_with_one_byte_of_checksum() -> None:
     successor = successor_of(data, CrcMode.LOW_BYTE)
     (message, _), _ = protocol.feed(data + successor, 0.0)
     assert message == Packet(0x1BBEEF, (0x09E7, 0x083C, 0x093F))
+
+
+def test_what_the_vendor_made_of_a_real_skin_is_what_we_make_of_it() -> None:
+    file = Path(__file__).parent / "vectors/shimmer3_gsr_export.csv"
+    ranges, told_us, told_kohm = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(1, 2, 3)).T
+    assert len(told_us) == 90
+    # The range is in the upper two of 16 bits.
+    every = np.arange(1 << 12)
+    for number in np.unique(ranges.astype(int)):
+        made_us = conductance_us(every | number << 14, commands.AUTO_RANGE)
+        here = ranges == number
+        nearest = np.nanargmin(np.abs(made_us[:, np.newaxis] - told_us[here]), axis=0)
+        np.testing.assert_allclose(made_us[nearest], told_us[here], rtol=1e-9)
+        np.testing.assert_allclose(1000 / made_us[nearest], told_kohm[here], rtol=1e-9)

@@ -26,7 +26,8 @@ def load(path: Path, *, as_written: bool = False) -> Mapping[str, Recorded]:
         Leave the stamps as the agent has sent them.
     """
     options = {"synchronize_clocks": False, "dejitter_timestamps": False} if as_written else {}
-    streams, _ = _load_xdf(str(path), **options)
+    every, _ = _load_xdf(str(path), **options)
+    streams = [each for each in every if each["info"]["channel_format"] != ["string"]]
     loaded = {each["info"]["source_id"][0]: _recorded(each) for each in streams}
     assert len(loaded) == len(streams), "a stream was recorded as two"
     return loaded
