@@ -23,8 +23,8 @@ from biosensor_common.doctor.network_check.channel import (
     read_code,
 )
 from biosensor_common.doctor.network_check.command import check_with
+from biosensor_common.doctor.network_check.diagnosis import judge
 from biosensor_common.doctor.network_check.facts import End, as_message, read
-from biosensor_common.doctor.network_check.judgement import judge
 from biosensor_common.doctor.network_check.sides import MAX_TRIES, Answerer
 from biosensor_common.errors import (
     CredentialError,

@@ -13,8 +13,8 @@ from biosensor_common.doctor.check import AGENT, NODE, Category, Check, Context,
 from biosensor_common.doctor.firewall import TCP, Way, active_firewalls, opening_on
 from biosensor_common.doctor.network import adapters
 from biosensor_common.doctor.network_check import sides
+from biosensor_common.doctor.network_check.diagnosis import doctor_command, judge, rows, sides_of
 from biosensor_common.doctor.network_check.facts import End, as_message
-from biosensor_common.doctor.network_check.judgement import doctor_command, judge, rows, sides_of
 from biosensor_common.doctor.network_check.sides import (
     ANSWER_PORT,
     PATIENCE_S,

@@ -13,7 +13,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from biosensor_common.doctor.check import AGENT, checks_of
-from biosensor_common.doctor.network_check import judgement
+from biosensor_common.doctor.network_check import diagnosis
 from biosensor_common.doctor.network_check.command import (
     Outcome,
     WayHere,
@@ -161,8 +161,8 @@ def network_view(outcome: Outcome) -> NetworkView:
     ends = outcome.ends
     return NetworkView(
         **content(outcome.report),
-        sides=[] if ends is None else list(judgement.sides_of(*ends)),
-        rows=[] if ends is None else list(judgement.rows(*ends)),
+        sides=[] if ends is None else list(diagnosis.sides_of(*ends)),
+        rows=[] if ends is None else list(diagnosis.rows(*ends)),
     )
 
 

@@ -12,6 +12,7 @@ import pytest
 from biosensor_common.doctor.check import AGENT, NODE, Finding, Level
 from biosensor_common.doctor.network_check.command import CHECK
 from biosensor_common.doctor.network_check.command import Outcome as Checked
+from biosensor_common.doctor.network_check.diagnosis import judge
 from biosensor_common.doctor.network_check.facts import (
     Arrivals,
     Computer,
@@ -21,7 +22,6 @@ from biosensor_common.doctor.network_check.facts import (
     as_message,
     read,
 )
-from biosensor_common.doctor.network_check.judgement import judge
 from biosensor_common.doctor.report import Report
 from biosensor_common.lsl.api_file import Ports
 from tests.doctor.conftest import only
