@@ -25,7 +25,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import agent as agent_module
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
-from biosensor_gateway.agent.device_set import Device, Fleet
+from biosensor_gateway.agent.device_set import Device, DeviceSet
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
@@ -277,7 +277,7 @@ async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
     good = Supervisor(lambda: bystander, sinks[0])
     dead = DeadSupervisor(lambda: bystander, sinks[1])
     supervisors = zip([good, dead], sinks, strict=True)
-    agent.devices = Fleet(
+    agent.devices = DeviceSet(
         {
             DeviceSettings(sensor="gateway", unit=sink.identity.unit): Device(supervisor, sink)
             for supervisor, sink in supervisors

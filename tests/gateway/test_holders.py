@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from biosensor_gateway.cli import installation
-from biosensor_gateway.cli.installation import Closing, Program, sentence
+from biosensor_gateway.cli.installation import Closable, Program, sentence
 
 EXE = r"C:\Program Files\Biosensor Gateway\bin\biosensor-gateway.exe"
-OWN = Closing("PC\\ann", agent=10, page=True, recording=True)
+OWN = Closable("PC\\ann", agent=10, page=True, recording=True)
 
 
 def program(*words: str, user: str = "PC\\ann", family: frozenset[int] = frozenset({5})) -> Program:
@@ -56,7 +56,7 @@ def test_all_else_is_not(program: Program) -> None:
 
 
 def test_where_nothing_runs_by_the_locks_nothing_is_closed() -> None:
-    none = Closing("PC\\ann", agent=None, page=False, recording=False)
+    none = Closable("PC\\ann", agent=None, page=False, recording=False)
     for words in (("run",), ("page",), ("keep-recording", "x")):
         assert not none.closes(program(*words))
 
@@ -104,7 +104,7 @@ def test_the_command_names_them_and_its_code_says_so(
     assert outcome.output.startswith("biosensor-gateway features (process 2 of ")
     assert len(outcome.output.splitlines()) == 1
     running.pop()
-    assert installation.what_cannot_be_closed(tmp_path) == []
+    assert installation.programs_not_closable(tmp_path) == []
     assert CliRunner().invoke(installation.app, ["holders"]).exit_code == 0
 
 
@@ -121,5 +121,5 @@ def test_what_waits_to_take_over_for_an_agent_is_closed_with_it(
         return agent.pid
 
     monkeypatch.setattr(installation, "_agent", number_of_agent)
-    (held,) = installation.what_cannot_be_closed(tmp_path)
+    (held,) = installation.programs_not_closable(tmp_path)
     assert "process 13 of" in held

@@ -12,7 +12,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.device_set import Device, Fleet, FleetChanges
+from biosensor_gateway.agent.device_set import Device, DeviceChanges, DeviceSet
 from biosensor_gateway.cli import agent as commands
 from biosensor_gateway.cli import config
 from biosensor_gateway.cli.config import edit
@@ -141,9 +141,9 @@ def entry(unit: str, **more: object) -> DeviceSettings:
 
 def test_a_preview_says_what_a_change_would_do() -> None:
     devices = [entry("1"), entry("2"), entry("3")]
-    fleet = Fleet({each: Device.from_settings(each) for each in devices}, Room.here())
+    fleet = DeviceSet({each: Device.from_settings(each) for each in devices}, Room.here())
     wanted = [devices[0], entry("2", participant="P02"), entry("4"), entry("5", enabled=False)]
-    assert fleet.preview(wanted) == FleetChanges(
+    assert fleet.preview(wanted) == DeviceChanges(
         added=("polar_h10/4",),
         removed=("polar_h10/3",),
         restarted=("polar_h10/2",),

@@ -59,7 +59,7 @@ class Sender:
         self.bench.sends |= self.bench.sends_after_new_connection
 
 
-class Reviver(Sender):
+class SilenceRecovery(Sender):
     """One that can be asked again."""
 
     async def enable_again(self, streams: frozenset[str]) -> None:
@@ -175,7 +175,7 @@ def announced(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[dict[str, Any]]]
 async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
     start: Start, eventually: Eventually, announced: list[dict[str, Any]]
 ) -> None:
-    bench = await start(Reviver)
+    bench = await start(SilenceRecovery)
     reasons: list[DeviceStatus] = []
     with capture_logs() as logs:
         bench.can_be_enabled = {"ibi"}
@@ -200,7 +200,7 @@ async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
 async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
     start: Start, eventually: Eventually, announced: list[dict[str, Any]]
 ) -> None:
-    bench = await start(Reviver)
+    bench = await start(SilenceRecovery)
     with capture_logs() as logs:
         bench.sends = {"hr"}
         await eventually(lambda: (Remedy.NONE, {"ibi"}) in bench.sink.told)
@@ -242,7 +242,7 @@ async def test_a_driver_without_the_hook_is_connected_again(
 async def test_the_reason_outlives_connections_that_bring_nothing(
     start: Start, eventually: Eventually
 ) -> None:
-    bench = await start(Reviver)
+    bench = await start(SilenceRecovery)
     bench.sends = set()
     await eventually(lambda: bench.supervisor.connections == 3)
     for _ in range(20):
@@ -253,7 +253,7 @@ async def test_the_reason_outlives_connections_that_bring_nothing(
 async def test_a_device_that_refuses_to_be_enabled_is_connected_again(
     start: Start, eventually: Eventually
 ) -> None:
-    bench = await start(Reviver)
+    bench = await start(SilenceRecovery)
     bench.refusal = ProtocolError(ProtocolReason.NO_REPLY, "the device does not answer")
     bench.sends_after_new_connection = {"hr", "ibi"}
     bench.sends = set()
@@ -300,7 +300,7 @@ async def test_what_the_device_refuses_is_said_until_it_comes(
 async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(
     start: Start, eventually: Eventually
 ) -> None:
-    bench = await start(Reviver)
+    bench = await start(SilenceRecovery)
     # Of the hours before, with data among it.
     bench.sink.dropped_bytes += 5000
     for _ in range(40):
@@ -326,7 +326,7 @@ async def test_a_device_that_is_silent_at_last_says_what_came_of_it(
 async def test_nobody_misses_what_a_pause_would_withhold(
     start: Start, eventually: Eventually
 ) -> None:
-    bench = await start(Reviver)
+    bench = await start(SilenceRecovery)
     bench.sink.pause()
     bench.sends = set()
     for _ in range(30):

@@ -13,7 +13,7 @@ import pytest
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.device_set import Device, Fleet
+from biosensor_gateway.agent.device_set import Device, DeviceSet
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import DeviceSettings
@@ -60,9 +60,9 @@ def test_an_agent_without_room_for_any_device_ends() -> None:
     with pytest.raises(
         TransportError, match=r"^0 streams fit, .* left out are gateway/a"
     ) as caught:
-        Fleet(devices, Room(0)).make_room()
+        DeviceSet(devices, Room(0)).make_room()
     assert caught.value.reason is TransportReason.EXHAUSTED
-    fleet = Fleet(devices, Room(made.streams))
+    fleet = DeviceSet(devices, Room(made.streams))
     fleet.make_room()
     assert fleet.with_room == [made]
 

@@ -9,7 +9,7 @@ from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import foreign_header
-from biosensor_gateway.page.network.stream_list import Listing
+from biosensor_gateway.page.network.stream_list import StreamList
 from biosensor_gateway.page.network.view import Viewer
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.ros.test_namesakes import Info
@@ -23,7 +23,7 @@ class Page:
     """A page that looks at senders."""
 
     def __init__(self) -> None:
-        self.listing = Listing()
+        self.listing = StreamList()
         self._now_s = NOW_S
 
     def look(self, *present: Any, after_s: float = 10.0) -> dict[str, str]:
@@ -61,7 +61,7 @@ def test_what_the_agent_says_of_its_stream_stands_with_it() -> None:
     vars(heart)["_told"] |= {"name": "hr", "type": "HR", "source_id": source_id(strap, "hr")}
     vars(counts)["_told"] |= {"type": "Counters", "source_id": "gateway-pc-counters"}
     senders: Any = [heart, counts]
-    listing = Listing()
+    listing = StreamList()
     listing.update(senders, NOW_S)
     of_hr, of_counts = listing.streams.values()
     for stream, identity in ((of_hr, strap), (of_counts, DeviceIdentity("gateway", "pc"))):

@@ -25,7 +25,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.page.network import stream_list as listing_module
 from biosensor_gateway.page.network.stream import Placer
-from biosensor_gateway.page.network.stream_list import Listing
+from biosensor_gateway.page.network.stream_list import StreamList
 from biosensor_gateway.page.network.view import Viewer, _clock_note
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
@@ -216,7 +216,7 @@ def no_finite_value(patch: pytest.MonkeyPatch) -> Shown:
     return features(patch, "ECG", "microvolts", [NOW_S, NOW_S + 0.01, NOW_S + 0.02], math.inf)
 
 
-def problems(listing: Listing) -> Shown:
+def problems(listing: StreamList) -> Shown:
     (sentence,) = Viewer().view(listing, 0, (), NOW_S).problems
     return Shown(1, sentence)
 
@@ -224,7 +224,7 @@ def problems(listing: Listing) -> Shown:
 @provokes(Refusal.NOT_LISTED)
 def not_listed(patch: pytest.MonkeyPatch) -> Shown:
     patch.setattr(listing_module, "MAX_STREAMS", 0)
-    listing = Listing()
+    listing = StreamList()
     listing.update([pylsl.StreamInfo("a", "EEG", 1, 100.0, "float32", "a")], NOW_S)
     return problems(listing)
 
@@ -233,7 +233,7 @@ def not_listed(patch: pytest.MonkeyPatch) -> Shown:
 def either_sender(patch: pytest.MonkeyPatch) -> Shown:
     del patch
     infos: Any = [Info("1", "lab-pc", 1.0), Info("2", "lab-pc", 2.0)]
-    listing = Listing()
+    listing = StreamList()
     for now in (NOW_S, NOW_S + 1, NOW_S + 9):
         listing.update(infos, now)
     first, second = listing.streams.values()

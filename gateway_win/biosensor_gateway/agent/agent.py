@@ -23,11 +23,11 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals, status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
-from biosensor_gateway.agent.device_set import Device, Fleet, FleetChanges
+from biosensor_gateway.agent.device_set import Device, DeviceChanges, DeviceSet
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.markers import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
-from biosensor_gateway.agent.reload import ReadSettings, Reloading
+from biosensor_gateway.agent.reload import ReadSettings, SettingsReload
 from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
 from biosensor_gateway.agent.status_file import STATUS_FILE
 from biosensor_gateway.settings.models import GatewaySettings
@@ -232,12 +232,12 @@ class Agent:
             _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
         enabled = [device for device in settings.devices if device.enabled]
         devices = {each: Device.from_settings(each) for each in enabled}
-        self.devices = Fleet(devices, Room.here())
+        self.devices = DeviceSet(devices, Room.here())
         self._known = KnownStreams(folder, self._sinks_with_room)
         self._pauses = PauseCommands(folder, self._sinks)
         self._markers = MarkerStream()
-        self._marking = MarkerCommands(self._markers, settings.markers)
-        self._reloading = Reloading(settings, read_again, self._change, self._preview)
+        self._marker_commands = MarkerCommands(self._markers, settings.markers)
+        self._reload = SettingsReload(settings, read_again, self._change, self._preview)
         self._feed = Feed()
         self._heartbeat_s = settings.events.heartbeat_s
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
@@ -247,8 +247,8 @@ class Agent:
     @property
     def commands(self) -> dict[str, Command]:
         """What a running agent can be asked for, besides its end."""
-        reload = {"reload": self._reloading.command, "reload-preview": self._reloading.preview}
-        return {**self._pauses.commands, **reload, **self._marking.commands}
+        reload = {"reload": self._reload.command, "reload-preview": self._reload.preview}
+        return {**self._pauses.commands, **reload, **self._marker_commands.commands}
 
     @property
     def conversations(self) -> dict[str, Conversation]:
@@ -292,11 +292,11 @@ class Agent:
     def _sinks_with_room(self) -> list[DeviceSink]:
         return [device.sink for device in self.devices.with_room]
 
-    async def _change(self, settings: GatewaySettings) -> FleetChanges:
-        self._marking.settings = settings.markers
+    async def _change(self, settings: GatewaySettings) -> DeviceChanges:
+        self._marker_commands.settings = settings.markers
         return await self.devices.change(settings.devices, self._pauses.take_over)
 
-    def _preview(self, settings: GatewaySettings) -> FleetChanges:
+    def _preview(self, settings: GatewaySettings) -> DeviceChanges:
         return self.devices.preview(settings.devices)
 
     def _states(self) -> dict[str, str]:
@@ -319,7 +319,7 @@ class Agent:
                 pylsl.local_clock(),
             )
             own = (announcer.refusals, self._markers.refusals)
-            virtual = self._reloading.is_virtual
+            virtual = self._reload.is_virtual
             features = feature_refusals.read(self._folder)
             status = snapshot(
                 self.devices, virtual=virtual, own=own, features=features

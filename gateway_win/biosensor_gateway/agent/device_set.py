@@ -180,7 +180,7 @@ _log = structlog.get_logger("biosensor_gateway.agent")
 
 
 @dataclass(frozen=True, slots=True)
-class FleetChanges:
+class DeviceChanges:
     """What other settings make of an agent's devices, by names as ``sensor/unit``.
 
     Attributes
@@ -201,7 +201,7 @@ class FleetChanges:
     kept: tuple[str, ...] = ()
 
 
-class Fleet:
+class DeviceSet:
     """Runs devices, and other ones on request.
 
     Parameters
@@ -263,7 +263,7 @@ class Fleet:
         finally:
             measuring.cancel()
 
-    def preview(self, entries: Iterable[DeviceSettings]) -> FleetChanges:
+    def preview(self, entries: Iterable[DeviceSettings]) -> DeviceChanges:
         """Say what `change` would do."""
         wanted = [each for each in entries if each.enabled]
         ending = [device.name for entry, device in self._devices.items() if entry not in wanted]
@@ -273,7 +273,7 @@ class Fleet:
 
     async def change(
         self, entries: Iterable[DeviceSettings], before_start: Callable[[], None]
-    ) -> FleetChanges:
+    ) -> DeviceChanges:
         """Have the devices of other settings; those whose entry is the same stream on.
 
         Parameters
@@ -345,8 +345,8 @@ def _names(devices: Iterable[Device]) -> list[str]:
     return [each.name for each in devices]
 
 
-def _changes(before: Sequence[str], after: Sequence[str], kept: Iterable[str]) -> FleetChanges:
-    return FleetChanges(
+def _changes(before: Sequence[str], after: Sequence[str], kept: Iterable[str]) -> DeviceChanges:
+    return DeviceChanges(
         added=tuple(name for name in after if name not in before),
         removed=tuple(name for name in before if name not in after),
         restarted=tuple(name for name in after if name in before),

@@ -34,7 +34,7 @@ class Feed:
     """Whoever wants to see, and what waits for each of them."""
 
     def __init__(self) -> None:
-        self._readers: set[Waiting] = set()
+        self._readers: set[ReaderQueue] = set()
         self._noted: list[tuple[DeviceIdentity, str, ArrayLike, Sequence[float]]] = []
         self._noted_samples = 0
         self._status: Mapping[str, Any] | None = None
@@ -72,7 +72,7 @@ class Feed:
         if len(self._readers) >= MAX_READERS:
             message = f"{MAX_READERS} programs show the agent's data already; close one"
             raise TransportError(TransportReason.BUSY, message)
-        reader = Waiting()
+        reader = ReaderQueue()
         # Who has just come need not wait for the next one.
         if self._status is not None:
             reader.put(_status_frame(self._status), 0)
@@ -98,7 +98,7 @@ def _status_frame(status: Mapping[str, Any]) -> bytes:
     return frame(FrameKind.STATUS, json.dumps(status).encode())
 
 
-class Waiting:
+class ReaderQueue:
     """Frames that wait for one reader; the oldest go when there are too many."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.device_set import FleetChanges
+from biosensor_gateway.agent.device_set import DeviceChanges
 from biosensor_gateway.settings.models import GatewaySettings
 
 ANSWERED_WITHIN_S = 3.0
@@ -31,7 +31,7 @@ _AT_ONCE = frozenset({"markers"})
 _log = structlog.get_logger("biosensor_gateway.agent")
 
 
-class Reloading:
+class SettingsReload:
     """Reads the settings again on request, and changes the devices and the buttons of markers.
 
     A file that is broken changes nothing, and the answer says what is wrong with it.
@@ -52,14 +52,14 @@ class Reloading:
         self,
         settings: GatewaySettings,
         read: ReadSettings | None,
-        change: Callable[[GatewaySettings], Awaitable[FleetChanges]],
-        preview: Callable[[GatewaySettings], FleetChanges],
+        change: Callable[[GatewaySettings], Awaitable[DeviceChanges]],
+        preview: Callable[[GatewaySettings], DeviceChanges],
     ) -> None:
         self._started_with = self._newest = settings
         self._read = read
         self._change, self._preview = change, preview
         self._busy = asyncio.Lock()
-        self._task: asyncio.Task[FleetChanges] | None = None
+        self._task: asyncio.Task[DeviceChanges] | None = None
 
     @property
     def is_virtual(self) -> bool:
@@ -82,7 +82,7 @@ class Reloading:
         settings = await self._read_again()
         self._task = asyncio.create_task(self._changed(settings))
         done, _ = await asyncio.wait({self._task}, timeout=ANSWERED_WITHIN_S)
-        changes = self._task.result() if done else FleetChanges()
+        changes = self._task.result() if done else DeviceChanges()
         now = _different(self._newest, settings, _AT_ONCE)
         later = _different(self._started_with, settings, _sections() - _AT_ONCE)
         self._newest = settings
@@ -98,7 +98,7 @@ class Reloading:
             raise ConfigError(ConfigReason.NOT_FOUND, message)
         return await asyncio.to_thread(self._read)
 
-    async def _changed(self, settings: GatewaySettings) -> FleetChanges:
+    async def _changed(self, settings: GatewaySettings) -> DeviceChanges:
         async with self._busy:
             changes = await self._change(settings)
         _log.info("the settings were read again", **asdict(changes))

@@ -34,7 +34,7 @@ _ADVICE = "switch the device off and on"
 _UPDATE = "look for an update of its software"
 
 
-class Reviver:
+class SilenceRecovery:
     """Looks after the streams of one connection.
 
     Parameters
@@ -319,7 +319,7 @@ class Supervisor:
         """Stream until the driver or the watchdog gives up; return why."""
         tasks = [
             asyncio.create_task(driver.stream()),
-            asyncio.create_task(Reviver(driver, self._sink, self._note_silence).run()),
+            asyncio.create_task(SilenceRecovery(driver, self._sink, self._note_silence).run()),
         ]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

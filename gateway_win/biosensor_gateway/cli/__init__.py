@@ -17,33 +17,35 @@ from biosensor_common.process_limits import raise_limit
 __all__ = ["main"]
 
 BEGUN_S = time.perf_counter()
-"""About when the command was given; what it needs takes long to import."""
+"""Time at which the command was given, before its imports, which can take a second."""
 
+# The commands below are not for people: one of our own processes starts another one with them.
 KEEP_ALIVE = "--keep-alive"
+"""Supervise an agent and restart it after a crash."""
 KEEP_RECORDING = "keep-recording"
-"""Not for people: this process is then the supervisor of a recording."""
+"""Supervise a recording."""
 RECORD_STREAMS = "record-streams"
-"""Likewise: it records in the place of LabRecorder's program."""
+"""Record streams to a file, as LabRecorder's program does."""
 PLAY_RECORDING = "play-recording"
-"""Likewise: it plays one, for the page."""
+"""Play a recording for the page."""
 SEND_FEATURES = "send-features"
-"""Likewise: it sends features beside an agent."""
+"""Compute and send live features for an agent."""
 
 
 def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
     with contextlib.ExitStack() as stack:
-        stack.push(_hold_window_of_a_failure)
+        stack.push(_keep_window_open_after_failure)
         _run()
 
 
 def _run() -> None:
-    _say_anything()
-    # First, so that whatever is started from here inherits it.
+    _escape_unencodable_text()
+    # Before anything is started, so that child processes inherit both.
     raise_limit()
     liblsl.provide(os.environ)
     if len(sys.argv) == 1:
-        _lead_after_a_double_click()
+        _ask_after_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:
         from biosensor_gateway.recording.recorder.supervisor import supervise  # only then
 
@@ -64,26 +66,26 @@ def _run() -> None:
         if KEEP_ALIVE in sys.argv:
             from biosensor_gateway.system.keep_alive import keep_alive  # only then
 
-            # Here, because who waits for an agent to die needs nothing that an agent needs.
+            # Handled here because the supervisor needs none of the modules that an agent imports.
             sys.exit(keep_alive([each for each in sys.argv[1:] if each != KEEP_ALIVE]))
         from biosensor_gateway.system.shutdown import end_quietly_until_running  # asyncio
 
-        # What it needs takes a second to import, and a service may be stopped as it starts.
+        # The agent's imports take a second, and a service manager may stop it meanwhile.
         end_quietly_until_running()
     from biosensor_gateway.cli import app  # only now
 
     app.main()
 
 
-def _lead_after_a_double_click() -> None:
+def _ask_after_double_click() -> None:
     from biosensor_gateway.system.windows_console import has_a_reader, is_own_window  # only now
 
     if is_own_window() and has_a_reader():
-        # There is nobody who would read a list of commands.
+        # A window opened by a double click closes at once, so a list of commands helps nobody.
         sys.argv += ["run", "--ask"]
 
 
-def _hold_window_of_a_failure(
+def _keep_window_open_after_failure(
     _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
 ) -> None:
     if error is None or (isinstance(error, SystemExit) and not error.code):
@@ -93,15 +95,14 @@ def _hold_window_of_a_failure(
     hold_open()
 
 
-def _say_anything() -> None:
-    """Write what an output has no letter for as an escape: Windows' pipes know 256 letters.
-
-    What is typed and is no letter is a wrong answer like any other.
-    """
+def _escape_unencodable_text() -> None:
+    """Write characters that the output's encoding lacks as escapes, instead of failing."""
     typed: TextIO | None = sys.stdin
     if isinstance(typed, io.TextIOWrapper):
+        # An undecodable answer is then refused by the prompt like any other wrong answer.
         typed.reconfigure(errors="replace")
     for stream in (sys.stdout, sys.stderr):
-        # A program without a console on Windows has neither.
+        # A windowed program on Windows has neither stream.
         if isinstance(stream, io.TextIOWrapper):
+            # Windows encodes pipes with a code page of 256 characters.
             stream.reconfigure(errors="backslashreplace")

@@ -1,6 +1,6 @@
-"""Commands that steer the agent: ``run``, ``stop``, ``pause``, ``resume`` and ``reload``.
+"""Commands that control the agent: ``run``, ``stop``, ``pause``, ``resume`` and ``reload``.
 
-Of ``run`` only what its help needs; :mod:`.agent_process` does the rest.
+This module has what the help of ``run`` needs; :mod:`.agent_process` does the work.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def run(
 
         stand_by(simulate)
     if ask and restart_facts(os.environ):
-        # Whoever answered may have left. Settings that name no device still lead to questions.
+        # After a restart the person who answered may have left. None still asks if the settings
+        # name no device, because there is nothing to stream then.
         ask = None
     if fault and not simulate:
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
@@ -66,6 +67,7 @@ def run(
     if page and ask is None:
         ask = False
     if page and not restart_facts(os.environ):
+        # Not after a restart: the first process has opened the page, and it is still there.
         open_page_beside(settings)
     from biosensor_gateway.cli.agent_process import stream  # takes a second
 
@@ -73,17 +75,17 @@ def run(
 
 
 def open_page_beside(settings: Path | None) -> None:
-    """Open the page; it ends by itself when neither a window nor an agent is there any more.
+    """Start the page's process, which ends when neither a window nor an agent is left.
 
     Parameters
     ----------
     settings
-        The file that was named; None for the usual one.
+        Settings file; None for the default one.
 
     Raises
     ------
     TransportError
-        ``ABSENT`` if the system cannot start it.
+        ``ABSENT`` if the system cannot start the process.
     """
     named = [] if settings is None else ["--settings", str(settings.absolute())]
     try:
@@ -123,7 +125,7 @@ def pause(device: DeviceArgument) -> None:
         f"{name} {before} paused: nothing of it is sent until: "
         f"biosensor-gateway resume {_quoted(name)}"
     )
-    _complain(answer, "a new start of the agent would stream it again")
+    _fail_if_not_stored(answer, "a new start of the agent would stream it again")
 
 
 def resume(device: DeviceArgument) -> None:
@@ -134,21 +136,22 @@ def resume(device: DeviceArgument) -> None:
     answer = _ask("resume", device)
     outcome = "is sent again" if answer["changed"] else "was not paused"
     typer.echo(f"{answer['device']} {outcome}")
-    _complain(answer, "a new start of the agent would pause it again")
+    _fail_if_not_stored(answer, "a new start of the agent would pause it again")
 
 
 def _ask(command: str, device: str) -> dict[str, Any]:
-    """Have it done, and wait for the disk as long as for the agent."""
+    """Send a command to the agent, and wait until its effect is stored on disk."""
     folder, deadline = state_folder(), time.monotonic() + control.TIME_LIMIT_S
     answer = first = control.ask(folder, command, {"device": device})
     while answer.get("pending") and time.monotonic() < deadline:
         answer = control.ask(folder, command, {"device": device})
+    # A repeated request changes nothing any more, so only the first answer says what changed.
     return answer | {"changed": first["changed"]}
 
 
-def _complain(answer: dict[str, Any], consequence: str) -> None:
+def _fail_if_not_stored(answer: dict[str, Any], consequence: str) -> None:
     if answer["problem"]:
-        # It is done; only the next agent does not know.
+        # The running agent has done it; only an agent that is started later would not know.
         typer.echo(f"biosensor-gateway: {answer['problem']}; {consequence}", err=True)
         raise typer.Exit(1)
 
@@ -172,11 +175,11 @@ def reload(
         ),
     ] = False,
 ) -> None:
-    """Have the running agent read its settings again; devices that are the same stream on.
+    """Have the running agent read its settings again; unchanged devices go on streaming.
 
-    A file that is broken changes nothing. Exit code 1 if no agent runs or the file is broken.
-    While a recording goes on, a change of devices is asked about, and without a terminal
-    refused with exit code 2.
+    A broken file changes nothing. Exit code 1 if no agent runs or the file is broken. During a
+    recording, a change of devices must be confirmed; without a terminal it is refused with exit
+    code 2.
     """
     from biosensor_gateway.recording.recorder.state import file_going_on  # not for others
 
@@ -190,14 +193,14 @@ def reload(
 
 
 def _ask_first(file: Path, changes: dict[str, Any]) -> None:
-    """Have it confirmed that a recording loses devices.
+    """Ask a person to confirm that a recording loses devices.
 
     Raises
     ------
     ConfigError
-        ``IN_USE`` if nobody can be asked.
+        ``IN_USE`` if there is no terminal to ask at.
     typer.Exit
-        It is not wanted; with code 2.
+        With code 2 if the person declines.
     """
     from biosensor_gateway.recording.participants import listed  # likewise
 

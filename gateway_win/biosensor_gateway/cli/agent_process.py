@@ -1,4 +1,4 @@
-"""Is the agent: what ``run`` does, which takes a second to import."""
+"""Runs the agent's process for ``run``; separate from the command because its imports are slow."""
 
 from __future__ import annotations
 
@@ -48,15 +48,10 @@ _start_log = structlog.get_logger("biosensor_gateway.cli")
 
 
 class StartLog:
-    """Opens the log file before the settings are read; a context manager.
+    """Context manager that opens the log file before the settings are read.
 
-    What leaves the context is logged to the file: an error of ours as its sentence, any other
-    with its traceback. The console is the caller's.
-
-    Parameters
-    ----------
-    folder
-        Where the file goes.
+    An exception that leaves the context is logged to the file only: a `GatewayError` as its
+    sentence, any other with its traceback. The caller reports it on the console.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -71,14 +66,14 @@ class StartLog:
         return self
 
     def go_on(self, settings: LogSettings, *, verbose: bool, title: Callable[[str], str]) -> None:
-        """Log as the settings want it, to the console as well; see `configure_logs`."""
+        """Log to the console as well, as the settings say; see `configure_logs`."""
         if self._problem is None:
             try:
                 configure_logs(settings, self._folder, verbose=verbose, title=title)
             except ConfigError as error:
                 self._problem = error
         if self._problem is not None:
-            # Recording goes on without a log file; it does not go on unsaid.
+            # Streaming goes on without a log file, but the console must say so.
             configure_logs(settings, None, verbose=verbose, title=title)
             _start_log.warning(str(self._problem))
 
@@ -96,7 +91,7 @@ class StartLog:
         if isinstance(error, typer.Exit | typer.Abort):
             return
         try:
-            # The agent may have come to its end before, and its log with it.
+            # The agent may have closed the log already.
             log_to_file_alone(self._folder)
         except ConfigError:
             return
@@ -107,9 +102,9 @@ class StartLog:
 
 
 END_S = 5.0
-"""How long it may take to close its streams."""
+"""How long the process of live features may take to close its streams."""
 _ENDS_WITHIN_S = 20.0
-"""Devices take their time to be closed, each with limits."""
+"""How long the agent may take to end; closing a device has its own, shorter limits."""
 
 _log = structlog.get_logger("biosensor_gateway.cli")
 
@@ -123,29 +118,30 @@ def stream(
     features: bool,
     verbose: bool,
 ) -> None:
-    """Stream until the agent is told to end.
+    """Stream until the agent is asked to end.
 
     Parameters
     ----------
     settings
-        The file that was named; None for the usual one.
+        Settings file; None for the default one.
     simulate, faults
-        Virtual devices in place of its devices, and what befalls them; see `simulated_settings`.
+        Virtual devices instead of the settings' devices, and their faults; see
+        `simulated_settings`.
     ask
-        Lead a person at the terminal first; None to do so if the settings name no device.
+        Whether to guide a person at the terminal first; None if the settings name no device.
     features
-        Send live features of what is on the network.
+        Whether to send live features.
     verbose
-        Log every detail.
+        Whether to log every detail.
 
     Raises
     ------
     GatewayError
-        What keeps it from starting.
+        If the agent cannot start.
     """
     folder = state_folder()
     with ExitStack() as stack:
-        # The log file is another agent's as long as that one runs.
+        # Before the log file is opened, which belongs to another agent while that one runs.
         unguarded = _claim(stack, folder)
         log = stack.enter_context(StartLog(folder))
         if ask or (ask is None and _is_guide_wanted(settings, simulate)):
@@ -156,24 +152,24 @@ def stream(
 
 
 def stand_by(simulate: str) -> None:
-    """Wait for the turn with everything imported; claim and open nothing before.
+    """Import everything, then wait until the supervisor starts this spare; open nothing before.
 
     Parameters
     ----------
     simulate
-        Virtual devices that will run, as `run` has it; empty for those of the settings.
+        Virtual devices that will run, as in `run`; empty for the devices of the settings.
     """
     if simulate:
         from biosensor_gateway.demo import virtual_devices  # only on request
 
         virtual_devices.import_all(simulate.split(","))
-    # To look each of them up imports its driver.
+    # Looking up each settings model imports its driver.
     dict(settings_models())
     await_turn()
 
 
 def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
-    # Who names a file, or virtual devices, knows what is wanted.
+    # Somebody who names a file or virtual devices needs no guide.
     if simulate or settings is not None or not can_ask():
         return False
     from biosensor_gateway.cli import guide  # only at a terminal
@@ -188,7 +184,7 @@ def _guided(path: Path) -> str:
 
 
 def _reader(path: Path | None) -> ReadSettings:
-    # Absolute: nobody knows where the agent is when it reads the file again.
+    # Absolute, because the working directory may change before the file is read again.
     file = (path or settings_path()).absolute()
     return lambda: settings_file.load_settings(file, settings_models())
 
@@ -198,12 +194,12 @@ def _virtual(
 ) -> AbstractContextManager[GatewaySettings]:
     from biosensor_gateway.demo.virtual_devices import simulated_settings  # only on request
 
-    # Recorders, the page and features take part in LSL as the settings say, devices or none.
+    # With virtual devices, too, the LSL section of the settings applies, as for the other programs.
     return simulated_settings(names.split(","), faults, settings_or_defaults(settings))
 
 
 def _claim(stack: ExitStack, folder: Path) -> ConfigError | None:
-    """Be the folder's only agent until the stack unwinds; say why not if it is read-only."""
+    """Lock the folder until the stack unwinds; return why not, if the folder is read-only."""
     try:
         stack.enter_context(single_instance(folder))
     except ConfigError as error:
@@ -233,7 +229,7 @@ def _run_agent(
         if panel is not None:
             agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
-        with FeaturesBeside(loaded.lsl) if features else nullcontext():
+        with FeatureProcess(loaded.lsl) if features else nullcontext():
             work = agent.run if unguarded else controlled
             asyncio.run(until_signalled(work, ends_within_s=_ENDS_WITHIN_S))
         if panel is not None:
@@ -241,12 +237,12 @@ def _run_agent(
 
 
 async def _run_controlled(agent: Agent, folder: Path) -> None:
-    """Run the agent, and end it as a signal does when a client asks for it."""
+    """Run the agent, and end it as a signal would when a client asks for its end."""
     running = asyncio.current_task()
     assert running is not None
 
     async def stop(_arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        # Whoever asks again must not cut short what the first one has begun to close.
+        # A second request must not interrupt the closing that the first one has begun.
         if not running.cancelling():
             running.cancel()
         return {"process": os.getpid()}
@@ -261,17 +257,16 @@ async def _run_controlled(agent: Agent, folder: Path) -> None:
         await agent.run()
 
 
-class FeaturesBeside:
-    """Keeps the process running for as long as the context lasts.
+class FeatureProcess:
+    """Context manager that runs a process for live features, and restarts it when it ends.
 
-    A process of its own, because what it computes must never make a sample of the agent late. It
-    reads LSL like any other program. Its input is a pipe that only this process holds open, so
-    that it ends also with an agent that is killed.
+    A separate process, so that computing features never delays a sample of the agent. It reads
+    the agent's LSL streams like any other program.
 
     Parameters
     ----------
     lsl
-        Where the agent's streams are.
+        LSL settings of the agent's streams.
     """
 
     def __init__(self, lsl: LslSettings) -> None:
@@ -308,7 +303,7 @@ class FeaturesBeside:
             self._stopping.wait(delay_s)
 
     def _run_once(self) -> str:
-        """Run it to its end; return how it ended."""
+        """Run the process to its end; return how it ended."""
         try:
             process = self._started()
         except OSError as error:
@@ -327,6 +322,8 @@ class FeaturesBeside:
         with self._lock:
             if self._stopping.is_set():
                 return None
+            # Its input is a pipe that only this process holds open: it ends with its input, so
+            # also with an agent that is killed.
             process = start_for([SEND_FEATURES])
             self._process = process
             send(process, f"{self._lsl.model_dump_json(exclude_unset=True)}\n".encode())

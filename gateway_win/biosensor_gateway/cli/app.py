@@ -1,4 +1,4 @@
-"""Puts the commands together and runs the one that was given.
+"""Lists all commands and runs the one that was given.
 
 A new command is a function in a module here and a line in `COMMANDS`.
 
@@ -30,7 +30,7 @@ def _command(name: str, place: str, *, hidden: bool = False) -> Deferred:
 
 
 _hidden = partial(_command, hidden=True)
-# Elsewhere they can only say why they cannot be.
+# On other systems these commands only explain why they cannot work.
 _on_linux = partial(_command, hidden=sys.platform != "linux")
 
 COMMANDS = (
@@ -72,7 +72,7 @@ _root = typer.Typer(
 
 def app() -> TyperGroup:
     """Return the group of all commands."""
-    # With what completes a command line in the shell, which the group alone has not.
+    # `get_command` adds the options for shell completion, which `LazyGroup` alone lacks.
     group = typer.main.get_command(_root)
     assert isinstance(group, TyperGroup)
     for command in COMMANDS:
@@ -87,7 +87,7 @@ def main() -> None:
     except ConfigError as error:
         _fail(error, EXIT_USAGE)
     except SpecError as error:
-        # Whoever names a sensor that does not exist has mistyped it.
+        # An unknown sensor is a typing mistake; other errors of a declaration are not.
         is_mistyped = error.reason is SpecReason.UNKNOWN_SENSOR
         _fail(error, EXIT_USAGE if is_mistyped else EXIT_FAILED)
     except GatewayError as error:
@@ -102,7 +102,7 @@ def main() -> None:
 
 
 def refusal(error: OSError) -> str:
-    """Say what the system refuses; empty if it is something that should not happen."""
+    """Return a sentence about what the system refuses; empty if the error is a defect of ours."""
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return f"no more files can be opened: {process_limits.reason()}; {process_limits.fix()}"
     if error.errno not in _REFUSED or error.filename is None:

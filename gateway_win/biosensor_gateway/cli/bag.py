@@ -39,10 +39,10 @@ def import_recording(
 ) -> None:
     """Write a bag as a recording (XDF); exit code 1 if some of it cannot be read.
 
-    A bag that was made of a recording becomes that recording again. Of any
-    other, stamped topics of the node become its streams, and the numbers of
-    all other messages are channels named after their fields. No file is
-    overwritten.
+    A bag that was made of a recording becomes that recording again. In any
+    other bag, stamped topics of the node become its streams, and the numbers
+    of all other messages become channels named after their fields. No file
+    is overwritten.
     """
     from biosensor_gateway.recording.bag.importing import import_bag, usual_path  # rosbags
 

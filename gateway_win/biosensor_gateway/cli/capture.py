@@ -1,4 +1,4 @@
-"""``biosensor-gateway capture``: what a real device sends, to help its driver; and its replay."""
+"""``biosensor-gateway capture``: saves what a real device sends, to improve its driver."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class _Captures(QuickGroup):
-    """A group in which what is no command is a sensor to capture."""
+    """A group that takes an unknown command for the name of a sensor to capture."""
 
     default = "of"
 

@@ -47,7 +47,7 @@ def test(
 
 
 def print_outcome(outcome: DeviceTest) -> None:
-    """Say what the test of a device has shown."""
+    """Print the outcome of a device test."""
     info = outcome.info
     if info is not None:
         details = (info.manufacturer, info.model, info.serial_number, info.firmware_version)
@@ -75,7 +75,7 @@ def _table(outcome: DeviceTest) -> Table:
 
 
 def _short(values: tuple[float | str, ...], units: Sequence[str]) -> str:
-    """Return the first values with their units; a unit that all share stands once."""
+    """Return the first values with their units; a unit that all share is written once."""
     shown = [value if isinstance(value, str) else f"{value:.3g}" for value in values[:6]]
     more = " ..." if len(values) > len(shown) else ""
     if len(set(units)) == 1:
@@ -95,8 +95,8 @@ def scan(
     with chosen_devices(settings, simulate) as configured:
         sections = asyncio.run(search.scan(seconds, configured))
     if as_json:
-        told = [each.model_dump() for each in search.described(sections, configured)]
-        typer.echo(json.dumps(told, indent=2))
+        content = [each.model_dump() for each in search.described(sections, configured)]
+        typer.echo(json.dumps(content, indent=2))
     else:
         _print_sections(sections)
 

@@ -51,16 +51,18 @@ def doctor(
     answer: Annotated[
         bool,
         typer.Option(
-            "--answer", help="Answer another computer's --with, once, to whom knows the code."
+            "--answer", help="Answer once to another computer's --with that gives the right code."
         ),
     ] = False,
     with_: Annotated[
         str,
         typer.Option(
-            "--with", metavar="HOST", help="Try the network to a computer that has --answer."
+            "--with", metavar="HOST", help="Test the network to a computer that runs --answer."
         ),
     ] = "",
-    code: Annotated[str, typer.Option(help="For --with: what the other computer shows.")] = "",
+    code: Annotated[
+        str, typer.Option(help="For --with: the code that the other computer shows.")
+    ] = "",
     port: Annotated[
         int, typer.Option(min=1024, max=65535, help="TCP port of --answer, and for --with.")
     ] = ANSWER_PORT,
@@ -88,7 +90,7 @@ def _network_check(
     port: int,
     as_json_: bool,
 ) -> NoReturn:
-    """Be one side of the network check."""
+    """Run one side of the network check, and exit."""
     if only or (answering and host):
         raise typer.BadParameter("--answer, --with and --only exclude one another")
     context = read_context(settings or settings_path(), state_folder())
@@ -103,7 +105,7 @@ def _checks(names: list[str]) -> list[Check]:
 
 
 def doctor_probe() -> None:
-    """Be the other program of a check; used by doctor itself."""
+    """Run a check's second program; used by doctor itself."""
     from biosensor_common.doctor import survey  # brings pylsl
 
     survey.main()

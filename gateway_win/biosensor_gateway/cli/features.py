@@ -1,6 +1,6 @@
-"""``biosensor-gateway features``: what a robot can act on, live or of a recording.
+"""``biosensor-gateway features``: computes features of live streams or of a recording.
 
-Help needs neither numpy nor LSL, so that functions import what does.
+Functions import what needs numpy or LSL, so that the help is shown quickly.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ def features(
     print_json: JsonOption = False,
     settings: SettingsOption = None,
 ) -> None:
-    """Send beats, skin responses, breaths and more of raw streams as streams, until Ctrl-C.
+    """Compute beats, skin responses, breaths and more, and send them as streams until Ctrl-C.
 
     Raw streams are found by their LSL type: ECG, PPG, RR, GSR, Respiration
-    and Accelerometer, of our devices and of other programs that say their
-    unit. The node publishes what comes out beside the device's own topics.
-    Of a recording the same is computed by the same code, and written.
+    and Accelerometer, from our devices and from other programs that declare
+    their unit. The node publishes the features alongside the device's own
+    topics. For a recording, the same code computes them and writes a file.
     """
     if file is not None:
         compute_recording(file, output, print_json=print_json)
@@ -59,7 +59,7 @@ def features(
     asyncio.run(until_signalled(lambda: watch_live(lsl)))
 
 
-class _Saying:
+class _PrintingListener:
     def found(self, source: Source) -> None:
         names = ", ".join(each.stream.data_name for each in source.features)
         say(printable(f"{source.name}: {names}"))
@@ -78,7 +78,7 @@ async def watch_live(lsl: LslSettings) -> None:
     stopping = threading.Event()
     say("looking for raw streams; end it by Ctrl-C")
     refusals = FeatureRefusals(state_folder())
-    live = Live(_Saying(), report=refusals.write)
+    live = Live(_PrintingListener(), report=refusals.write)
     work = asyncio.get_running_loop().run_in_executor(None, live.run, stopping)
     try:
         await asyncio.shield(work)
@@ -91,12 +91,12 @@ async def watch_live(lsl: LslSettings) -> None:
 
 
 def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> None:
-    """Compute features of a recording, and say what was written.
+    """Compute features of a recording, write them, and print what was written.
 
     Raises
     ------
     ConfigError
-        If the recording cannot be read, holds nothing for it, or the target cannot be written.
+        If the recording cannot be read or has no raw stream, or the target cannot be written.
     """
     from biosensor_gateway.features.errors import FeatureError, FeatureReason
     from biosensor_gateway.features.offline import SUFFIXES, compute

@@ -1,4 +1,4 @@
-"""Leads from nothing to a stream: search, choice, settings, test; or virtual devices."""
+"""Guides a person at the terminal to a first stream: search, choose, save, test, or simulate."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _END = "End"
 
 
 def is_wanted(path: Path) -> bool:
-    """Whether somebody is at a terminal, and the settings name no device yet."""
+    """Whether a person is at the terminal, and the settings name no device yet."""
     if not can_ask():
         return False
     try:
@@ -42,19 +42,19 @@ def lead(path: Path) -> str:
     Parameters
     ----------
     path
-        The settings file, which need not be there.
+        The settings file, which need not exist.
 
     Returns
     -------
     str
-        Names of virtual devices, with commas between; empty for the devices of the settings.
+        Comma-separated names of virtual devices; empty for the devices of the settings.
 
     Raises
     ------
     typer.Exit
-        Nothing is wanted, or nobody answers.
+        If the person ends the program, or nobody answers.
     ConfigError
-        The settings are wrong, or cannot be written.
+        If the settings are wrong, or cannot be written.
     """
     devices = _devices(path)
     while True:
@@ -105,7 +105,7 @@ def _virtual() -> str | None:
 
 
 def _set_up(path: Path) -> str | None:
-    """Search, and put what is chosen into the settings; None if nothing is."""
+    """Search, and write the chosen devices into the settings; None if none is chosen."""
     found = _found(_devices(path))
     if not found:
         return None

@@ -1,7 +1,7 @@
-"""Finds the running programs of this installation that the installer could not close.
+"""Commands for the Windows installer: PATH, autostart, and programs that keep files open.
 
-Before it closes anything: an agent that is ended for an upgrade that then fails has lost its
-recording for nothing.
+The installer looks for programs that it cannot close before it closes any: an agent that is
+ended for an upgrade that then fails has lost its recording for nothing.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class Program:
     Attributes
     ----------
     user
-        Empty if the system does not tell.
+        Empty if the system does not report it.
     words
-        Its command line; empty if the system does not tell.
+        Its command line; empty if the system does not report it.
     family
-        Numbers of the processes that it was started by or has started, and its own; also of those
-        that the same agent's supervisor has started.
+        Process ids of itself, its ancestors and descendants, and of the other processes that its
+        agent's supervisor has started.
     """
 
     number: int
@@ -50,15 +50,15 @@ class Program:
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
-    """What the commands of one user can close.
+class Closable:
+    """The programs that one user's commands can close.
 
     Attributes
     ----------
     agent
-        Process of the agent; None if none runs.
+        Process id of the agent; None if none runs.
     page, recording
-        Whether it goes on.
+        Whether one is running.
     """
 
     user: str
@@ -67,7 +67,7 @@ class Closing:
     recording: bool
 
     def closes(self, program: Program) -> bool:
-        """Whether `record stop`, `page --end` or `stop` end this one."""
+        """Whether `record stop`, `page --end` or `stop` ends this program."""
         if program.user != self.user or not program.words:
             return False
         first = program.words[1] if len(program.words) > 1 else ""
@@ -75,26 +75,28 @@ class Closing:
             return self.agent in program.family
         if first in _OF_RECORDING:
             return self.recording
-        # Without words it is the program that opens the page.
+        # The program that is started without arguments opens the page. A page with --lsl has no
+        # lock and takes no `page --end`.
         return (not first or first in _OF_PAGE) and self.page and "--lsl" not in program.words
 
 
-def what_cannot_be_closed(state: Path) -> list[str]:
-    """Name each program that runs and that its installer cannot close; for a person."""
+def programs_not_closable(state: Path) -> list[str]:
+    """Return a sentence for each running program that commands cannot close."""
     own = psutil.Process()
-    beside = {own.pid, *(each.pid for each in own.parents())}
-    closing = Closing(
+    # The installer itself is among the ancestors.
+    ignored = {own.pid, *(each.pid for each in own.parents())}
+    closing = Closable(
         own.username(),
         _agent(state),
         is_held(page_folder(state), LOCK_FILE),
         LocalRecorder(state).is_running,
     )
-    programs = [each for each in _programs() if each.number not in beside]
+    programs = [each for each in _programs() if each.number not in ignored]
     return [sentence(each) for each in programs if not closing.closes(each)]
 
 
 def sentence(program: Program) -> str:
-    """Say which program it is."""
+    """Return which program it is, for a person."""
     command = " ".join(("biosensor-gateway", *program.words[1:2])) if program.words else "a program"
     whose = program.user or "another user"
     return f"{command} (process {program.number} of {whose})"
@@ -140,7 +142,7 @@ def _family(process: psutil.Process) -> Iterator[int]:
     try:
         for parent in process.parents():
             yield parent.pid
-            # A standby is started by the same supervisor as the agent.
+            # The agent's supervisor has also started its warm spare, which is no descendant.
             if _words(parent)[1:2] == ("run",):
                 yield from (each.pid for each in parent.children())
         yield from (each.pid for each in process.children(recursive=True))
@@ -158,9 +160,9 @@ def _group() -> None:
 
 FolderArgument = Annotated[str, typer.Argument(help="Folder of the program.")]
 EXIT_NOT_CHOSEN = 3
-"""Of ``autostart-state``; 1 would also be an error."""
+"""Exit code of ``autostart-state``; not 1, which any error has."""
 EXIT_HELD = 4
-"""Of ``holders``; a version that does not know it ends with 2."""
+"""Exit code of ``holders``; not 2, with which versions end that lack the command."""
 
 
 @app.command("add-to-path")
@@ -171,7 +173,7 @@ def add_to_path(folder: FolderArgument) -> None:
 
 @app.command("remove-from-path")
 def remove_from_path(folder: FolderArgument) -> None:
-    """Undo it."""
+    """Undo add-to-path."""
     _changed(windows_setup.remove_from_path, folder)
 
 
@@ -193,14 +195,14 @@ def autostart_state() -> None:
 
 @app.command("remove-autostart")
 def remove_autostart() -> None:
-    """Let no user start the program at logon any more."""
+    """Remove the start at logon for all users."""
     _entries(windows_setup.remove_all)
 
 
 @app.command("holders")
 def holders() -> None:
     """Name the programs that run and that cannot be closed by commands; end with 4 if any."""
-    found = what_cannot_be_closed(state_folder())
+    found = programs_not_closable(state_folder())
     for each in found:
         typer.echo(each)
     if found:

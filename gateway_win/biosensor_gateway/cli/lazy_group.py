@@ -1,7 +1,7 @@
-"""A group of commands that imports only the command that is given.
+"""A group of commands that imports only the command that is run.
 
-Its list of commands shows the beginning of each command's docstring, which is read from the
-module's code without running it, and help leaves out what typer imports for other programs' help.
+The list of commands shows the first paragraph of each command's docstring. It is read from the
+module's compiled code, without importing the module.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from typer._click import Command, Context, HelpFormatter
 
 
-# A third of the time. Our help has no Markdown, and our tracebacks have no colours.
+# typer's help imports these, which takes a third of its time. We do not need them: our help has no
+# Markdown, and our tracebacks have no colours.
 _SPARED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
 
 
 class QuickGroup(TyperGroup):
-    """A group of commands whose help looks as any of typer, and comes sooner."""
+    """A group of commands with typer's usual help, imported faster."""
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Print the help."""
@@ -38,7 +39,8 @@ class LazyGroup(QuickGroup):
     """A group of `Deferred` commands."""
 
     def list_commands(self, ctx: Context) -> list[str]:
-        """Return the names of all commands; whoever asks for them shows their help, too."""
+        """Return the names of all commands."""
+        # Only the list of commands asks for the names, and it shows the help of each.
         for command in self.commands.values():
             if isinstance(command, Deferred):
                 command.help = command.first_lines()
@@ -46,7 +48,7 @@ class LazyGroup(QuickGroup):
 
 
 class QuickCommand(TyperCommand):
-    """A command whose help comes as soon."""
+    """A command with typer's usual help, imported faster."""
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Print the help."""
@@ -55,9 +57,12 @@ class QuickCommand(TyperCommand):
 
 
 def _import_help() -> None:
-    """Import typer's help with stand-ins for two classes; other importers get the real ones."""
+    """Import typer's help with lazy placeholders for two classes.
+
+    Modules that are imported later get the real ones.
+    """
     missing = {name: part for name, part in _SPARED.items() if name not in sys.modules}
-    sys.modules.update({name: _stand_in(name, part) for name, part in missing.items()})
+    sys.modules.update({name: _placeholder(name, part) for name, part in missing.items()})
     try:
         import_module("typer.rich_utils")
     finally:
@@ -65,8 +70,8 @@ def _import_help() -> None:
             del sys.modules[name]
 
 
-def _stand_in(name: str, part: str) -> ModuleType:
-    """Return a module with a class that makes instances of the real one."""
+def _placeholder(name: str, part: str) -> ModuleType:
+    """Return a module whose class imports the real one when it is called."""
 
     def make(_class: type, *arguments: object, **options: object) -> object:
         return getattr(import_module(name), part)(*arguments, **options)
@@ -77,17 +82,17 @@ def _stand_in(name: str, part: str) -> ModuleType:
 
 
 class Deferred(TyperCommand):
-    """Stands for a command, or for a group of commands, in the list of all commands.
+    """A command or a group of commands that is imported when it is run.
 
     Parameters
     ----------
     name
-        As it is typed.
+        The command's name.
     place
-        ``module:attribute`` of the function, or of the Typer of a group, whose help is the
-        docstring of a function `GROUP`.
+        ``module:attribute`` of a command's function or of a group's Typer. A group's help is the
+        docstring of its function `GROUP`.
     hidden
-        Whether the list leaves it out.
+        Whether the list of commands leaves it out.
     """
 
     GROUP = "_group"
@@ -107,7 +112,7 @@ class Deferred(TyperCommand):
         return typer.main.get_command(alone)
 
     def first_lines(self) -> str:
-        """Return the first paragraph of its help, without importing it."""
+        """Return the first paragraph of the command's help, without importing the command."""
         module, _, attribute = self.place.partition(":")
         spec = find_spec(module)
         if spec is None or not isinstance(spec.loader, InspectLoader):
@@ -127,5 +132,5 @@ class Deferred(TyperCommand):
         parent: Context | None = None,
         **extra: Any,  # noqa: ANN401 - as in typer
     ) -> Context:
-        """Import the command, and return its own context, in which it is then invoked."""
+        """Import the command, and return the context in which it is invoked."""
         return self.load().make_context(info_name, args, parent, **extra)

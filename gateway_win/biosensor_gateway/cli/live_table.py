@@ -1,4 +1,4 @@
-"""The table that ``run`` and ``status --watch`` renew in place: each device and how it does."""
+"""The table of devices and their state that ``run`` and ``status --watch`` update in place."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _BOLD, _YELLOW = "\x1b[1m", "\x1b[33m"
 
 
 class Row(NamedTuple):
-    """A device, in words."""
+    """The text of one device's row."""
 
     name: str
     state: str
@@ -55,19 +55,20 @@ class Row(NamedTuple):
 
     @property
     def cells(self) -> Sequence[str]:
-        """What stands below the headings."""
+        """The cells below the headings."""
         return self[: len(_HEADINGS)]  # pyright: ignore[reportReturnType]
 
 
 class LiveTable:
-    """Shows the agent's devices on a panel, with each report of the agent.
+    """Shows the agent's devices on a panel, and updates it with each report of the agent.
 
     Parameters
     ----------
     colours
-        Whether the terminal shows any.
+        Whether the terminal shows colours.
     foot
-        Makes the sentences below the table; how long it runs and how to end it if not given.
+        Returns the sentences below the table; by default, how long the agent has run and how to
+        end it.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class LiveTable:
         self._foot = foot or self._running
 
     def report(self, status: Mapping[str, Any]) -> None:
-        """Show what the agent's status says; see `snapshot`."""
+        """Show a status of the agent; see `snapshot`."""
         rows = self.rows(status)
         foot = (*refused_now(status).values(), *self._foot())
         self._panel.show(partial(picture, rows, foot, colours=self._colours))
@@ -88,7 +89,7 @@ class LiveTable:
         return running_foot(int(monotonic() - self._begun_s))
 
     def rows(self, status: Mapping[str, Any]) -> list[Row]:
-        """Put the devices into words."""
+        """Return the rows of all devices."""
         now = float(status["lsl_time"])
         return [
             self._row(name, device, now)
@@ -97,23 +98,24 @@ class LiveTable:
 
     def _row(self, name: str, device: Mapping[str, Any], now: float) -> Row:
         state = "paused" if device["paused"] else STATE_WORDS[device["state"]]
-        # What it had before is not of now: what it loses meanwhile is counted when it is back.
-        is_of_now = is_sending(device["state"], paused=device["paused"])
+        # While a device does not send, its rate and battery are outdated, and what it loses is
+        # counted only when it is back.
+        is_current = is_sending(device["state"], paused=device["paused"])
         rate = self._rate(device, now)
-        battery = device["battery_percent"] if is_of_now else None
+        battery = device["battery_percent"] if is_current else None
         lost = sum(each["lost"] for each in device["streams"].values())
         return Row(
             name,
             state,
-            "-" if rate is None or not is_of_now else f"{rate:.1f} Hz",
-            str(lost) if is_of_now else "-",
+            "-" if rate is None or not is_current else f"{rate:.1f} Hz",
+            str(lost) if is_current else "-",
             "-" if battery is None else f"{battery:.0f} %",
             " ".join((device["error"] or "").split()),
             tuple(" ".join(each.split()) for each in refused_now(device).values()),
         )
 
     def _rate(self, device: Mapping[str, Any], now: float) -> float | None:
-        """Return the rate of the fastest stream; None while nothing of it is sent."""
+        """Return the rate of the fastest stream that is sending; None if none is."""
         sending = {
             source: each
             for source, each in device["streams"].items()
@@ -131,13 +133,13 @@ class LiveTable:
 def picture(
     rows: Sequence[Row], sentences: Sequence[str], size: Size, *, colours: bool
 ) -> list[Line]:
-    """Draw the table and sentences below it, for a terminal of this size.
+    """Return the lines of the table and of the sentences below it, for a terminal of this size.
 
-    What does not fit is counted.
+    The last line counts the devices that do not fit.
     """
     width = size.columns - 1
     foot = [line for each in sentences for line in wrapped(each, width).splitlines()]
-    # A line above tells it from the log.
+    # An empty line above separates the table from the log.
     room = size.lines - 1 - len(foot) - 2
     if room < 1:
         return [Line(each) for each in foot[:1]]
@@ -171,15 +173,15 @@ def _device(row: Row, columns: Mapping[int, int], width: int) -> Iterator[Line]:
     if (more := len(row.refused) - _MOST_REFUSED) > 0:
         shown.append(f"and {more} more such sentences")
     for sentence in shown:
-        told = wrapped(f"  {sentence}", width, 2).splitlines()
-        if len(told) > _MOST_LINES_OF_ERROR:
-            last = told[_MOST_LINES_OF_ERROR - 1][: width - len(_AND_MORE)]
-            told = [*told[: _MOST_LINES_OF_ERROR - 1], last + _AND_MORE]
-        yield from (Line(each, colour) for each in told)
+        lines = wrapped(f"  {sentence}", width, 2).splitlines()
+        if len(lines) > _MOST_LINES_OF_ERROR:
+            last = lines[_MOST_LINES_OF_ERROR - 1][: width - len(_AND_MORE)]
+            lines = [*lines[: _MOST_LINES_OF_ERROR - 1], last + _AND_MORE]
+        yield from (Line(each, colour) for each in lines)
 
 
 def _columns(rows: Sequence[Row], width: int) -> dict[int, int]:
-    """Return the width of each column that fits; those on the right go first."""
+    """Return the width of each column that fits; the rightmost columns are left out first."""
     sizes = [
         max(cell_len(cells[column]) for cells in (_HEADINGS, *(row.cells for row in rows)))
         for column in range(len(_HEADINGS))
@@ -199,7 +201,7 @@ def _line(cells: Sequence[str], columns: Mapping[int, int]) -> str:
     parts: list[str] = []
     for column, size in columns.items():
         text = shortened(cells[column], size) if column == 0 else cells[column]
-        # Names and states begin, figures end, at their column's edge.
+        # Names and states are aligned to the left, figures to the right.
         is_figure = column > 1
         blank = " " * (size - cell_len(text))
         parts.append(blank + text if is_figure else set_cell_size(text, size))
@@ -207,7 +209,7 @@ def _line(cells: Sequence[str], columns: Mapping[int, int]) -> str:
 
 
 def running_foot(running_s: int) -> Sequence[str]:
-    """Return what stands below the table of an agent that has run for so many seconds."""
+    """Return the sentences below the table of an agent that has run for *running_s* seconds."""
     minutes, seconds = divmod(running_s, 60)
     hours, minutes = divmod(minutes, 60)
     return (
@@ -223,20 +225,20 @@ _END = "Press Ctrl-C to end the watch; the agent goes on."
 
 
 class _View(Protocol):
-    """Shows an agent that is watched."""
+    """Shows the status of a running agent."""
 
     def status(self, status: Mapping[str, Any]) -> None:
-        """Show what the agent has just said."""
+        """Show the newest status."""
         ...
 
     def absence(self, sentence: str) -> None:
-        """Show that there is no agent; called once for each time that it goes away."""
+        """Show that no agent runs; called once each time that it goes away."""
         ...
 
 
 def watch(folder: Path, *, as_json: bool) -> None:
-    """Show how the agent of a state folder does, also after it was away, until Ctrl-C."""
-    # Ctrl-C is how watching ends; it is no failure.
+    """Show the status of a state folder's agent until Ctrl-C, also after the agent was away."""
+    # Ctrl-C is the usual end, not a failure.
     with contextlib.suppress(KeyboardInterrupt):
         if as_json:
             _follow(folder, _JsonLines())
@@ -251,7 +253,7 @@ def _follow(folder: Path, view: _View) -> None:
         try:
             current = status_file.running_status(folder)
         except ConfigError as error:
-            # Its sentence may count seconds, which is nothing new.
+            # Compared by state, not by sentence: the sentence may count seconds.
             if not is_away:
                 view.absence(str(error))
             is_away = True
@@ -263,7 +265,7 @@ def _follow(folder: Path, view: _View) -> None:
 
 
 class _JsonLines:
-    """One object a line: each report of the agent, or the problem."""
+    """Prints one JSON object per line: a status of the agent, or the problem."""
 
     def status(self, status: Mapping[str, Any]) -> None:
         typer.echo(json.dumps(status))
@@ -273,7 +275,7 @@ class _JsonLines:
 
 
 class _Lines:
-    """A line with the local time for each change, for where no table can be renewed."""
+    """Prints a line with the local time for each change, where a table cannot be updated."""
 
     def __init__(self) -> None:
         self._said: set[str] = set()
@@ -296,7 +298,7 @@ class _Lines:
 
 
 class _Table:
-    """The table of ``run``, renewed in place."""
+    """Shows the table of ``run``, updated in place."""
 
     def __init__(self, panel: Panel) -> None:
         self._panel = panel
@@ -321,7 +323,7 @@ def _sentences(sentences: list[str], size: Size) -> list[Line]:
 
 @contextlib.contextmanager
 def _panel() -> Generator[Panel | None]:
-    """Give the lines of this terminal that can be renewed; None where there are none."""
+    """Yield the lines of this terminal that can be updated; None where there are none."""
     if not sys.stdout.isatty():
         yield None
         return

@@ -1,12 +1,12 @@
 """Edits an ``lsl_api.cfg`` so that LabRecorder finds every stream.
 
-LabRecorder carries liblsl 1.17. On a computer without an active network adapter that
-sees one local stream of many, whichever, unless ``KnownPeers`` names the computer
-itself; and it asks known peers on ``PortRange`` ports only, 32 by default, which is 16
-streams. ``SessionID`` separates: both sides must have the same.
+LabRecorder contains liblsl 1.17. On a computer without an active network adapter, that
+version finds only one of several local streams unless ``KnownPeers`` names the computer
+itself. It asks known peers on only ``PortRange`` ports; the default of 32 is enough for
+16 streams. Both sides must have the same ``SessionID``.
 
-A file that is there already is edited line by line, so that its other settings and its
-comments stay as they are.
+An existing file is edited line by line, so that its other settings and its comments stay
+as they are.
 """
 
 from __future__ import annotations
@@ -57,19 +57,19 @@ _OWN_COMMENTS = frozenset((*_WHY_SESSION, *_WHY_PORTS, *_WHY_LOOPBACK, *_WHY_PEE
 
 
 class LslFile(LslApiFile):
-    """The text of a configuration that can be adapted.
+    """The text of an LSL configuration file, for editing.
 
     Parameters
     ----------
     text
         The whole file; empty for a new one.
     source
-        What to call it in messages.
+        Name of the file in messages.
 
     Raises
     ------
     ConfigError
-        ``MALFORMED``, if liblsl would not understand it and therefore ignore it.
+        ``MALFORMED`` if liblsl could not parse the file and would ignore it.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -78,20 +78,20 @@ class LslFile(LslApiFile):
 
     @property
     def text(self) -> str:
-        """The file as it is now."""
+        """The edited text."""
         return "".join(line.text for line in self._lines)
 
     def adapt(self, session_id: str, known_peers: Sequence[str], port_range: int) -> None:
-        """Make it hold what LabRecorder needs; other peers and a larger range of ports stay.
+        """Set what LabRecorder needs; other peers and a larger port range are kept.
 
         Parameters
         ----------
         session_id
-            The agent's.
+            Session of the agent.
         known_peers
             Hosts to ask directly.
         port_range
-            Number of ports that the agent's streams may have.
+            Number of ports that the agent's streams may use.
         """
         if self._get(SESSION) != session_id:
             self._set(SESSION, session_id, _WHY_SESSION)
@@ -111,7 +111,7 @@ class LslFile(LslApiFile):
         self._lines[start:end] = block
 
     def _place(self, name: tuple[str, str]) -> tuple[int, int]:
-        """Lines to replace: the old setting with our comments above it, or none."""
+        """Return the range of lines to replace: the setting with our comments, or an empty one."""
         section, _ = name
         for at, line in enumerate(self._lines):
             if (line.section, line.key) == name:
@@ -140,10 +140,10 @@ def _why_peers(peers: Sequence[str]) -> tuple[str, ...]:
 
 
 def changes(before: str, after: str) -> list[str]:
-    """List the lines that differ: ``- `` before those that go, ``+ `` before those that come."""
+    """Return the lines that differ: removed ones begin with ``- ``, added ones with ``+ ``."""
     compared = difflib.ndiff(before.splitlines(), after.splitlines())
     return [
-        # Bytes that are no UTF-8 are kept in the file; a console cannot show them.
+        # Bytes that are not UTF-8 are kept in the file, but a console cannot show them.
         line.rstrip().encode("utf-8", "replace").decode()
         for line in compared
         if line[0] in "+-" and line[2:].strip()
@@ -209,14 +209,14 @@ def write_lsl_file(
 
 
 def _session_of_own_file() -> str:
-    """Return the session that the agent takes over, as its settings name none."""
+    """Return the session of the LSL file that the agent uses when its settings name none."""
     own = user_config_file(os.environ, Path.home(), Path.cwd())
     return LslFile((own and _read(own)) or "", str(own)).session_id
 
 
 def _read(path: Path) -> str | None:
     try:
-        # Bytes that are no UTF-8 pass through unchanged.
+        # Bytes that are not UTF-8 pass through unchanged.
         return path.read_bytes().decode("utf-8", "surrogateescape")
     except FileNotFoundError:
         return None
@@ -267,7 +267,7 @@ def _inaccessible(path: Path, verb: str, error: OSError) -> ConfigError:
 
 
 def _report(path: Path, file: LslFile, others: tuple[str, ...]) -> None:
-    """Say what is left to do; *others* are the computers across the network."""
+    """Print what is left to do; *others* are the other computers with agents."""
     typer.echo(f"LSL session: {file.session_id}; asked directly: {', '.join(file.known_peers)}")
     typer.echo("Restart LabRecorder: LSL programs read the file when they start.")
     if others:
@@ -282,7 +282,7 @@ def _report(path: Path, file: LslFile, others: tuple[str, ...]) -> None:
 
 
 def _warnings(path: Path) -> list[str]:
-    """Say what keeps LSL programs from reading the file."""
+    """Return what keeps LSL programs from reading the file."""
     places = config_places(os.environ, Path.home(), Path.cwd())
     before = list(takewhile(lambda place: place.resolve() != path.resolve(), places))
     if len(before) == len(places):

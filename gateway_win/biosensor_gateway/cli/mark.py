@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _SOURCE = "command"
 _KEYS = 9
-"""As many buttons have a key: 1 to 9."""
+"""Number of buttons that have a key on the page: 1 to 9."""
 _EXAMPLE = 'origins = ["http://localhost:8080"]'
 _LEAD = 9
 _LISTENS_WITHIN_S = 1.0
@@ -52,7 +52,7 @@ def mark(
         typer.Option(metavar="FOLDER", help="With --web: write its script and an example there."),
     ] = None,
 ) -> None:
-    """Send a marker with the streams: what happens now. One can be undone, not deleted.
+    """Send a marker of what happens now. A marker can be undone, but not deleted.
 
     Exit code 1 if no agent runs or it refuses.
     """
@@ -74,15 +74,15 @@ def mark(
         done = control.ask(folder, "undo-marker", {"id": _number(text)} if text else {})
         typer.echo(f"marker {done['of']} is undone")
     else:
-        said = {"note": text, "kind": "note"} if note else {"marker": text, "kind": "api"}
-        sent = control.ask(folder, "mark", {**said, "source": _SOURCE, "at": _when_given()})
+        marker = {"note": text, "kind": "note"} if note else {"marker": text, "kind": "api"}
+        sent = control.ask(folder, "mark", {**marker, "source": _SOURCE, "at": _when_given()})
         lost = "" if sent.get("received", True) else ", but no program receives it"
         typer.echo(f"marker {sent['id']} was sent{lost}")
 
 
 def _when_given() -> float:
     """Return the LSL time at which the command was given."""
-    from pylsl import local_clock  # an undo does without
+    from pylsl import local_clock  # slow to import, and not needed by --undo
 
     return local_clock() - (time.perf_counter() - BEGUN_S)
 
@@ -95,7 +95,7 @@ def _number(text: str) -> int:
 
 
 def _print_list(answer: Mapping[str, Any]) -> None:
-    from pylsl import local_clock  # an undo does without
+    from pylsl import local_clock  # as above
 
     width, now = columns(sys.stdout), local_clock()
     rows = [_row(each, now) for each in answer["markers"]] or [("", "nothing is marked yet")]
@@ -119,7 +119,7 @@ def _buttons(names: list[str]) -> Iterator[tuple[str, str]]:
 
 
 def _show_web(*, renew: bool) -> None:
-    """Print address, token and origins, and where each experiment is opened.
+    """Print address, token, origins, and the link that opens each experiment.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def _show_web(*, renew: bool) -> None:
     Raises
     ------
     ConfigError
-        The settings are wrong, or the token can neither be read nor written.
+        If the settings are wrong, or the token can neither be read nor written.
     """
     from biosensor_gateway.cli.settings import settings_or_defaults
     from biosensor_gateway.page.experiments.token import experiment_token, new_experiment_token
@@ -138,7 +138,7 @@ def _show_web(*, renew: bool) -> None:
     token = new_experiment_token(folder) if renew else experiment_token(folder)
     web = settings_or_defaults(None).markers.web
     for lead, said in _web_rows(web, token):
-        # A token or an address that is cut into two is no good to copy.
+        # A token or an address must stay on one line to be copied.
         text = f"{lead:{_LEAD}}{said}"
         fits = " " not in said
         typer.echo(text if fits else wrapped(text, columns(sys.stdout), hang=_LEAD))
@@ -150,7 +150,7 @@ def _save_web(folder: Path) -> None:
     Raises
     ------
     ConfigError
-        ``EXISTS`` if one of them is there already, ``UNREADABLE`` if it cannot be written.
+        ``EXISTS`` if a different file is in the way, ``UNREADABLE`` if one cannot be written.
     """
     with as_file(files("biosensor_gateway.page.experiments") / "files") as found:
         for source in sorted(found.iterdir()):

@@ -32,7 +32,7 @@ FaultOption = Annotated[
 
 RecordingArgument = Annotated[Path, typer.Argument(help="The recording.", show_default=False)]
 
-# What of a recording is wanted.
+# The part of a recording that a command works on.
 StreamsOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -56,8 +56,8 @@ UntilOption = Annotated[str, typer.Option("--until", metavar="TIME", help="Likew
 
 @contextmanager
 def wrong_recording() -> Generator[None]:
-    """Say of a recording or a bag that is none that the command is wrong."""
-    from biosensor_gateway.recording.bag.errors import BagError, BagReason  # help does without
+    """Raise `ConfigError`, for exit code 2, if an argument is not a readable recording or bag."""
+    from biosensor_gateway.recording.bag.errors import BagError, BagReason  # not needed for help
     from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
     try:

@@ -1,4 +1,4 @@
-"""Prints what fits the terminal, puts an agent's status into sentences, and asks a person."""
+"""Prints text and tables for the terminal, words an agent's status, and asks a person."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.terminal import columns, shortened, wrapped
 from biosensor_gateway.agent.state import STATE_WORDS
 
-# Where there is no terminal, nothing needs to fit.
+# A file or a pipe has no width, so no line is broken there.
 _ENDLESS = 10_000
 _GAP = 2
 
 
 def console() -> Console:
-    """Return the terminal, or what stands in for it and never breaks a line."""
+    """Return a console for standard output that breaks lines only on a terminal."""
     return Console(width=None if sys.stdout.isatty() else _ENDLESS)
 
 
@@ -31,10 +31,10 @@ def say(text: str, hang: int = 2) -> None:
 
 
 def table_of_names(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Table:
-    """Return a table of names and figures that is no wider than this.
+    """Return a table of names and figures that fits into *width* characters.
 
-    A name, in the first column, goes on in the next line; words of it that still do not
-    fit lose their middle. Figures are shown whole.
+    Long names, in the first column, are wrapped; words that still do not fit are shortened in
+    the middle. Figures are shown whole.
     """
     sizes = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
     left = max(len(headings[0]), width - sum(sizes[1:]) - _GAP * len(sizes))
@@ -44,7 +44,7 @@ def table_of_names(headings: Sequence[str], rows: Sequence[Sequence[str]], width
         table.add_column(heading, justify="right", no_wrap=True, min_width=size)
     for name, *figures in rows:
         words = " ".join(shortened(word, left) for word in name.split(" "))
-        # Square brackets in a label are no markup.
+        # Without this, rich would take square brackets in a label for markup.
         table.add_row(escape(words), *figures)
     return table
 
@@ -53,33 +53,34 @@ _Answer = TypeVar("_Answer")
 
 
 class NotAnAnswerError(ValueError):
-    """What was typed cannot be understood; the text says what is expected."""
+    """The answer cannot be understood; the message says what is expected."""
 
 
 def can_ask() -> bool:
-    """Whether somebody at a terminal reads questions and can answer."""
-    # A program without a console on Windows has none of them.
+    """Whether input and output are a terminal, at which a person can answer."""
+    # A windowed program on Windows has none of these streams.
     streams = (sys.stdin, sys.stdout, sys.stderr)
     return all(each is not None and each.isatty() for each in streams)
 
 
 def ask(question: str, understand: Callable[[str], _Answer]) -> _Answer:
-    """Ask until it is understood.
+    """Ask until the answer is understood.
 
     Parameters
     ----------
     understand
-        Gets what was typed, without blanks at its ends; raises `NotAnAnswerError`.
+        Parses the stripped answer; raises `NotAnAnswerError`.
 
     Raises
     ------
     typer.Exit
-        With code 2 if nobody can answer any more: nobody could the next time, either.
+        With code 2 at the end of the input.
     """
     while True:
         try:
             answer = input(f"{question} ")
         except EOFError:
+            # Asking again would loop for ever.
             typer.echo()
             raise typer.Exit(2) from None
         try:
@@ -89,7 +90,7 @@ def ask(question: str, understand: Callable[[str], _Answer]) -> _Answer:
 
 
 def menu(question: str, choices: Sequence[str]) -> int:
-    """Have one of several chosen, the first by Enter alone; return its index."""
+    """Ask for one of the choices, by default the first; return its index."""
     typer.echo()
     say(question)
     number(choices)
@@ -99,14 +100,14 @@ def menu(question: str, choices: Sequence[str]) -> int:
 
 
 def several(choices: Sequence[str], prompt: str, if_empty: Sequence[int]) -> list[int]:
-    """Have some of several chosen; return their indices, each once.
+    """Ask for any number of the choices; return their indices, each once.
 
     Parameters
     ----------
     prompt
-        Says what Enter alone means.
+        Has to say what Enter alone means.
     if_empty
-        What it means.
+        Indices that Enter alone chooses.
     """
     number(choices)
 
@@ -120,7 +121,7 @@ def several(choices: Sequence[str], prompt: str, if_empty: Sequence[int]) -> lis
 
 
 def number(choices: Sequence[str]) -> None:
-    """List what can be chosen."""
+    """Print the choices with their numbers."""
     for index, choice in enumerate(choices, 1):
         say(f"  {index:>2}  {choice}", hang=6)
 
@@ -128,45 +129,46 @@ def number(choices: Sequence[str]) -> None:
 def _number(word: str, most: int) -> int:
     if word.isascii() and word.isdigit() and len(word) < 10 and 1 <= int(word) <= most:
         return int(word)
-    # What was typed may be long, or hold what no terminal should be given back.
+    # The answer may be long, or have control characters that must not reach the terminal.
     shown = repr(word if len(word) <= 20 else f"{word[:20]}...")
     expected = "only 1 can be chosen" if most == 1 else f"type a number from 1 to {most}"
     raise NotAnAnswerError(f"{shown} is not in the list; {expected}")
 
 
 def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
-    """Say that the agent had died, if it had."""
+    """Yield a sentence if the agent was restarted after a crash."""
     if status.get("restarts"):
         times = "once" if status["restarts"] == 1 else f"{status['restarts']} times"
         yield f"started again {times}, last after: {status['last_end']}"
 
 
 def refusal_sentences(status: Mapping[str, Any]) -> Iterator[str]:
-    """Say what was not passed on as it came, of an agent, a device or a stream."""
+    """Yield what was not passed on unchanged, by an agent, a device or a stream."""
     for each in status.get("refusals", ()):
         yield each["sentence"] + ("" if each["now"] else " (not lately)")
 
 
 def refused_now(status: Mapping[str, Any]) -> dict[str, str]:
-    """Return what is not passed on as it came now: of an agent alone, or of a device and streams.
+    """Return what is currently not passed on unchanged, by an agent or by a device's streams.
 
     Returns
     -------
     dict of str
-        Sentences by what they are about, whose counts may grow; a pause is said by the state.
+        Sentences by a key that stays the same while the count in the sentence grows.
     """
     return {
-        f"{source} {told['what']} {told.get('about', '')}": (
-            f"{source}: {told['sentence']}" if source else told["sentence"]
+        f"{source} {each['what']} {each.get('about', '')}": (
+            f"{source}: {each['sentence']}" if source else each["sentence"]
         )
         for source, part in (("", status), *status.get("streams", {}).items())
-        for told in part.get("refusals", ())
-        if told["now"] and told["what"] != Refusal.PAUSED.word
+        for each in part.get("refusals", ())
+        # A pause is left out because the device's state shows it.
+        if each["now"] and each["what"] != Refusal.PAUSED.word
     }
 
 
 def device_sentence(device: Mapping[str, Any]) -> str:
-    """Say who wears a device, how it does, and what is wrong."""
+    """Return who wears a device, its state, and its error."""
     name = " ".join(
         part for part in (device["participant"], device["sensor"], device["label"]) if part
     )

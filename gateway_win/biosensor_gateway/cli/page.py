@@ -1,4 +1,4 @@
-"""``biosensor-gateway page``."""
+"""``biosensor-gateway page``: shows the agent, or the LSL network, in the browser."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.browser import open_page
 
 SHARE_PORT = 8719
-"""Always the same, for it has to be opened in firewalls."""
+"""A fixed port, because it has to be opened in firewalls."""
 
 
-def _a_time(minutes: float) -> float:
-    # What is no number is not larger than any.
+def _checked_minutes(minutes: float) -> float:
+    # Written this way round to refuse NaN as well.
     if not minutes >= 0:
         raise typer.BadParameter(f"{minutes:g} is no time; give minutes, such as 2")
     return minutes
@@ -44,16 +44,14 @@ def page(
     ] = True,
     window: Annotated[
         bool,
-        typer.Option(
-            "--window", help="Open it in a window of its own, if there is Edge or Chrome."
-        ),
+        typer.Option("--window", help="Open it in a separate window, if there is Edge or Chrome."),
     ] = False,
     end_after: Annotated[
         float,
         typer.Option(
             metavar="MINUTES",
-            callback=_a_time,
-            help="End when neither a window nor an agent nor a recording was there for so long.",
+            callback=_checked_minutes,
+            help="End after so many minutes without a window, an agent and a recording.",
             show_default="never",
         ),
     ] = math.inf,
@@ -78,7 +76,8 @@ def page(
 ) -> None:
     """Show the agent, its devices and their traces in the browser, until Ctrl-C.
 
-    The address opens once, on this computer alone. A page that runs already gets another window.
+    The address opens once, and only on this computer. If the page runs already, another window is
+    opened.
     """
     folder = state_folder()
     if end:
@@ -91,7 +90,7 @@ def page(
     def show(address: str) -> None:
         is_open = browser and open_page(address, in_window=window)
         if window and not is_open:
-            # Nobody would see an address.
+            # The start menu's entry has no console on which the address could be read.
             message = (
                 "no browser could be opened; install Edge or Chrome, or choose a usual browser"
             )
@@ -109,7 +108,7 @@ def page(
         try:
             _serve(folder, path, show, 60 * end_after, share_port if share else None)
         except ConfigError as error:
-            # Another one was started at the same time.
+            # Another page was started at the same time; ask that one.
             if error.reason is not ConfigReason.IN_USE:
                 raise
         else:
@@ -119,7 +118,7 @@ def page(
 def _shown_by_another(
     folder: Path, settings: Path, show: Callable[[str], None], *, wants_share: bool
 ) -> bool:
-    """Have a server that runs already show the page; return whether there is one."""
+    """Ask a page that runs already for another window; return whether there is one."""
     running = ask_for_window(folder)
     if running is None:
         return False
@@ -158,9 +157,10 @@ def _serve(
             typer.echo(f"  {server.share.fingerprint[:47]}")
         typer.echo("Press Ctrl-C to end the page; the agent goes on.")
 
-    # It loads and looks in threads that come and go, for as long as the page is open.
+    # The page starts short-lived threads as long as it is open, and malloc would keep an arena
+    # for each.
     limit_arenas(os.environ)
-    with LaterLog(page_folder(folder)) as log:
+    with DeferredLog(page_folder(folder)) as log:
         try:
             server = AgentPage(folder, settings, ready, log.open, end_after_s, share_port)
             server.run()
@@ -169,14 +169,8 @@ def _serve(
             raise TransportError(TransportReason.BUSY, message) from error
 
 
-class LaterLog:
-    """A `StartLog` that is opened on request, or when something fails; a context manager.
-
-    Parameters
-    ----------
-    folder
-        Where the file goes.
-    """
+class DeferredLog:
+    """Context manager that opens a `StartLog` on request, or when something fails."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -184,7 +178,7 @@ class LaterLog:
         self._stack = contextlib.ExitStack()
 
     def open(self) -> None:
-        """Log to the file and to the console from now on."""
+        """Begin to log to the file and to the console."""
         from biosensor_gateway.cli.agent_process import StartLog  # takes half a second
         from biosensor_gateway.settings.models import LogSettings
 
@@ -212,16 +206,16 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     Parameters
     ----------
     settings
-        A settings file, of which the LSL section counts.
+        A settings file; only its LSL section is used.
     show
         Opens an address in the browser, or prints it.
 
     Raises
     ------
     ConfigError
-        The settings are wrong.
+        If the settings are wrong.
     TransportError
-        The page cannot be served.
+        If the page cannot be served.
     """
     from biosensor_gateway.page.network_page import NetworkPage
 
@@ -229,7 +223,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
         show(address)
         typer.echo("Press Ctrl-C to end the page; no stream is touched.")
 
-    # Inlets come and go with what is looked at, each with threads.
+    # Each inlet has threads, and inlets are opened for the streams that are shown.
     limit_arenas(os.environ)
     try:
         NetworkPage(settings, ready).run()

@@ -1,4 +1,4 @@
-"""``biosensor-gateway record``: by LabRecorder's window, or by this computer itself."""
+"""``biosensor-gateway record``: records with LabRecorder's window, or without it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 def start_text(started: Started) -> str:
-    """Say that it was started."""
+    """Return a sentence about a recording that was started."""
     if started.by is By.GATEWAY:
         return (
             f"recording to {started.file}: {len(started.streams)} streams are open after "
@@ -62,7 +62,7 @@ def start_text(started: Started) -> str:
 
 
 def stop_text(stopped: Stopped) -> str:
-    """Say that it was ended, and what it is worth."""
+    """Return sentences about a recording that was ended, with its verdict."""
     if not stopped.verified:
         return "LabRecorder was told to stop; not verified"
     closed = (
@@ -72,20 +72,20 @@ def stop_text(stopped: Stopped) -> str:
     verdict = stopped.verdict
     if verdict is None:
         return f"{closed}; look closer with: biosensor-gateway xdf check {stopped.file}"
-    said = [_finding(each) for each in verdict.findings if each.level is not Level.NOTE]
-    return "\n".join([closed, *said, f"{verdict.colour}: {verdict.sentence}"])
+    findings = [_finding(each) for each in verdict.findings if each.level is not Level.NOTE]
+    return "\n".join([closed, *findings, f"{verdict.colour}: {verdict.sentence}"])
 
 
-def standing_text(standing: Status) -> str:
-    """Say how a recording of this computer itself stands."""
-    state = "recording to" if standing.recording else "not recording any more to"
-    return sight_text(f"{state} {standing.file}", standing.sight, standing.problems)
+def local_text(status: Status) -> str:
+    """Return the status of a recording that this computer makes without LabRecorder."""
+    state = "recording to" if status.recording else "not recording any more to"
+    return progress_text(f"{state} {status.file}", status.sight, status.problems)
 
 
-def window_text(where: str, standing: Status) -> str:
-    """Say how a recording of LabRecorder's window stands, which listens there."""
-    said = "; ".join(each.text for each in standing.problems) or "LabRecorder answers"
-    return f"{where}: {said}\n{_window_recording(standing)}"
+def window_text(where: str, status: Status) -> str:
+    """Return the status of a recording of the LabRecorder window at the address *where*."""
+    answer = "; ".join(each.text for each in status.problems) or "LabRecorder answers"
+    return f"{where}: {answer}\n{_window_recording(status)}"
 
 
 def _window_recording(known: Status) -> str:
@@ -102,12 +102,12 @@ def _window_recording(known: Status) -> str:
     return f"{known.file} does not grow ({size}): most likely it is not being recorded"
 
 
-def sight_text(head: str, sight: Progress | None, problems: Sequence[Finding]) -> str:
-    """Say what is in a growing file, and what is wrong with it."""
-    if sight is None:
+def progress_text(head: str, progress: Progress | None, problems: Sequence[Finding]) -> str:
+    """Return the contents of a growing file, and its problems."""
+    if progress is None:
         return "\n".join([head, *map(_finding, problems)])
-    size = f"{sight.length_s:.0f} s, {sight.bytes} bytes, {len(sight.streams)} streams"
-    return "\n".join([f"{head}: {size}", *map(_row, sight.streams), *map(_finding, problems)])
+    size = f"{progress.length_s:.0f} s, {progress.bytes} bytes, {len(progress.streams)} streams"
+    return "\n".join([f"{head}: {size}", *map(_row, progress.streams), *map(_finding, problems)])
 
 
 def _row(stream: StreamProgress) -> str:
@@ -125,17 +125,17 @@ def _finding(finding: Finding) -> str:
 
 
 def _safe(text: str) -> str:
-    """Keep what a stranger wrote from steering the terminal."""
+    """Replace control characters, which other programs' streams could send to the terminal."""
     return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
 
 
 def warn(warnings: Iterable[str], *, silent: bool) -> None:
-    """Say warnings aside of the result; JSON has them in it."""
+    """Print warnings to stderr; with JSON, *silent*, because the result has them."""
     for warning in () if silent else warnings:
         typer.echo(f"! {warning}", err=True)
 
 
-def as_text(result: DataclassInstance) -> str:
+def as_json_text(result: DataclassInstance) -> str:
     """Return a result as JSON."""
     return json.dumps(asdict(result), indent=2, default=str)
 
@@ -149,7 +149,7 @@ _WATCH_S = 2.0
 
 
 def has_window(host: str, port: int) -> bool:
-    """Whether LabRecorder's window listens there."""
+    """Whether a LabRecorder window listens at this address."""
     try:
         with RemoteControl(host, port):
             return True
@@ -157,26 +157,26 @@ def has_window(host: str, port: int) -> bool:
         return False
 
 
-def may_be_of_window(host: str, port: int) -> bool:
-    """Whether LabRecorder's window may be recording: it is open, or was told to."""
+def window_may_record(host: str, port: int) -> bool:
+    """Whether LabRecorder's window may be recording: it is open, or was asked to record."""
     return WindowRecording.last(state_folder()) is not None or has_window(host, port)
 
 
-def is_of(file: Path | None) -> bool:
-    """Whether a file, or whatever is recorded, is what this computer records by itself."""
+def is_local(file: Path | None) -> bool:
+    """Whether this computer records without LabRecorder, to this file if one is given."""
     recorded = LocalRecorder(state_folder()).file
     return recorded is not None and (file is None or file.absolute() == recorded)
 
 
 def without_sensors(request: RecordingRequest, error: SensorsAwayError) -> RecordingRequest:
-    """Ask whether to record without sensors that do not stream.
+    """Ask whether to record without the sensors that do not stream.
 
     Raises
     ------
     SensorsAwayError
         If nobody can answer.
     typer.Exit
-        With code 2 if it is not wanted.
+        With code 2 if the person declines.
     """
     if not can_ask():
         raise error
@@ -194,30 +194,30 @@ def _devices() -> Devices | None:
 
 
 def local_status(*, watch: bool, as_json: bool) -> None:
-    """Say how the recording of this computer itself stands; exit code 1 if not well."""
+    """Print the status of a recording that is made without LabRecorder; exit code 1 on errors."""
     recording = LocalRecorder(state_folder())
-    in_json = as_line if watch else as_text
-    standing = recording.status(_devices())
-    while standing is not None:
-        typer.echo(in_json(standing) if as_json else standing_text(standing))
-        if not watch or not standing.recording:
+    in_json = as_line if watch else as_json_text
+    status = recording.status(_devices())
+    while status is not None:
+        typer.echo(in_json(status) if as_json else local_text(status))
+        if not watch or not status.recording:
             break
         time.sleep(_WATCH_S)
-        # Who ends it in the meantime has seen the end of it.
-        standing = recording.status(_devices())
-    errors = () if standing is None else standing.problems
+        # None if `record stop` has ended it in the meantime and printed the outcome.
+        status = recording.status(_devices())
+    errors = () if status is None else status.problems
     if any(each.level is Level.ERROR for each in errors):
         raise typer.Exit(1)
 
 
 def watch_file(file: Path, *, as_json: bool) -> None:
-    """Say how the file of a window grows, until it is closed."""
+    """Print how the file of LabRecorder's window grows, until it is closed."""
     growth = Growth(file)
     while True:
-        sight = growth.look()
+        progress = growth.look()
         found = (*growth.problems(), *growth.gaps())
-        typer.echo(as_line(sight) if as_json else sight_text(str(file), sight, found))
-        if sight.is_closed:
+        typer.echo(as_line(progress) if as_json else progress_text(str(file), progress, found))
+        if progress.is_closed:
             return
         time.sleep(_WATCH_S)
 
@@ -257,13 +257,12 @@ def start(
     folder: Annotated[
         Path | None,
         typer.Option(
-            help="Record below this folder; it is looked at to see the file grow. Without a "
-            "window it is the page's, 'Biosensor recordings' among your documents, if you name "
-            "none."
+            help="Record below this folder; it is watched to see the file grow. Without it and "
+            "without a window, the page's folder is used: 'Biosensor recordings' in your documents."
         ),
     ] = None,
     recorder_folder: Annotated[
-        str, typer.Option(help="How LabRecorder's computer calls that folder, if differently.")
+        str, typer.Option(help="That folder's path on LabRecorder's computer, if it differs.")
     ] = "",
     participant: Annotated[
         str | None, typer.Option(help="Give the file a BIDS name: the participant's pseudonym.")
@@ -276,10 +275,13 @@ def start(
     acquisition: Annotated[str | None, typer.Option(help="BIDS acquisition, else none.")] = None,
     modality: Annotated[str | None, typer.Option(help="BIDS modality, else beh.")] = None,
     all_streams: Annotated[
-        bool, typer.Option("--all", help="Streams of others are wanted, too: no warning.")
+        bool, typer.Option("--all", help="Do not warn of other programs' streams.")
     ] = False,
     only_ours: Annotated[
-        bool, typer.Option("--only-ours", help="No streams of others; a window refuses then.")
+        bool,
+        typer.Option(
+            "--only-ours", help="Leave out other programs' streams; LabRecorder's window cannot."
+        ),
     ] = False,
     allow_missing: Annotated[
         bool,
@@ -307,15 +309,17 @@ def start(
     settings: SettingsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Start a recording, and see that it runs; exit code 1 if it does not.
+    """Start a recording, and check that it runs; exit code 1 if it does not.
 
-    A file that is called after somebody else than who wears the sensors is refused with exit
-    code 2. If a sensor is paused or does not stream, a terminal is asked, and else it is refused.
+    A file name with another participant than the one who wears the sensors is refused with exit
+    code 2. If a sensor is paused or does not stream, you are asked; without a terminal, the
+    recording is refused.
 
-    LabRecorder's window records if it is open here or --host names its computer, else this
-    computer by itself, and goes on when this terminal is closed. Every stream is recorded:
-    those that are not of this agent are named. A window cannot be asked, so only the file
-    tells: give a folder that both see if it is on another computer.
+    LabRecorder's window records if it is open here or --host names its computer. Otherwise this
+    computer records by itself, and goes on when this terminal is closed. Every stream is
+    recorded; those of other programs are named in a warning. A window cannot be asked, so only
+    the file shows that it records: if it is on another computer, give a folder that both can
+    reach.
     """
     if all_streams and only_ours:
         raise typer.BadParameter("--all and --only-ours exclude each other")
@@ -356,7 +360,7 @@ def start(
     except SensorsAwayError as error:
         started = begin(without_sensors(request, error))
     warn(started.warnings, silent=as_json)
-    typer.echo(as_text(started) if as_json else start_text(started))
+    typer.echo(as_json_text(started) if as_json else start_text(started))
 
 
 def _window(host: str | None, port: int | None) -> LabRecorder:
@@ -381,42 +385,43 @@ def stop(
     port: PortOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """End the recording, and see its file closed; exit code 1 if it is not."""
-    if not (host or port) and (is_of(file) or _is_nothing(file)):
+    """End the recording, and check that its file is closed; exit code 1 if it is not."""
+    if not (host or port) and (is_local(file) or _nobody_records(file)):
         stopped = LocalRecorder(state_folder()).stop()
     else:
         stopped = _window(host, port).stop(file)
     warn(stopped.warnings, silent=as_json)
-    typer.echo(as_text(stopped) if as_json else stop_text(stopped))
+    typer.echo(as_json_text(stopped) if as_json else stop_text(stopped))
 
 
-def _is_nothing(file: Path | None) -> bool:
-    """Whether nobody here records or was told to."""
-    return file is None and not may_be_of_window(LOCAL_HOST, DEFAULT_PORT)
+def _nobody_records(file: Path | None) -> bool:
+    """Whether no window on this computer records or was asked to."""
+    return file is None and not window_may_record(LOCAL_HOST, DEFAULT_PORT)
 
 
 @app.command("status")
 def status(
     file: FileOption = None,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Say it every two seconds, until the recording ends.")
+        bool, typer.Option("--watch", help="Print it every two seconds, until the recording ends.")
     ] = False,
     host: HostOption = None,
     port: PortOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how the recording stands; exit code 1 if something is wrong with it, or there is none.
+    """Show the state of the recording; exit code 1 if something is wrong with it, or there is none.
 
-    Of LabRecorder's window, what can be known of it; exit code 1 if it does not answer.
+    For LabRecorder's window, shows what can be known from outside; exit code 1 if it does not
+    answer.
     """
-    if not (host or port) and is_of(file):
+    if not (host or port) and is_local(file):
         local_status(watch=watch, as_json=as_json)
         return
-    if not (host or port) and _is_nothing(file):
+    if not (host or port) and _nobody_records(file):
         raise not_recording()
     known = _window(host, port).status(file)
     where = f"{host or LOCAL_HOST}:{port or DEFAULT_PORT}"
-    typer.echo(as_text(known) if as_json else window_text(where, known))
+    typer.echo(as_json_text(known) if as_json else window_text(where, known))
     if watch and known.file is not None and known.recording:
         watch_file(known.file, as_json=as_json)
     if not known.answers:

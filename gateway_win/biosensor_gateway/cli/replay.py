@@ -1,6 +1,6 @@
-"""``biosensor-gateway replay``: a recording as LSL streams again.
+"""``biosensor-gateway replay``: plays a recording as LSL streams.
 
-What plays takes a second to import, so that functions import it, and help does without.
+Functions import the player, which takes a second, so that the help is shown quickly.
 """
 
 from __future__ import annotations
@@ -60,20 +60,24 @@ def replay(
     ] = False,
     as_original: Annotated[
         bool,
-        typer.Option("--as-original", help="Keep the recorded source_ids, for who looks for them."),
+        typer.Option(
+            "--as-original", help="Keep the recorded source_ids, for programs that look for them."
+        ),
     ] = False,
     beside_live: Annotated[
         bool,
-        typer.Option("--beside-live", help="Play although a real stream of them is here, too."),
+        typer.Option(
+            "--beside-live", help="Play even if a real sensor sends one of the streams now."
+        ),
     ] = False,
     settings: SettingsOption = None,
 ) -> None:
     """Play a recording as LSL streams, with the headers, gaps and times that were recorded.
 
-    Each sample has a stamp of its own, in the recorded distance to all
-    others. Headers say that it is a replay, and source_ids begin with
-    "replay:", so that nobody takes it for the real sensor; while that is on
-    the network nothing is played.
+    Samples get new stamps that keep the recorded intervals. Headers say that
+    it is a replay, and source_ids begin with "replay:", so that nobody takes
+    it for the real sensor. While the real sensor is on the network, nothing
+    is played.
     """
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
@@ -98,11 +102,11 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
     Raises
     ------
     ConfigError
-        If the file cannot be read, or what is wanted is not in it.
+        If the file cannot be read, or has none of the requested streams.
     ReplayError
-        If it is not played, see its reasons.
+        If the recording cannot be played; see its reasons.
     typer.Exit
-        With code 1, after all, if a stream was left out.
+        With code 1, at the end, if a stream was left out.
     """
     from biosensor_common.lsl.network import configure_lsl
 
@@ -119,7 +123,7 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
 
 
 def _play(wanted: Wanted, stopping: threading.Event) -> bool:
-    """Play; return whether all streams that were wanted were."""
+    """Play; return whether all requested streams were played."""
     from biosensor_gateway.recording.replay import words
     from biosensor_gateway.recording.replay.playing import prepared
 
@@ -137,7 +141,7 @@ def _play(wanted: Wanted, stopping: threading.Event) -> bool:
 
 @contextmanager
 def _shown(player: Player) -> Generator[None]:
-    """Show how it goes, in a line that goes away at the end; only on a terminal."""
+    """On a terminal, show the progress in a line that is removed at the end."""
     if not sys.stdout.isatty():
         yield
         return
@@ -147,7 +151,7 @@ def _shown(player: Player) -> Generator[None]:
         text = words.line(player.progress(), len(player.streams))
         return Text(text, no_wrap=True, overflow="ellipsis")
 
-    # Drawn by a thread of its own, so that a console that is held keeps no sample.
+    # `Live` draws on its own thread, so that a blocked console does not delay samples.
     with Live(
         console=Console(), get_renderable=line, refresh_per_second=_SHOWN_PER_S, transient=True
     ):

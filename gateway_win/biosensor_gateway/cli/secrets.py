@@ -1,4 +1,4 @@
-"""``biosensor-gateway secrets``: what vendors' services ask for, kept by the system's keyring."""
+"""``biosensor-gateway secrets``: credentials for vendors' services, in the system's keyring."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def set_secrets(sensor: SensorArgument) -> None:
 
 @app.command("forget")
 def forget_secrets(sensor: OptionalSensor = None, *, every: EveryOption = False) -> None:
-    """Remove the secrets of a sensor's service, or all there are, from the keyring."""
+    """Remove the secrets of a sensor's service, or all secrets, from the keyring."""
     if (sensor is not None) == every:
         raise typer.BadParameter("name a sensor, or say --all")
     for secret in _all_secrets() if sensor is None else _secrets_of(sensor):
@@ -48,7 +48,7 @@ def forget_secrets(sensor: OptionalSensor = None, *, every: EveryOption = False)
 
 @app.command("check")
 def check_secrets(sensor: SensorArgument) -> None:
-    """Say where the secrets of a sensor's service are found; exit code 1 if one is missing."""
+    """Show where the secrets of a sensor's service are found; exit code 1 if one is missing."""
     problems: list[str] = []
     for secret in _secrets_of(sensor):
         try:
@@ -70,17 +70,17 @@ def _all_secrets() -> tuple[SecretName, ...]:
 
 
 def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
-    having = _by_sensor()
-    # The vendor's name is enough, which a sensor's begins with.
-    meant = [name for name in having if name == sensor or name.startswith(f"{sensor}_")]
-    if len(meant) == 1:
-        return having[meant[0]]
+    known = _by_sensor()
+    # A sensor's name begins with its vendor's, which is enough if it fits only one.
+    matching = [name for name in known if name == sensor or name.startswith(f"{sensor}_")]
+    if len(matching) == 1:
+        return known[matching[0]]
     try:
         driver(sensor)
     except SpecError as error:
-        # What was typed is wrong, as with any other argument.
+        # An unknown sensor is a wrong argument, which ends with exit code 2.
         raise ConfigError(ConfigReason.WRONG_VALUE, str(error)) from error
-    message = f"{sensor} needs no secrets; what does: {', '.join(having)}"
+    message = f"{sensor} needs no secrets; what does: {', '.join(known)}"
     raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 

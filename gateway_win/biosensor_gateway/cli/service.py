@@ -31,5 +31,5 @@ def install(settings: SettingsOption = None) -> None:
 
 @app.command()
 def remove() -> None:
-    """End the service, and run it no more."""
+    """End the service, and remove it."""
     typer.echo("the service is removed" if systemd.remove() else "there is no service")

@@ -1,4 +1,4 @@
-"""Loads the settings for commands: those of a file, the defaults, or virtual devices."""
+"""Loads the settings for commands: from a file, the defaults, or for virtual devices."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from biosensor_gateway.settings.places import settings_path
 
 
 def settings_or_defaults(path: Path | None) -> GatewaySettings:
-    """Load a settings file, or the usual one if there is one.
+    """Load the given settings file, else the default file, else the default settings.
 
     Raises
     ------
     ConfigError
-        If the file is wrong, or the named one is not there.
+        If the file is wrong, or the given one does not exist.
     """
     if path is not None:
         return settings_file.load_settings(path, settings_models())
@@ -38,7 +38,7 @@ def chosen_devices(settings: Path | None, simulate: str) -> Generator[tuple[Devi
     try:
         loaded = settings_file.load_settings(settings or settings_path(), settings_models())
     except ConfigError as error:
-        # To look around one needs no settings yet; a broken file is another matter.
+        # Commands that only look need no settings; a broken file is reported all the same.
         if settings is not None or error.reason is not ConfigReason.NOT_FOUND:
             raise
         yield ()

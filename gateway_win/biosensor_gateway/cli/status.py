@@ -1,4 +1,4 @@
-"""Commands that show how the agent does: ``status``, ``clocks``, ``wait-ready``."""
+"""Commands that show the agent's state: ``status``, ``clocks``, ``wait-ready``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from biosensor_gateway.agent.readiness import Readiness
 
 COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "withheld"}
-"""What became of a stream's samples, in the words of a person and in those of the status."""
+"""Headings for people, and the status's counters of a stream's samples below them."""
 
 
 def status(
@@ -41,16 +41,16 @@ def status(
 ) -> None:
     """Show what the running agent does; exit code 1 if none runs.
 
-    With --watch, a terminal shows a table that is renewed in place, a pipe or a file gets a line
-    for each change; with --json, too, one line of JSON a second.
+    With --watch, a terminal shows a table that is updated in place, and a pipe or a file gets a
+    line for each change; with --watch --json, one line of JSON per second.
     """
     try:
         current = status_file.running_status(state_folder())
     except ConfigError as error:
-        # The command was right: there is no agent.
+        # Exit code 1: the command was right, but no agent runs.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
     if watch:
-        from biosensor_gateway.cli import live_table  # once does without
+        from biosensor_gateway.cli import live_table  # only needed for --watch
 
         live_table.watch(state_folder(), as_json=as_json)
     elif as_json:
@@ -72,11 +72,11 @@ def _print_status(current: dict[str, Any]) -> None:
         say(device_sentence(device))
         for sentence in refusal_sentences(device):
             say(f"  {sentence}")
-        # What is lost while it does not send is counted when it is back.
+        # What a device loses while it does not send is counted only when it is back.
         unknown = () if is_sending(device["state"], paused=device["paused"]) else ("lost",)
         rows = [
-            (source, *("-" if each in unknown else str(told[each]) for each in COUNTERS.values()))
-            for source, told in device["streams"].items()
+            (source, *("-" if each in unknown else str(counts[each]) for each in COUNTERS.values()))
+            for source, counts in device["streams"].items()
         ]
         terminal.print(table_of_names(("stream", *COUNTERS), rows, terminal.width))
         for source_id, counters in device["streams"].items():
@@ -94,14 +94,14 @@ def clocks(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show how the devices' clocks are mapped to LSL's; exit code 1 if no agent runs.
+    """Show how the devices' clocks are mapped to LSL's clock; exit code 1 if no agent runs.
 
-    Offset: LSL time minus device time. Drift: how many microseconds a device's second is
-    short of one of LSL's. RMS: how far the best packets are off the line. Jumps: how often
-    the mapping began again. Age: since the newest sample was measured. None: the device has
-    no clock of its own, or nothing came from it yet.
+    Offset: LSL time minus device time. Drift: by how many microseconds per second the device's
+    clock is slow. RMS: how far the earliest packets are from the fitted line. Jumps: how often
+    the mapping was restarted. Age: time since the newest sample was measured. None: the device
+    has no clock, or nothing was received from it yet.
     """
-    # Ctrl-C is how watching ends; it is no failure.
+    # Ctrl-C is the usual end, not a failure.
     with contextlib.suppress(KeyboardInterrupt):
         if as_json:
             _print_json(watch=watch)
@@ -116,13 +116,13 @@ def _status() -> dict[str, Any]:
     try:
         return status_file.running_status(state_folder())
     except ConfigError as error:
-        # The command was right: there is no agent.
+        # Exit code 1: the command was right, but no agent runs.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
 
 
 def _print_json(*, watch: bool) -> None:
     while True:
-        # While watching, one line is one report, as a reader of lines wants it.
+        # While watching, one report per line, for programs that read lines.
         typer.echo(json.dumps(report(_status()), indent=None if watch else 2))
         if not watch:
             return
@@ -137,13 +137,13 @@ def _watch() -> None:
 
 
 def report(status: Mapping[str, Any]) -> dict[str, Any]:
-    """Take what concerns the clocks out of an agent's status.
+    """Return the part of an agent's status that is about clocks.
 
     Returns
     -------
     dict
-        ``written`` (unix time, s) and ``clocks``, one per device: who it is, its state,
-        and ``clock``, which is None while the device has none.
+        ``written`` (Unix time, s), ``process``, and ``clocks``, with an entry for each device:
+        its identity, its state, and ``clock``, which is None while the device has none.
     """
     devices = status["devices"]
     return {
@@ -202,7 +202,7 @@ def wait_ready(
 ) -> None:
     """Wait until all devices of the agent deliver samples; exit code 1 if they do not in time.
 
-    Waited for are the streams that come at a rate. The agent may still be starting.
+    Only streams with a nominal rate are waited for. The agent may still be starting.
     """
     from biosensor_gateway.agent.readiness import wait_until_ready  # it imports asyncio
 

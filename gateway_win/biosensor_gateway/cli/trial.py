@@ -1,4 +1,4 @@
-"""Shows agent, page, a recording and its tables with virtual devices alone: what ``try`` does."""
+"""Shows agent, page, a recording and its tables with virtual devices, for ``try``."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from biosensor_gateway.system.child import own_command
 
 RECORDED_S, _LEAST_RECORDED_S = 10.0, 3.0
 _READY_S, _PAGE_S = 90.0, 90.0
-"""What a slow computer may take."""
+"""Generous limits, for a slow computer."""
 _ASK_S = 0.2
 _LOOK_S = 5.0
 _LEAST_TABLE_S = 10.0
@@ -61,30 +61,35 @@ _PAGE = "page"
 
 
 class Trial:
-    """One try-out.
+    """One run of ``try``.
 
     Parameters
     ----------
     folder
-        Keeps recording and tables.
+        Where to put the recording and the tables.
     seconds
-        Counted from when all sensors stream; None goes on until Ctrl-C.
+        How long to run after all sensors stream; None to go on until Ctrl-C.
     opens
         Whether to open the page in the browser.
     """
 
     def __init__(self, folder: Path, seconds: float | None, *, opens: bool) -> None:
-        self._kept, self._seconds, self._opens = folder, seconds, opens
+        self._output_folder, self._seconds, self._opens = folder, seconds, opens
         self._recorded_s = min(RECORDED_S, max(_LEAST_RECORDED_S, seconds or RECORDED_S))
         self._settings = settings_or_defaults(None)
 
     def run(self, *, every: bool) -> int:
-        """Show all; return the exit code of the command.
+        """Show everything; return the exit code of the command.
+
+        Parameters
+        ----------
+        every
+            Whether to run a virtual device of each kind that this computer has room for.
 
         Raises
         ------
         GatewayError
-            What keeps it from being shown.
+            If a program does not start or does not answer.
         """
         devices, left_out = fitting_devices(Room.here()) if every else (first_devices(), "")
         with ExitStack() as stack:
@@ -103,11 +108,11 @@ class Trial:
                 say("Ended before all of it was shown.")
                 code = 1
             finally:
-                # The programs are ended, however often somebody presses Ctrl-C.
+                # Another Ctrl-C must not keep the programs from being ended.
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
                 self._end_recording()
-        if self._kept.is_dir():
-            say(f"Ended. What was recorded stays in {self._kept}")
+        if self._output_folder.is_dir():
+            say(f"Ended. What was recorded stays in {self._output_folder}")
         if left_out:
             say(left_out)
         return code or (1 if left_out else 0)
@@ -150,7 +155,7 @@ class Trial:
         try:
             return ask_for_window(self._state)
         except TransportError as error:
-            # It starts, which takes its time on a busy computer.
+            # The page is still starting, which takes a while on a busy computer.
             if error.reason is not TransportReason.SILENT:
                 raise
             return None
@@ -170,10 +175,10 @@ class Trial:
                 return False
 
     def _record(self, devices: Mapping[str, str]) -> bool:
-        """Make a recording and its tables; return whether all that can be in it is in it."""
+        """Make a recording and its tables; return whether no expected stream is missing."""
         expected = [*expected_streams(running_status(self._state), devices, self._recorded_s)]
         request = RecordingRequest(
-            self._kept, only_ours=True, allow_missing=True, without_away=True
+            self._output_folder, only_ours=True, allow_missing=True, without_away=True
         )
         started = self._recording.start(request, self._look, self._settings.lsl.overrides)
         for warning in started.warnings:
@@ -192,7 +197,7 @@ class Trial:
         return look(self._settings, self._state)
 
     def _go_on(self, devices: Mapping[str, str], begun: float) -> int:
-        # By the page's buttons.
+        # A person may end both by the page's buttons.
         self._programs.may_end = {"agent", _PAGE}
         until = None if self._seconds is None else begun + self._seconds
         if until is None:
@@ -214,14 +219,14 @@ class Trial:
             time.sleep(_ASK_S)
 
     def _is_over(self) -> bool:
-        """Whether *Quit* of the page was pressed."""
+        """Whether the page was ended by its *Quit* button."""
         is_over = self._programs.has_ended(_PAGE)
         if is_over:
             say("The page was ended in the browser.")
         return is_over
 
     def _end_recording(self) -> None:
-        """End what is being recorded, also by the page's button."""
+        """End a recording that is still running, also one that the page's button started."""
         if self._recording.is_running:
             try:
                 file = self._recording.stop().file
@@ -234,16 +239,16 @@ class Trial:
 def expected_streams(
     status: Mapping[str, Any], devices: Mapping[str, str], seconds: float
 ) -> Iterator[ExpectedStream]:
-    """Yield what the first recording of an agent must have.
+    """Yield the streams that an agent's first recording must have.
 
     Parameters
     ----------
     status
-        The agent's.
+        Status of the agent.
     devices
         Its virtual devices by sensor, as ``run --simulate`` names them.
     seconds
-        Its length.
+        Length of the recording.
     """
     for device in status["devices"]:
         parts = (device["sensor"], device["unit"], device["participant"], device["label"])
@@ -252,8 +257,8 @@ def expected_streams(
         states = {each.data_name for each in declaration(identity.sensor).streams if each.is_state}
         own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
         for each in declared_streams(identity.sensor, own):
-            # One that was told before it began may not be told again in so short a time.
-            is_told_once = waits_for_receivers(
+            # A state that was sent before the recording began may not be sent again while it lasts.
+            may_be_empty = waits_for_receivers(
                 each.content_type,
                 is_regular=each.nominal_hz != 0,
                 is_state=each.data_name in states,
@@ -261,12 +266,12 @@ def expected_streams(
             yield ExpectedStream(
                 lsl_name(identity, each.data_name),
                 source_id(identity, each.data_name),
-                must_have_samples=not is_told_once and each.data_name not in empty,
+                must_have_samples=not may_be_empty and each.data_name not in empty,
             )
 
 
 def print_verdict(verdict: Verdict) -> None:
-    """Print the table of a recording, and what is wrong with it."""
+    """Print a recording's table of streams, its findings, and its verdict."""
     named = sorted(verdict.streams, key=lambda each: each.name)
     rows = [
         (
@@ -292,14 +297,14 @@ def _unwatched(_format: str, _seconds: float) -> Callable[[float], None]:
 
 
 def _ended(end: Callable[[], object]) -> None:
-    """Ask a program to end that may have ended by the same Ctrl-C."""
+    """Ask a program to end; it may have ended already by the same Ctrl-C."""
     with suppress(GatewayError):
         end()
 
 
 @contextmanager
 def _requests_interrupt() -> Generator[None]:
-    """Have the end of the terminal, or of the session, do as Ctrl-C."""
+    """Treat the end of the terminal or of the session like Ctrl-C while the context lasts."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
         raise KeyboardInterrupt
@@ -307,7 +312,7 @@ def _requests_interrupt() -> Generator[None]:
     numbers = [signal.SIGTERM, signal.SIGBREAK if sys.platform == "win32" else signal.SIGHUP]
     before = {each: signal.getsignal(each) for each in numbers}
     for number, handler in before.items():
-        # As under nohup.
+        # A signal that is ignored, as under nohup, stays ignored.
         if handler != signal.SIG_IGN:
             signal.signal(number, interrupt)
     try:

@@ -1,4 +1,4 @@
-"""Commands that show all without hardware: ``try``, as far as its help needs it, and ``demo``."""
+"""Commands that need no hardware: ``try`` and ``demo``; this module has what their help needs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def try_out(
     ] = True,
     folder: Annotated[
         Path,
-        typer.Option(help="Where recording and tables are kept; all else is removed at the end."),
+        typer.Option(help="Folder for recording and tables; all else is removed at the end."),
     ] = _FOLDER,
     every: Annotated[
         bool,
@@ -36,9 +36,9 @@ def try_out(
 ) -> None:
     """Try it without hardware: a page with virtual sensors, a recording, and its tables.
 
-    Where rclpy is there, the topics, too. Your settings, recordings and a running agent stay as
-    they are. Exit codes: 0 all is there, 1 a stream is missing in the recording or else something
-    did not work, 3 this computer is too busy for all topics.
+    Shows the topics, too, if rclpy is installed. Your settings, your recordings and a running
+    agent are not touched. Exit codes: 0 everything worked, 1 a stream is missing in the recording
+    or something else failed, 3 this computer is too busy for all topics.
     """
     from biosensor_gateway.cli.trial import Trial  # takes a second
 

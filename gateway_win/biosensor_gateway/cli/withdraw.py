@@ -1,4 +1,4 @@
-"""``biosensor-gateway withdraw``: takes one person out of recordings and what was made of them."""
+"""``biosensor-gateway withdraw``: removes one person from recordings and from their exports."""
 
 from __future__ import annotations
 
@@ -38,13 +38,14 @@ def withdraw(
     ] = None,
     print_json: JsonOption = False,
 ) -> None:
-    """Take one person out of files: shows the plan, asks, does it, and searches what is left.
+    """Remove one person from files: show a plan, ask, carry it out, and search what is left.
 
-    Recordings are written again without the person's streams and name, and those of this person
-    alone are deleted; so are exports, tables, bags and notes. What is unclear is named and left for
-    you. The report has hashes of each file before and after, and a search through all that is left;
-    exit code 1 if something of the person is still found. What is deleted is gone: make no copy,
-    and think of backups, which nobody but you can reach.
+    Recordings are written again without the person's streams and name; recordings, exports,
+    tables, bags and notes of this person alone are deleted. Unclear files are listed and left to
+    you. The report has hashes of each file before and after, and the result of a search through
+    all files that are left; exit code 1 if something of the person is still found. Deleted files
+    cannot be restored: do not copy them first, and remember your backups, which this command
+    cannot reach.
     """
     from biosensor_gateway.recording.withdrawal.planning import Action, plan
     from biosensor_gateway.recording.withdrawal.work import carry_out

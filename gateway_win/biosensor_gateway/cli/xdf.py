@@ -1,4 +1,4 @@
-"""``biosensor-gateway xdf``: recordings of LabRecorder."""
+"""``biosensor-gateway xdf``: checks, salvages and exports recordings."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def export_recording(
     begin: FromOption = "",
     end: UntilOption = "",
     clock: Annotated[
-        exporter.Clock, typer.Option(help="LSL time, or unix time where the recording tells it.")
+        exporter.Clock, typer.Option(help="LSL time, or Unix time if the recording contains it.")
     ] = exporter.Clock.LSL,
     times: Annotated[
         exporter.Times,
@@ -86,7 +86,7 @@ def export_recording(
     whose: Annotated[
         Whose | None,
         typer.Option(
-            help="Who is right where the recording's name says another participant than its "
+            help="Which one is right if the recording's name says another participant than its "
             "sensors.",
             show_default=False,
         ),
@@ -95,22 +95,22 @@ def export_recording(
         Path | None,
         typer.Option(
             metavar="PLACE",
-            help="A folder to write into, or the new file itself, instead of beside the recording; "
-            "of --to bids also the data set to which recordings are added.",
+            help="Folder or new file to write, instead of beside the recording; with --to bids, "
+            "also an existing data set, to which recordings are added.",
             show_default=False,
         ),
     ] = None,
     print_json: JsonOption = False,
 ) -> None:
-    """Write a recording as others load it; exit code 1 if not all of it could be written.
+    """Write a recording in other formats; exit code 1 if not all of it could be written.
 
     Exit code 1 also if its name says another participant than its sensors, until --whose says
-    who is right.
+    which one is right.
 
-    Times are as recorded, with the clock offsets applied, and not made
-    regular without --times even. What can be read of a damaged recording is exported. No file
-    is overwritten. With --to bids, --output and several recordings, or a data set
-    that is there, they are added to it; what was added before is not written again.
+    Times are as recorded, with the clock offsets applied; only --times even makes them regular.
+    Of a damaged recording, the readable part is exported. No file is overwritten. With --to bids
+    and --output, several recordings are added to one data set, which may exist; recordings that
+    were added before are not written again.
     """
     for each in to:
         if each not in FORMATS:
@@ -144,7 +144,7 @@ def export_recording(
 
 
 def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> bool:
-    """Export one after the other, and say what became of each."""
+    """Export one recording after the other, and print the outcome of each."""
     # Brings what writes a data set.
     from biosensor_gateway.recording.export.several import Exported, export_several
 
@@ -175,7 +175,7 @@ def _say_outcome(outcome: Outcome) -> None:
 
 @contextmanager
 def _bars() -> Generator[Watch]:
-    """Show a bar for each format on a terminal, until all is done."""
+    """On a terminal, show a progress bar for each format while the context lasts."""
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(
         *columns,
@@ -210,18 +210,17 @@ def check(
     ] = None,
     print_json: JsonOption = False,
 ) -> None:
-    """Say whether a recording can be trusted; exit code 1 if something is wrong with it.
+    """Check whether a recording can be trusted; exit code 1 if something is wrong with it.
 
-    Expected are the devices that its agent names in it. Of a recording without an agent's
-    events, or with --settings, every stream of every enabled device of the settings is
-    expected. Errors are what is wrong or missing in the file; warnings and notes do not
-    change the exit code.
+    The recording must have the devices that its agent's events name. Without such events, or with
+    --settings, it must have every stream of every enabled device of the settings. Errors are what
+    is wrong or missing in the file; warnings and notes do not change the exit code.
     """
     with wrong_recording():
         recording = read_recording(file)
-    # Today's settings say nothing of another day, on which others wore the sensors.
-    is_told = settings is None and tells_devices(recording)
-    expected = (*(() if is_told else _by_settings(settings)), *by_name(expect or ()))
+    # The recording's events come first: today's settings may name other devices and wearers.
+    has_events = settings is None and tells_devices(recording)
+    expected = (*(() if has_events else _by_settings(settings)), *by_name(expect or ()))
     report = judge(recording, expected)
     typer.echo(as_json(report) if print_json else as_text(report))
     if not report.is_good:
@@ -249,7 +248,7 @@ def salvage_recording(
     ] = None,
     print_json: JsonOption = False,
 ) -> None:
-    """Write what can be read of a cut or damaged recording to another file.
+    """Write the readable part of a truncated or damaged recording to another file.
 
     The recording itself is never changed, and no file is overwritten. If the recording
     is whole, nothing is written.
@@ -281,7 +280,7 @@ def _by_settings(settings: Path | None) -> tuple[ExpectedStream, ...]:
     try:
         loaded = settings_file.load_settings(settings or settings_path(), settings_models())
     except ConfigError as error:
-        # Recordings are also checked where no agent ever ran; a broken file is another matter.
+        # A computer without an agent has no settings; a broken file is reported all the same.
         if settings is not None or error.reason is not ConfigReason.NOT_FOUND:
             raise
         return ()

@@ -27,7 +27,7 @@ from biosensor_gateway.page.downsampling import chosen, key_of, measured_rate, w
 from biosensor_gateway.page.live import Traces
 from biosensor_gateway.page.models import NetworkView
 from biosensor_gateway.page.network.stream import NetworkStream, Receiver
-from biosensor_gateway.page.network.stream_list import Inlets, Listing
+from biosensor_gateway.page.network.stream_list import Inlets, StreamList
 from biosensor_gateway.page.network.view import Viewer
 from biosensor_gateway.settings.models import LslSettings
 
@@ -153,7 +153,7 @@ class Reader:
         self._on_samples = on_samples
         self._network = Network(wanted_streams or EVERYTHING)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="network")
-        self._listing = Listing()
+        self._listing = StreamList()
         self._descriptions = Descriptions(self._pool)
         self._inlets = Inlets(self._close, self._pool)
         self._viewer = Viewer()

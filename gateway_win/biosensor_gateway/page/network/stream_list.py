@@ -88,7 +88,7 @@ FORGET_S = 300.0
 _BOTH_ALIVE_S = 7.0
 
 
-class Listing:
+class StreamList:
     """All streams that were seen in the last minutes, by their numbers.
 
     Attributes

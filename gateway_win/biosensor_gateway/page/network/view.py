@@ -30,7 +30,7 @@ from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.stream_list import (
     MAX_INLETS,
     Counted,
-    Listing,
+    StreamList,
     counted_by_source,
     is_counters,
 )
@@ -74,7 +74,7 @@ class Viewer:
         self._keys: dict[str, str] = {}
 
     def view(
-        self, listing: Listing, not_received: int, wanted: Collection[str], now: float
+        self, listing: StreamList, not_received: int, wanted: Collection[str], now: float
     ) -> NetworkView:
         """Describe everything.
 
@@ -251,7 +251,7 @@ def _clock_note(stream: NetworkStream) -> str:
     return Refusal.BY_ARRIVAL.told() if is_known and stream.received.placer.is_by_arrival else ""
 
 
-def _problems(listing: Listing) -> list[str]:
+def _problems(listing: StreamList) -> list[str]:
     problems = [readable(each.sentence_about, 400) for each in listing.refusals.present]
     more = len(problems) - _MOST_PROBLEMS
     return [*problems[:_MOST_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.errors import GatewayError
 from biosensor_common.lsl.network import configure_lsl
-from biosensor_gateway.agent.feed import Waiting
+from biosensor_gateway.agent.feed import ReaderQueue
 from biosensor_gateway.agent.feed_frames import FrameKind, frame
 from biosensor_gateway.agent.sample_frames import samples_frame
 from biosensor_gateway.recording.replay import words
@@ -71,7 +71,7 @@ class _Teller:
 
     def __init__(self, output: BinaryIO) -> None:
         self._output = output
-        self._waiting = Waiting()
+        self._waiting = ReaderQueue()
         self._lock = threading.Lock()
         self.progress = ReplayProgress()
 
