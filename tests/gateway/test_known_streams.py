@@ -46,9 +46,9 @@ def killed(tmp_path: Path, sinks: MakeSinks) -> Path:
     """Folder of a run whose first device was connected, and that was killed."""
     connected, absent = sinks()
     known = KnownStreams(tmp_path, lambda: [connected, absent])
-    known.keep()
+    known.store()
     connected.open(INFO, RATES)
-    known.keep()
+    known.store()
     status_file.write_status(tmp_path, {})
     connected.close()
     return tmp_path
@@ -56,7 +56,7 @@ def killed(tmp_path: Path, sinks: MakeSinks) -> Path:
 
 def test_only_what_was_connected_is_expected(killed: Path, sinks: MakeSinks) -> None:
     again, absent = sinks()
-    KnownStreams(killed, lambda: [again, absent]).expect()
+    KnownStreams(killed, lambda: [again, absent]).reopen()
     assert (again.info, again.told_rates) == (INFO, RATES)
     assert set(again.nominal_rates.values()) >= {10.0}
     assert absent.counters == {}
@@ -64,7 +64,7 @@ def test_only_what_was_connected_is_expected(killed: Path, sinks: MakeSinks) -> 
 
 def test_what_comes_at_once_waits_for_receivers_who_return(killed: Path, sinks: MakeSinks) -> None:
     again, _ = both = sinks()
-    KnownStreams(killed, lambda: both).expect()
+    KnownStreams(killed, lambda: both).reopen()
     again.emit_at("force", [1.0, 2.0], [again.clock(), again.clock()])
     force = next(each for name, each in again.counters.items() if name.endswith("-force"))
     assert (force.pushed, force.waited) == (0, 2)
@@ -72,24 +72,24 @@ def test_what_comes_at_once_waits_for_receivers_who_return(killed: Path, sinks: 
 
 def test_what_was_expected_is_kept_for_the_run_after(killed: Path, sinks: MakeSinks) -> None:
     known = KnownStreams(killed, sinks)
-    known.expect()
-    known.keep()
+    known.reopen()
+    known.store()
     again, _ = later = sinks()
-    KnownStreams(killed, lambda: later).expect()
+    KnownStreams(killed, lambda: later).reopen()
     assert again.info == INFO
 
 
 def test_another_person_is_not_expected(killed: Path, sinks: MakeSinks) -> None:
     others = sinks(participant="p02")
-    KnownStreams(killed, lambda: others).expect()
+    KnownStreams(killed, lambda: others).reopen()
     assert all(sink.counters == {} for sink in others)
 
 
 def test_nothing_is_expected_after_a_clean_end(killed: Path, sinks: MakeSinks) -> None:
     again = sinks()
-    KnownStreams(killed, lambda: again).forget()
+    KnownStreams(killed, lambda: again).remove()
     status_file.remove_status(killed)
-    KnownStreams(killed, lambda: again).expect()
+    KnownStreams(killed, lambda: again).reopen()
     assert all(sink.counters == {} for sink in again)
     assert list(killed.iterdir()) == []
 
@@ -98,7 +98,7 @@ def test_nothing_is_expected_of_a_run_that_is_long_dead(killed: Path, sinks: Mak
     died_s = time.time() - FRESH_S - 1
     os.utime(killed / status_file.STATUS_FILE, (died_s, died_s))
     again = sinks()
-    KnownStreams(killed, lambda: again).expect()
+    KnownStreams(killed, lambda: again).reopen()
     assert all(sink.counters == {} for sink in again)
 
 
@@ -109,7 +109,7 @@ def test_a_damaged_file_is_said_and_nothing_is_expected(
     (killed / STREAMS_FILE).write_text(text)
     again = sinks()
     with capture_logs() as logs:
-        KnownStreams(killed, lambda: again).expect()
+        KnownStreams(killed, lambda: again).reopen()
     (said,) = logs
     assert said["log_level"] == "warning"
     assert str(killed / STREAMS_FILE) in said["event"]
@@ -124,5 +124,5 @@ def test_a_folder_that_cannot_be_written_is_said_once(tmp_path: Path, sinks: Mak
     with capture_logs() as logs:
         for sink in (first, second):
             sink.open(INFO, RATES)
-            known.keep()
+            known.store()
     assert [each["log_level"] for each in logs] == ["warning"]

@@ -1,4 +1,4 @@
-"""Says which devices of an agent do not stream, how, and since when."""
+"""Lists the devices of an agent that do not stream, why not, and since when."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _HOW = {
 
 
 class Absence(NamedTuple):
-    """A device that does not send all that it should.
+    """A device that does not send all of its streams.
 
     Attributes
     ----------
     device
         Its ``sensor/unit``.
     name
-        What people call it, and whose it is.
+        Its name for people, with its participant.
     is_partial
-        Whether it streams, and something is wrong with a part of its streams.
+        Whether it streams, but something is wrong with some of its streams.
     since
-        Unix time in s; None where the agent does not say it.
+        Unix time in s; None if the agent does not report it.
     sentence
-        All of it for people, without a full stop.
+        Name, state, time and error, without a full stop.
     sources
-        source_ids of its streams, as far as the agent has opened them; none while some come.
+        source_ids of its streams that the agent has opened; empty while it sends some.
     """
 
     device: str
@@ -54,21 +54,21 @@ def absences(devices: Sequence[Mapping[str, Any]]) -> tuple[Absence, ...]:
     Parameters
     ----------
     devices
-        As the agent's status has them.
+        Devices of the agent's status.
     """
     named = zip(devices, names(devices, "'s "), strict=True)
     return tuple(_absence(each, name) for each, name in named if _is_absent(each))
 
 
 def names(devices: Iterable[Mapping[str, Any]], joint: str = " ") -> list[str]:
-    """Return what people call devices; with the unit where it takes one to tell them apart.
+    """Return the devices' names for people, with the unit only where two would be the same.
 
     Parameters
     ----------
     devices
-        As the agent's status has them.
+        Devices of the agent's status.
     joint
-        Stands between participant and sensor.
+        Text between participant and sensor.
     """
     known = list(devices)
     short = [_name(each, joint) for each in known]
@@ -109,7 +109,7 @@ def _absence(device: Mapping[str, Any], name: str) -> Absence:
 
 
 def clock_time(unix_s: float, *, seconds: bool = False) -> str:
-    """Return a time of today as ``14:03``, of another day with its date."""
+    """Return a time today as ``14:03``, and a time on another day with its date."""
     then, now = datetime.fromtimestamp(unix_s).astimezone(), datetime.now().astimezone()
     day = "" if then.date() == now.date() else "%Y-%m-%d "
     return then.strftime(f"{day}%H:%M:%S" if seconds else f"{day}%H:%M")

@@ -55,16 +55,16 @@ def snapshot(
     own: Iterable[Refusals] = (),
     features: Sequence[RefusedStatus] = (),
 ) -> AgentStatus:
-    """Describe the agent and every device of it.
+    """Return the status of the agent and its devices.
 
     Parameters
     ----------
     virtual
-        Whether the devices are.
+        Whether the devices are virtual.
     own
-        What of the agent's own streams is not passed on.
+        Refusals of the agent's own streams.
     features
-        What programs that compute live features say.
+        Refusals that programs with live features report.
     """
     restarts = restart_facts(os.environ)
     status = AgentStatus(
@@ -74,7 +74,7 @@ def snapshot(
         virtual=virtual,
         restarts=int(restarts.get("restarts", 0)),
         last_end=str(restarts.get("last_end", "")),
-        refusals=[told for each in own for told in RefusedStatus.of(each)],
+        refusals=[refused for each in own for refused in RefusedStatus.of(each)],
         devices=[device.status() for device in devices],
     )
     feature_refusals.add(status, features)
@@ -82,44 +82,38 @@ def snapshot(
 
 
 UNWRITTEN_REPORTS = 3
-"""After so many in a row that were refused, the log says so."""
+"""Number of failed writes in a row after which the log reports it."""
 
 
 class StatusWriter:
-    """Writes the status of devices, and says in the log once that it cannot.
-
-    Parameters
-    ----------
-    folder
-        Where the file goes.
-    """
+    """Writes the status file, and logs once if it cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._refused = 0
-        self._said = False
+        self._failures = 0
+        self._is_logged = False
 
     def write(self, status: dict[str, Any]) -> None:
-        """Replace the file; what cannot be written now is written with the next report."""
+        """Replace the file; after a failure the next report replaces it."""
         try:
             status_file.write_status(self._folder, status)
-            self._refused = 0
+            self._failures = 0
         except OSError as error:
-            self._refused += 1
-            # Windows refuses while somebody reads it, and a second later does not.
+            self._failures += 1
+            # Windows refuses to replace a file while somebody reads it; a second later it works.
             patience = UNWRITTEN_REPORTS if isinstance(error, PermissionError) else 1
-            if not self._said and self._refused >= patience:
-                self._said = True
+            if not self._is_logged and self._failures >= patience:
+                self._is_logged = True
                 _log.warning(
                     "the status file cannot be written; `status` will not work", error=str(error)
                 )
 
 
-# Recorders look for a stream that has vanished, and take a second to find it again. A device takes
-# its own seconds to be connected. After a kill both can happen at the same time.
+# A recorder takes a second to find a stream again that has vanished, and a device takes seconds to
+# be connected. After a crash, streams that are opened from this file let both happen at once.
 STREAMS_FILE = "streams.json"
 FRESH_S = 300.0
-"""Who starts an agent later than this begins something new: perhaps other devices are worn."""
+"""Age at which the file is ignored: people may wear other devices by then."""
 
 
 class _Known(BaseModel):
@@ -132,58 +126,58 @@ _FILE = TypeAdapter(list[_Known])
 
 
 class KnownStreams:
-    """What is known of the streams of an agent's devices, in a file of the state folder.
+    """Stores headers and rates of an agent's streams in a file of the state folder.
 
-    The file is there from the first connection of a device to a clean end.
+    The file exists from the first connection of a device to a clean end of the agent.
 
     Parameters
     ----------
     folder
         The state folder.
     sinks
-        Returns those of all devices whose streams fit into this process.
+        Returns the sinks of the devices that have room in this process.
     """
 
     def __init__(self, folder: Path, sinks: Callable[[], Iterable[DeviceSink]]) -> None:
         self._path = folder / STREAMS_FILE
         self._folder = folder
         self._sinks = sinks
-        self._kept: list[_Known] = []
+        self._stored: list[_Known] = []
         self._has_failed = False
 
-    def expect(self) -> None:
-        """Open the outlets that a run had which was killed a short while ago."""
+    def reopen(self) -> None:
+        """Open the outlets of an agent that crashed a short while ago."""
         sinks = {sink.identity: sink for sink in self._sinks()}
-        for known in self._left_behind():
+        for known in self._of_crashed_agent():
             sink = sinks.get(known.identity)
             if sink is not None:
                 sink.expect(known.info, known.rates)
 
-    def keep(self) -> None:
-        """Write down what is known, if that has changed."""
+    def store(self) -> None:
+        """Write the file if a stream has changed."""
         known = [
             _Known(identity=sink.identity, info=sink.info, rates=dict(sink.told_rates))
             for sink in self._sinks()
             if sink.is_open
         ]
-        if known == self._kept or self._has_failed:
+        if known == self._stored or self._has_failed:
             return
         try:
             state_file.replace(self._path, _FILE.dump_json(known, indent=1).decode())
         except OSError as error:
-            # Streams appear later after a kill, and nothing else.
+            # The only loss is that streams appear later after a crash.
             self._has_failed = True
             _log.warning(f"cannot write {self._path}: {error.strerror or error}")
-        self._kept = known
+        self._stored = known
 
-    def forget(self) -> None:
-        """Remove the file: the agent ends as it should."""
+    def remove(self) -> None:
+        """Remove the file, at a clean end of the agent."""
         with contextlib.suppress(OSError):
             self._path.unlink()
 
-    def _left_behind(self) -> list[_Known]:
+    def _of_crashed_agent(self) -> list[_Known]:
         try:
-            # Written once a second for as long as the agent lives.
+            # The agent writes its status once a second, so the file's time is when it crashed.
             lived_s = (self._folder / STATUS_FILE).stat().st_mtime
             if time.time() - lived_s > FRESH_S:
                 return []
@@ -206,19 +200,19 @@ class Agent:
     settings
         Validated settings; this process's LSL configuration is set from them.
     folder
-        Where the status file goes, and where it is kept who has withdrawn.
+        The state folder.
     read_again
         Reads the settings file again; None if there is none.
 
     Attributes
     ----------
     on_status
-        Called once a second with what the status file then says, see `AgentStatus`.
+        Called once a second with the contents of the status file, see `AgentStatus`.
 
     Raises
     ------
     ConfigError
-        ``UNREADABLE`` if it cannot be read who has withdrawn.
+        ``UNREADABLE`` if the file of paused devices cannot be read.
     """
 
     def __init__(
@@ -246,19 +240,19 @@ class Agent:
 
     @property
     def commands(self) -> dict[str, Command]:
-        """What a running agent can be asked for, besides its end."""
+        """The commands of the control channel, except ``stop``."""
         reload = {"reload": self._reload.command, "reload-preview": self._reload.preview}
         return {**self._pauses.commands, **reload, **self._marker_commands.commands}
 
     @property
     def conversations(self) -> dict[str, Conversation]:
-        """What goes on until the client goes away."""
+        """The subscriptions of the control channel, which last until the client disconnects."""
         return {"feed": self._feed.conversation}
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
         self.devices.make_room()
-        self._known.expect()
+        self._known.reopen()
         counters = own_outlet("counters")
         self._markers.open()
         start = restart_facts(os.environ)
@@ -283,7 +277,7 @@ class Agent:
             self._awake.close()
             await asyncio.gather(announcer.end(), self._markers.end())
             counters.close()
-            self._known.forget()
+            self._known.remove()
             status_file.remove_status(self._folder)
 
     def _sinks(self) -> list[DeviceSink]:
@@ -303,15 +297,13 @@ class Agent:
         return {device.name: device.state for device in self.devices}
 
     async def _report(self, outlet: Outlet, announcer: Announcer) -> None:
-        """Once a second: waiting states and counters into LSL, state into the status file.
-
-        The computer is kept awake from here as well, on the thread of the loop.
-        """
+        """Once a second, send states and counters to LSL, write the status, keep the PC awake."""
         loop = asyncio.get_running_loop()
-        due = loop.time()
+        next_s = loop.time()
         while True:
             merged: dict[str, Counters] = announcer.counters | self._markers.counters
             for device in self.devices:
+                # Sends states that have waited for a receiver.
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(
@@ -326,18 +318,23 @@ class Agent:
             ).model_dump()
             self.on_status(status)
             self._status.write(status)
-            self._feed.tell(status)
-            self._known.keep()
+            self._feed.send_status(status)
+            self._known.store()
+            # Always from this thread, because Windows keeps such a request per thread.
             self._awake.hold(any(each.supervisor.is_connected for each in self.devices))
-            # After a computer's sleep the missed reports are not made up for.
-            due = max(due + REPORT_INTERVAL_S, loop.time())
-            await asyncio.sleep(max(0.0, due - loop.time()))
+            # After the computer has slept, missed reports are skipped.
+            next_s = max(next_s + REPORT_INTERVAL_S, loop.time())
+            await asyncio.sleep(max(0.0, next_s - loop.time()))
 
     def _off(self) -> set[str]:
         return {source for device in self.devices for source in device.sink.off}
 
     def _refused(self) -> dict[str, list[str]]:
-        """Say what is not passed on now, but nothing of a pause: what it withholds tells beats."""
+        """Return current refusals by source_id, without pauses.
+
+        The count of samples that a pause suppresses would reveal the beats of a person who has
+        withdrawn.
+        """
         return {
             source: [e.sentence for e in refusals.present if e.what is not Refusal.PAUSED]
             for device in self.devices
@@ -345,6 +342,6 @@ class Agent:
         }
 
     def _clocks(self) -> dict[str, ClockState]:
-        """Clocks of the devices, each by the source_id of the first of its streams."""
+        """Return the devices' clocks, each by the source_id of the device's first stream."""
         opened = (each.sink for each in self.devices if each.sink.counters)
         return {next(iter(sink.counters)): sink.clock_state for sink in opened}

@@ -1,8 +1,8 @@
-"""Asks the running agent of the same user for something; `control_server` is its other end.
+"""Client of the control channel, by which the same user's programs command the agent.
 
-The agent listens on the loopback address at a free port. Port and a random
-token are in ``control.json`` in its state folder, which only its user can
-read. A client sends one line of JSON and gets one back::
+The server is `control_server`. The agent listens on the loopback address at a
+free port. Port and a random token are in ``control.json`` in its state folder,
+which only its user can read. A client sends one line of JSON and receives one::
 
     {"token": "5f…", "command": "stop", "arguments": {}}
     {"ok": true, "answer": {"process": 4711}}
@@ -28,7 +28,7 @@ from biosensor_gateway.agent.single_instance import LOCK_FILE, is_held
 CONTROL_FILE = "control.json"
 HOST = "127.0.0.1"
 TIME_LIMIT_S = 5.0
-"""For a request to arrive, for a command, and for the client to take the reply."""
+"""Limit for receiving a request, for a command, and for sending the reply."""
 
 _REPLY_LIMIT = 65536
 
@@ -40,27 +40,27 @@ def ask(
     time_limit_s: float = TIME_LIMIT_S,
     lock_file: str = LOCK_FILE,
 ) -> dict[str, Any]:
-    """Have the running agent do something, and return its answer.
+    """Send a command to the running agent, and return its answer.
 
     Parameters
     ----------
     folder
-        Its state folder.
+        State folder of the agent.
     command, arguments
-        What to do, and how.
+        Name and arguments of the command.
     time_limit_s
-        How long each step of the conversation may take.
+        Limit for connecting and for each read.
     lock_file
-        Name of the lock that it holds.
+        Name of the lock file that the agent holds.
 
     Raises
     ------
     TransportError
-        ``ABSENT`` if no agent runs, whatever a killed one has left;
-        ``SILENT`` if one runs and does not answer.
+        ``ABSENT`` if no agent runs, ``SILENT`` if one runs and does not answer.
     ProtocolError
         ``REFUSED``, with the sentence of the agent.
     """
+    # The lock first: after a crash the file of port and token is still there.
     if not is_held(folder, lock_file):
         message = "no agent is running; start one with: biosensor-gateway run"
         raise TransportError(TransportReason.ABSENT, message)
@@ -92,12 +92,12 @@ def _exchange(port: int, request: bytes, time_limit_s: float) -> bytes:
 
 
 def line(message: Mapping[str, Any]) -> bytes:
-    """Return a message as it is sent."""
+    """Encode a message as a line."""
     return json.dumps(message).encode() + b"\n"
 
 
 def json_object(received: bytes) -> dict[str, Any] | None:
-    """Return what a line says; None if it is not an object of JSON."""
+    """Decode a line; None if it is not a JSON object."""
     try:
         message: object = json.loads(received.decode())
     except (ValueError, RecursionError):

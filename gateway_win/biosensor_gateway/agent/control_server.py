@@ -1,6 +1,6 @@
-"""Takes commands of the same user for the running agent; see `control` for what is sent.
+"""Server of the control channel: receives the same user's commands for the running agent.
 
-Whatever else arrives is refused with a sentence and costs the agent nothing.
+The protocol is described in `control`.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from biosensor_gateway.agent.control import (
 from biosensor_gateway.system import state_file
 
 REQUEST_LIMIT = 8192
-"""Bytes of a request, without its line end; two texts of 200 letters at 12 bytes fit in."""
+"""Bytes of a request without its line end: room for two texts of 200 letters at 12 bytes."""
 MAX_SILENT = 16
-"""Connections that have not shown the token yet; the oldest makes room for one more."""
+"""Connections that have not sent the token yet; one more closes the oldest."""
 MAX_CONVERSATIONS = 16
 
 _DISCARDED_BLOCK, _DISCARDED_BLOCKS = 65536, 256
 _LAST_WORDS_S = 0.5
 
 Command = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Does one thing with the arguments that it is given, and answers what goes into JSON.
+"""Carries out a command with its arguments, and returns the answer for JSON.
 
-A `GatewayError` is told to the client as it is.
+The message of a `GatewayError` is sent to the client.
 """
 
 Conversation = Callable[[Mapping[str, Any]], AsyncGenerator[bytes]]
-"""Makes what goes to a client behind the line of the answer, until the client goes away.
+"""Yields the bytes that follow the line of the answer, until the client disconnects.
 
-A `GatewayError` before the first bytes is told to the client as it is.
+The message of a `GatewayError` before the first bytes is sent to the client.
 """
 
 _log = structlog.stdlib.get_logger(__name__)
@@ -57,20 +57,19 @@ class ControlServer:
     Parameters
     ----------
     folder
-        The state folder, held by this process.
+        The state folder, locked by this process.
     commands
-        What can be asked for, by name.
+        The commands by name.
     conversations
-        The same, of what goes on.
+        Commands by name whose answer goes on until the client disconnects.
     looks
-        Those of them that change nothing and may be asked for every second, which the log
-        need not tell.
+        Names of commands that change nothing; the log has them only in its details.
 
     Raises
     ------
     ConfigError
         ``UNREADABLE`` on entering, if there is no port or the file cannot be
-        written; the agent can run without.
+        written; the agent can run without it.
     """
 
     def __init__(
@@ -86,7 +85,7 @@ class ControlServer:
         self._looks = looks
         self._token = secrets.token_hex(32)
         self._connections: set[asyncio.Task[None]] = set()
-        # In the order in which they came.
+        # A dict as an ordered set: the oldest connection is the first.
         self._silent: dict[asyncio.Task[None], None] = {}
         self._endless: set[asyncio.Task[None]] = set()
 
@@ -117,7 +116,7 @@ class ControlServer:
             conversation.cancel()
         if not self._connections:
             return
-        # Who asked the agent to end is to hear that it will.
+        # A client that has asked the agent to end still gets its answer.
         _, late = await asyncio.wait(self._connections, timeout=_LAST_WORDS_S)
         for connection in late:
             connection.cancel()
@@ -125,7 +124,7 @@ class ControlServer:
 
     def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._silent) >= MAX_SILENT:
-            # Whoever only holds connections must not keep a user from ending the agent.
+            # Programs that connect and send nothing must not keep a user from ending the agent.
             oldest = next(iter(self._silent))
             del self._silent[oldest]
             oldest.cancel()
@@ -152,7 +151,7 @@ class ControlServer:
                     if not await reader.read(_DISCARDED_BLOCK):
                         break
         except (OSError, TimeoutError):
-            # The client went away, or does not read; it is its own loss.
+            # The client has disconnected, or does not read; it alone loses by it.
             pass
         finally:
             writer.transport.abort()
@@ -174,11 +173,12 @@ class ControlServer:
     async def _reply(
         self, reader: asyncio.StreamReader
     ) -> tuple[bytes, AsyncGenerator[bytes] | None]:
-        """Return the line of the answer, and what goes on after it."""
+        """Return the line of the answer, and the conversation that follows it, if any."""
         try:
             name, arguments = self._checked(await _request(reader))
             if name in self._conversations:
                 conversation = self._conversations[name](arguments)
+                # The first bytes now, so that an error is still answered in a line.
                 async with self._limited(name):
                     first = await anext(conversation)
                 return line({"ok": True, "answer": {}}) + first, conversation
@@ -205,16 +205,17 @@ class ControlServer:
         return name, cast("dict[str, Any]", arguments)
 
     def _is_token(self, given: object) -> bool:
-        # JSON can hold halves of surrogate pairs, which strict UTF-8 cannot.
+        # JSON can contain halves of surrogate pairs, which strict UTF-8 cannot encode.
         text = given.encode(errors="replace") if isinstance(given, str) else b""
         return hmac.compare_digest(text, self._token.encode())
 
     @contextlib.asynccontextmanager
     async def _limited(self, name: str) -> AsyncGenerator[None]:
-        """Carry out a command in time, and make refusals of whatever it raises."""
+        """Limit a command's time, and turn its exceptions into refusals."""
         is_look = name in self._looks or name in self._conversations
-        tell = _log.debug if is_look else _log.info
-        tell("a command came", command=name, for_people=f"asked to {name}")
+        # Programs ask for these every second.
+        log = _log.debug if is_look else _log.info
+        log("a command came", command=name, for_people=f"asked to {name}")
         try:
             async with asyncio.timeout(TIME_LIMIT_S):
                 yield
@@ -222,13 +223,13 @@ class ControlServer:
             raise _RefusedError(f"{name} took longer than {TIME_LIMIT_S:g} s") from None
         except GatewayError as error:
             raise _RefusedError(str(error)) from error
-        except Exception as error:  # whatever a command runs into, its sender gets an answer
+        except Exception as error:  # the client must get an answer in any case
             _log.exception("a command failed", command=name)
             raise _RefusedError(f"{name} failed; the agent's log says why") from error
 
 
 class _RefusedError(Exception):
-    """A request that is not carried out; its text is the sentence for the client."""
+    """A request is not carried out; the message is the sentence for the client."""
 
 
 async def _request(reader: asyncio.StreamReader) -> Mapping[str, Any]:

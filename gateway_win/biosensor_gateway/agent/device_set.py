@@ -1,4 +1,4 @@
-"""Joins what belongs to one device of the settings while the agent runs."""
+"""The devices of a running agent, and how they change when the settings are read again."""
 
 from __future__ import annotations
 
@@ -33,67 +33,68 @@ from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 TICK_S = 0.05
 KEPT_S = 1.0
-"""How long the longest delay counts, at least; at most twice as long."""
+"""How long the longest delay is remembered: at least this, and at most twice as long."""
 TURNS = 3
-"""Of the loop, which a packet may wait for: a virtual device's, to be read, to be noted."""
+"""Turns of the loop that a packet may wait for: to be sent by a virtual device, read, and noted."""
 MOST_S = 0.5
-"""What is held up for longer is a stall, and not a busy computer."""
+"""A longer delay is a stall, which a busy computer does not explain."""
 
 
 class LoopLag:
-    """How late the loop has been with what was due.
+    """Measures how late the event loop runs its timers.
 
-    On a busy computer what is due has to wait, and so has what comes meanwhile. Must be made in
-    the loop, and run from then on.
+    A packet that arrives on a busy computer waits as long as a timer does. Must be made in the
+    loop, and run from then on.
 
     Parameters
     ----------
     clock
-        Whose timers the loop goes by.
+        Clock of the loop's timers.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
         self._clock = clock
-        self._due = clock()
+        self._scheduled = clock()
         self._longest_s = self._longest_before_s = 0.0
-        self._since = self._due
+        self._since = self._scheduled
 
     def seconds(self) -> float:
-        """Return the longest delay of the last second or two, with what is overdue now."""
-        overdue_s = self._clock() - self._due
+        """Return the longest delay of the last second or two, including a timer that is late now."""
+        overdue_s = self._clock() - self._scheduled
         return min(MOST_S, max(overdue_s, self._longest_s, self._longest_before_s))
 
     def packet_delay_s(self) -> float:
-        """Return for how long a packet that comes now may have waited for the loop."""
+        """Return how long a packet that is received now may have waited for the loop."""
         return TURNS * self.seconds()
 
     async def run(self) -> None:
         """Measure until cancelled."""
         while True:
-            self._due = self._clock() + TICK_S
+            self._scheduled = self._clock() + TICK_S
             await asyncio.sleep(TICK_S)
             self._note(self._clock())
 
     def _note(self, now: float) -> None:
+        # Two intervals in turn, so that a delay is remembered for at least one whole interval.
         if now - self._since >= KEPT_S:
             self._longest_before_s, self._longest_s, self._since = self._longest_s, 0.0, now
-        self._longest_s = max(self._longest_s, now - self._due)
+        self._longest_s = max(self._longest_s, now - self._scheduled)
 
 
 class Device:
-    """A device: who keeps it connected, and where its samples go.
+    """A device with its supervisor and its sink.
 
     Attributes
     ----------
     supervisor
-        Connects it, again and again.
+        Keeps the device connected.
     sink
-        Its clock, outlets and counters.
+        Clock, outlets and counters of the device.
 
     Parameters
     ----------
     own
-        What its settings declare; empty where its sensor's declaration says it all.
+        Streams that its settings declare; empty if the sensor's declaration has them all.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class Device:
 
     @classmethod
     def from_settings(cls, settings: DeviceSettings, clock: Clock = LSL_CLOCK) -> Device:
-        """Make what a table of the settings asks for."""
+        """Make the device of an entry of the settings."""
         entry, spec = driver(settings.sensor), declared(settings)
         sink = DeviceSink(settings.identity, spec, clock)
         own = () if entry.declare is None else tuple(map(DeclaredStream.of, spec.streams))
@@ -114,32 +115,32 @@ class Device:
 
     @property
     def name(self) -> str:
-        """What commands and events call it, ``sensor/unit``."""
+        """Name of the device in commands and events, ``sensor/unit``."""
         return device_name(self.sink.identity)
 
     @property
     def streams(self) -> int:
-        """How many streams its declaration has."""
+        """Number of streams in the device's declaration."""
         return len(self.sink.spec.streams)
 
     @property
     def state(self) -> str:
-        """Where it is on its way to streaming, or ``paused``."""
+        """State of the supervisor, or ``paused``."""
         return "paused" if self.sink.is_paused else self.supervisor.state.value
 
     def announce_to(self, announcer: Announcer) -> None:
-        """Make events of what happens to it from now on."""
+        """Begin to announce the device's events."""
         self._events = self.sink.follow(announcer)
         self.supervisor.on_drop = self._events.dropped
 
     def close(self, announcer: Announcer) -> None:
-        """Destroy its outlets; its supervisor has ended."""
+        """Destroy the device's outlets, after its supervisor has ended."""
         self.sink.close()
         if self._events is not None:
             announcer.unwatch(self._events.tick)
 
     def status(self) -> DeviceStatus:
-        """Describe it: state, last error, clock, counters of each stream."""
+        """Return the device's state, last error, clock, and the counters of each stream."""
         supervisor, sink = self.supervisor, self.sink
         return DeviceStatus(
             **asdict(sink.identity),
@@ -159,7 +160,7 @@ class Device:
 
 
 def _clock_status(state: ClockState) -> ClockStatus | None:
-    # JSON knows no NaN; before the first packet there is nothing to say.
+    # Before the first packet the offset is NaN, which JSON does not have.
     return ClockStatus(**asdict(state)) if isfinite(state.offset_s) else None
 
 
@@ -181,18 +182,14 @@ _log = structlog.get_logger("biosensor_gateway.agent")
 
 @dataclass(frozen=True, slots=True)
 class DeviceChanges:
-    """What other settings make of an agent's devices, by names as ``sensor/unit``.
+    """The changes that new settings make to an agent's devices, as ``sensor/unit``.
 
     Attributes
     ----------
-    added
-        That begin.
-    removed
-        That end.
     restarted
-        That end and begin again, because something in their entry is different.
+        Devices whose entry in the settings has changed.
     kept
-        That stream on.
+        Devices that go on streaming.
     """
 
     added: tuple[str, ...] = ()
@@ -202,14 +199,14 @@ class DeviceChanges:
 
 
 class DeviceSet:
-    """Runs devices, and other ones on request.
+    """Runs the devices of an agent, and replaces them when the settings change.
 
     Parameters
     ----------
     devices
-        To begin with, by their entry of the settings.
+        The first devices, by their entry of the settings.
     room
-        Has the streams that fit into this process.
+        Limits the number of streams in this process.
     """
 
     def __init__(self, devices: Mapping[DeviceSettings, Device], room: Room) -> None:
@@ -225,18 +222,18 @@ class DeviceSet:
         return iter(tuple(self._devices.values()))
 
     def start(self, announcer: Announcer, feed: Feed) -> None:
-        """Begin with all devices; announce what happens to them, and feed what they measure."""
+        """Start all devices, announce their events, and feed their samples."""
         self._announcer, self._feed, self._lag = announcer, feed, LoopLag()
         for device in self:
             self._begin(device)
 
     def make_room(self) -> None:
-        """Reserve room for the streams of all devices; say which are left out.
+        """Reserve room for the devices' streams; log which devices are left out.
 
         Raises
         ------
         TransportError
-            ``EXHAUSTED``, if no device has room.
+            ``EXHAUSTED`` if no device has room.
         """
         left_out = self._room.share_out({each.name: each.streams for each in self})
         if left_out and not self.with_room:
@@ -255,7 +252,7 @@ class DeviceSet:
         Raises
         ------
         Exception
-            What ended a supervisor, which nothing should.
+            If a supervisor ends by itself, which is a defect.
         """
         measuring = asyncio.create_task(self._lag.run())
         try:
@@ -264,7 +261,7 @@ class DeviceSet:
             measuring.cancel()
 
     def preview(self, entries: Iterable[DeviceSettings]) -> DeviceChanges:
-        """Say what `change` would do."""
+        """Return the changes that `change` would make."""
         wanted = [each for each in entries if each.enabled]
         ending = [device.name for entry, device in self._devices.items() if entry not in wanted]
         fresh = [device_name(each.identity) for each in wanted if each not in self._devices]
@@ -274,20 +271,20 @@ class DeviceSet:
     async def change(
         self, entries: Iterable[DeviceSettings], before_start: Callable[[], None]
     ) -> DeviceChanges:
-        """Have the devices of other settings; those whose entry is the same stream on.
+        """Replace the devices by those of new settings; those with the same entry are kept.
 
         Parameters
         ----------
         entries
-            The settings of devices.
+            Settings of all devices.
         before_start
-            Called when the new devices are here, and none of them has begun.
+            Called when the new devices are made, before any of them starts.
         """
         wanted = [each for each in entries if each.enabled]
         ending = [device for entry, device in self._devices.items() if entry not in wanted]
         kept = {entry: device for entry, device in self._devices.items() if entry in wanted}
         self._devices = kept
-        # Ports, addresses and source_ids must be free before others take them.
+        # Removed devices end first, because a new one may use the same port, address or source_id.
         await self._end(ending)
         fresh = {each: Device.from_settings(each) for each in wanted if each not in kept}
         self._devices = {each: kept.get(each) or fresh[each] for each in wanted}

@@ -1,7 +1,7 @@
-"""Says in the agent's status what the programs that compute live features do not pass on.
+"""Adds to the agent's status what programs with live features do not pass on.
 
-They are other processes, beside the agent or started by hand. Each keeps a file of its own in the
-state folder while there is something to say.
+They are other processes, started by the agent or by hand. Each writes its own file into the state
+folder while it has something to report.
 """
 
 from __future__ import annotations
@@ -29,63 +29,57 @@ STALE_AFTER_S = 5.0
 _NAME = "features-{process}.json"
 
 
-class _Told(BaseModel):
+class _Report(BaseModel):
     written: float
     refusals: list[RefusedStatus]
 
 
 class FeatureRefusals:
-    """The file of this process.
-
-    Parameters
-    ----------
-    folder
-        The state folder of the agent that is to tell it.
-    """
+    """The file of this process, in an agent's state folder."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / _NAME.format(process=os.getpid())
 
     def write(self, refusals: Refusals) -> None:
-        """Write what was reported so far, if anything was; what cannot be is written next time."""
-        told = RefusedStatus.of(refusals)
-        if told:
+        """Write the refusals, if there are any; after a failure the next call writes them."""
+        refused = RefusedStatus.of(refusals)
+        if refused:
             with contextlib.suppress(OSError):
-                text = _Told(written=time.time(), refusals=told).model_dump_json()
+                text = _Report(written=time.time(), refusals=refused).model_dump_json()
                 state_file.replace(self._path, text)
 
     def close(self) -> None:
-        """Say nothing any more; a file that cannot be removed says so by its age."""
+        """Remove the file; one that cannot be removed is ignored once it is old."""
         with contextlib.suppress(OSError):
             self._path.unlink(missing_ok=True)
 
 
 def read(folder: Path) -> list[RefusedStatus]:
-    """Return what programs that compute features say now; the files of those that ended go."""
+    """Return what programs with live features report now; remove files of ended programs."""
     found: list[RefusedStatus] = []
     for path in sorted(folder.glob(_NAME.format(process="*"))):
         try:
-            told = _Told.model_validate_json(state_file.read(path))
+            report = _Report.model_validate_json(state_file.read(path))
         except (OSError, ValueError):
-            # Windows refuses while it is replaced, and a second later does not.
+            # Windows refuses to open a file while it is replaced; a second later it works.
             continue
-        if abs(time.time() - told.written) <= STALE_AFTER_S:
-            found += told.refusals
+        if abs(time.time() - report.written) <= STALE_AFTER_S:
+            found += report.refusals
         else:
             with contextlib.suppress(OSError):
                 path.unlink()
     return found
 
 
-def add(status: AgentStatus, told: Sequence[RefusedStatus]) -> None:
-    """Add to a status what is said of features: to the stream that they are of, or to the agent."""
+def add(status: AgentStatus, refused: Sequence[RefusedStatus]) -> None:
+    """Add refusals of features to the status of their raw stream, else to that of the agent."""
     streams = {
         name: device.streams[source]
-        for device in (status.devices if told else ())
+        for device in (status.devices if refused else ())
         for name, source in _names(device).items()
         if source in device.streams
     }
-    for each in told:
+    for each in refused:
         sentence = each.sentence.removeprefix(f"{each.about}: ")
         if (stream := streams.get(each.about)) is not None:
             more = {"about": "", "sentence": f"its live features: {sentence}"}
@@ -96,7 +90,7 @@ def add(status: AgentStatus, told: Sequence[RefusedStatus]) -> None:
 
 
 def _names(device: DeviceStatus) -> dict[str, str]:
-    """Return the source_id of each stream of a device, by what LSL calls it."""
+    """Return the source_ids of a device's streams by their LSL names."""
     identity = DeviceIdentity(device.sensor, device.unit, device.participant, device.label)
     return {
         naming.lsl_name(identity, each.data_name): naming.source_id(identity, each.data_name)

@@ -1,7 +1,7 @@
-"""Sends what the devices measure to programs on this computer that show it.
+"""Sends the devices' samples to programs on this computer that show them.
 
-It comes from the agent's memory: one more LSL inlet on each stream would double what the agent
-sends. Nobody who reads slowly, or not at all, delays a sample of anything else.
+The feed takes samples from the agent's memory: one more LSL inlet on each stream would double what
+the agent sends. A slow reader loses frames, and delays nobody else.
 """
 
 from __future__ import annotations
@@ -23,15 +23,14 @@ from biosensor_gateway.streaming.sink import DeviceSink
 
 MAX_READERS = 8
 MAX_WAITING_BYTES = 4_000_000
-"""What may wait for one reader; some ten seconds of seven devices."""
+"""Size of one reader's queue; some ten seconds of seven devices."""
 FLUSH_S = 0.04
 _MOST_NOTED = 4096
-"""Samples that wait to be made frames of; so many come only from what is much faster, or when
-nobody reads."""
+"""Samples that may wait before frames are made; readers usually ask for frames long before."""
 
 
 class Feed:
-    """Whoever wants to see, and what waits for each of them."""
+    """Samples and status for all readers, with a queue for each."""
 
     def __init__(self) -> None:
         self._readers: set[ReaderQueue] = set()
@@ -40,20 +39,20 @@ class Feed:
         self._status: Mapping[str, Any] | None = None
 
     def watch(self, sink: DeviceSink) -> None:
-        """Send what a device measures from now on."""
+        """Begin to send a device's samples."""
 
-        def tapped(data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-            # The next packet waits meanwhile: frames are made later.
+        def note(data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+            # Frames are made later, because the device's next packet waits for this call.
             if self._readers:
                 self._noted.append((sink.identity, data_name, samples, stamps))
                 self._noted_samples += len(stamps)
                 if self._noted_samples > _MOST_NOTED:
                     self._make_frames()
 
-        sink.tap = tapped
+        sink.tap = note
 
-    def tell(self, status: Mapping[str, Any]) -> None:
-        """Send how the agent is."""
+    def send_status(self, status: Mapping[str, Any]) -> None:
+        """Send the agent's status."""
         self._status = status
         if self._readers:
             self._make_frames()
@@ -62,18 +61,18 @@ class Feed:
                 reader.put(message, 0)
 
     async def conversation(self, _arguments: Mapping[str, Any]) -> AsyncGenerator[bytes]:
-        """Make frames for one reader, until it is closed.
+        """Yield frames for one reader, until it is closed.
 
         Raises
         ------
         TransportError
-            ``BUSY``, if there are too many.
+            ``BUSY`` if there are too many readers.
         """
         if len(self._readers) >= MAX_READERS:
             message = f"{MAX_READERS} programs show the agent's data already; close one"
             raise TransportError(TransportReason.BUSY, message)
         reader = ReaderQueue()
-        # Who has just come need not wait for the next one.
+        # A new reader need not wait up to a second for the next status.
         if self._status is not None:
             reader.put(_status_frame(self._status), 0)
         self._readers.add(reader)
@@ -99,7 +98,7 @@ def _status_frame(status: Mapping[str, Any]) -> bytes:
 
 
 class ReaderQueue:
-    """Frames that wait for one reader; the oldest go when there are too many."""
+    """Frames for one reader; when there are too many, the oldest are dropped and counted."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[bytes, int]] = deque()
@@ -107,7 +106,7 @@ class ReaderQueue:
         self._dropped = 0
 
     def put(self, message: bytes, samples: int) -> None:
-        """Add a frame that has so many samples."""
+        """Add a frame with this number of samples."""
         self._waiting.append((message, samples))
         self._bytes += len(message)
         while self._bytes > MAX_WAITING_BYTES:
@@ -116,7 +115,7 @@ class ReaderQueue:
             self._dropped += lost
 
     def take(self) -> bytes:
-        """Return all that waits, and what was left out before it."""
+        """Remove and return all frames, preceded by the number of dropped samples."""
         messages = [message for message, _ in self._waiting]
         if self._dropped:
             messages.insert(0, dropped_frame(self._dropped))

@@ -1,14 +1,14 @@
-"""Frames of the agent's feed, for both of its ends.
+"""Frames of the agent's feed, for sender and receiver.
 
 A client of the control channel asks for ``feed`` (see `control`), reads the line of the answer,
-and then frames until it goes away::
+and then frames until it disconnects::
 
-    length    uint32, little-endian: bytes of what follows after the kind
+    length    uint32, little-endian: bytes of the content
     kind      uint8
     content
 
-A ``STATUS`` is the JSON of the status file, once a second. ``SAMPLES`` are what one stream has
-just sent::
+``STATUS`` is the JSON of the status file, once a second. ``SAMPLES`` are samples that one stream
+has just sent::
 
     n_name    uint16, bytes of the name
     n         uint32, samples
@@ -17,8 +17,8 @@ just sent::
     stamps    n float64, LSL times in seconds
     values    n x channels float32, in the units of the declaration
 
-``DROPPED`` is a uint32: so many samples have been left out just here, because this client did
-not read in time.
+``DROPPED`` is a uint32: the number of samples that were left out at this point, because the client
+did not read in time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    # It takes a fifth of a second, and the page begins without it; see `sample_frames`.
+    # The page starts without numpy, which takes a fifth of a second; see `sample_frames`.
     import numpy as np
     from numpy.typing import NDArray
 
@@ -37,7 +37,7 @@ _COUNT = struct.Struct("<I")
 
 
 class FrameKind(IntEnum):
-    """What a frame tells."""
+    """The kinds of frames."""
 
     STATUS = 1
     SAMPLES = 2
@@ -45,14 +45,14 @@ class FrameKind(IntEnum):
 
 
 class Samples(NamedTuple):
-    """What one stream sent.
+    """Samples of one stream.
 
     Attributes
     ----------
     stamps : shape (n,)
         LSL times in seconds.
     values : shape (n, n_channels)
-        In the units of the declaration; of text there are no channels.
+        In the units of the declaration; without channels for text.
     """
 
     source_id: str
@@ -61,22 +61,22 @@ class Samples(NamedTuple):
 
 
 def frame(kind: FrameKind, content: bytes) -> bytes:
-    """Return a frame as it is sent."""
+    """Encode a frame."""
     return HEAD.pack(len(content), kind) + content
 
 
 def dropped_frame(count: int) -> bytes:
-    """Return a frame that says how many samples were left out."""
+    """Encode the number of samples that were left out."""
     return frame(FrameKind.DROPPED, _COUNT.pack(min(count, 0xFFFFFFFF)))
 
 
 def read_count(content: bytes) -> int:
-    """Read the content of a frame of what was left out.
+    """Decode the content of a ``DROPPED`` frame.
 
     Raises
     ------
     ValueError
-        It is not one.
+        If it is not a uint32.
     """
     try:
         return int(_COUNT.unpack(content)[0])

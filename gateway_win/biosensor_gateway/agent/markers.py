@@ -1,4 +1,4 @@
-"""Commands by which experimenters and programs mark what happens."""
+"""Commands of the control channel that send, undo and list markers."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from biosensor_gateway.streaming.markers import (
 
 MAX_TEXT, MAX_SOURCE = 200, 32
 MAX_WEB_SOURCE = 200
-"""Of a web experiment it is the origin of its page."""
+"""Longer for web experiments, whose source is the origin of their page."""
 MAX_AGE_S, MAX_LEAD_S = 60.0, 0.1
-"""How far a sender's time may be from now; the lead is for what it knows less exactly."""
+"""How old a sender's time may be, and how far in the future because its clock is less exact."""
 MAX_WEB_AGE_S = 3600.0
-"""The same for web experiments, which keep their markers while they cannot send them."""
+"""Longer for web experiments, which store their markers while they are offline."""
 LISTED = 50
 MARKERS = "markers"
-"""The command that changes nothing."""
+"""The command that lists markers, and changes nothing."""
 
 _log = structlog.get_logger("biosensor_gateway.markers")
 
@@ -39,14 +39,14 @@ _KINDS = {kind.value: kind for kind in _SENT}
 
 
 class MarkerCommands:
-    """What the control channel offers for markers.
+    """Commands for markers.
 
     Parameters
     ----------
     stream
-        Where they go.
+        The stream that sends the markers.
     settings
-        The names of the buttons, for whoever shows them.
+        Has the names of the buttons.
 
     Attributes
     ----------
@@ -60,14 +60,14 @@ class MarkerCommands:
 
     @property
     def commands(self) -> dict[str, Command]:
-        """What can be asked for."""
+        """The commands by name."""
         return {"mark": self._mark, "undo-marker": self._undo, MARKERS: self._list}
 
     async def _mark(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Send a marker.
 
-        Its arguments are ``marker``, ``note``, ``kind``, ``source``, ``at``, and of a web
-        experiment ``timed_by`` and ``uncertainty_s``.
+        The arguments are ``marker``, ``note``, ``kind``, ``source`` and ``at``; for a web
+        experiment also ``timed_by`` and ``uncertainty_s``.
         """
         marker, note = _text(arguments, "marker"), _text(arguments, "note")
         if not marker and not note:
@@ -85,13 +85,13 @@ class MarkerCommands:
         )
         if not sent.received:
             people = Refusal.UNHEARD_MARKER.told()
-            # nothing is dropped: the stream has reported it
+            # The stream keeps the marker for a later receiver and has reported it as refused.
             _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
-        told = {"id": sent.id, "lsl_time": sent.lsl_time}
-        return told if sent.received else told | {"received": False}
+        answer = {"id": sent.id, "lsl_time": sent.lsl_time}
+        return answer if sent.received else answer | {"received": False}
 
     async def _undo(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Undo the marker with the argument ``id``; without it the last that holds."""
+        """Undo the marker with the argument ``id``; without it, the last that is not undone."""
         number = arguments.get("id")
         if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
             raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'id' is not a whole number")
@@ -100,14 +100,14 @@ class MarkerCommands:
 
     async def _list(self, _arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the last markers, the newest last, and the names of the buttons."""
-        newest = [_told(each) for each in self._stream.newest(LISTED)]
+        newest = [_as_json(each) for each in self._stream.newest(LISTED)]
         return {"markers": newest, "buttons": list(self.settings.buttons)}
 
 
-def _told(marker: Marker) -> dict[str, Any]:
+def _as_json(marker: Marker) -> dict[str, Any]:
     timing = marker.timing
-    told = {name: each for name, each in asdict(marker).items() if name != "timing"}
-    return told | ({} if timing is None else timing._asdict())
+    content = {name: each for name, each in asdict(marker).items() if name != "timing"}
+    return content | ({} if timing is None else timing._asdict())
 
 
 def _text(arguments: Mapping[str, Any], name: str, longest: int = MAX_TEXT) -> str:

@@ -1,4 +1,4 @@
-"""Pauses and resumes the devices of a running agent, and remembers it."""
+"""Pauses and resumes the devices of a running agent, and stores the pauses on disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 
 WRITTEN_WITHIN_S = 0.5
-"""An answer does not wait longer for the disk; who asks again hears how it went on."""
+"""How long an answer waits for the disk; a client that asks again gets the outcome."""
 
 _log = structlog.get_logger("biosensor_gateway.pauses")
 
@@ -32,12 +32,12 @@ _FIELDS = ("sensor", "unit", "participant", "label")
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """A pause as it is kept.
+    """A pause as it is stored.
 
     Attributes
     ----------
     identity
-        The device as the settings had it when it was paused.
+        Identity of the device when it was paused.
     since
         Local time, with its offset.
     """
@@ -46,14 +46,12 @@ class Pause:
     since: datetime
 
     def holds_for(self, identity: DeviceIdentity) -> bool:
-        """Whether a device is the paused one, also if its settings were changed.
-
-        It is if it has the same streams: the strap of that person was replaced. It is
-        also if it is the same unit, unless another person wears it by now.
-        """
+        """Whether this pause applies to a device, also if its settings were changed."""
         mine = self.identity
+        # The same streams: the person's strap was replaced by another unit.
         if naming.source_id(mine, "") == naming.source_id(identity, ""):
             return True
+        # The same unit stays paused, unless another person wears it by now.
         is_another_person = (
             bool(mine.participant and identity.participant)
             and mine.participant != identity.participant
@@ -63,13 +61,12 @@ class Pause:
 
 
 def load_pauses(folder: Path) -> list[Pause]:
-    """Read the pauses that are kept in a state folder.
+    """Read the pauses that are stored in a state folder.
 
     Raises
     ------
     ConfigError
-        ``UNREADABLE`` if there is a file and it cannot be understood: nobody knows
-        then who has withdrawn.
+        ``UNREADABLE`` if the file exists and is damaged: then it is unknown who has withdrawn.
     """
     path = folder / PAUSED_FILE
     try:
@@ -86,12 +83,12 @@ def load_pauses(folder: Path) -> list[Pause]:
 
 
 def save_pauses(folder: Path, pauses: Iterable[Pause]) -> None:
-    """Replace what is kept, in one step that also survives a loss of power.
+    """Replace the stored pauses atomically, so that a loss of power leaves the old or the new.
 
     Raises
     ------
     OSError
-        The folder cannot be written; what was kept before still is.
+        If the folder cannot be written; the old pauses are still stored.
     """
     entries = [
         {name: getattr(each.identity, name) for name in _FIELDS} | {"since": each.since.isoformat()}
@@ -113,21 +110,21 @@ def _pause(entry: Mapping[str, Any]) -> Pause:
 
 
 class PauseCommands:
-    """The devices of an agent, and who of them is paused.
+    """Commands that pause and resume devices.
 
-    Those that were paused before the agent was started are paused from the beginning.
+    Devices that were paused before the agent was started are paused from the beginning.
 
     Parameters
     ----------
     folder
         The state folder.
     sinks
-        Tells those of all devices.
+        Returns the sinks of all devices.
 
     Raises
     ------
     ConfigError
-        ``UNREADABLE`` if what is kept of earlier pauses cannot be understood.
+        ``UNREADABLE`` if the file of earlier pauses is damaged.
     """
 
     def __init__(self, folder: Path, sinks: Callable[[], Iterable[DeviceSink]]) -> None:
@@ -140,11 +137,11 @@ class PauseCommands:
 
     @property
     def commands(self) -> dict[str, Command]:
-        """What the control channel offers; the argument ``device`` names one."""
+        """The commands by name; their argument ``device`` names a device."""
         return {"pause": self._pause, "resume": self._resume}
 
     def take_over(self) -> None:
-        """Pause the devices that were paused earlier; for those that are new, too."""
+        """Pause all devices to which a stored pause applies; called again for new devices."""
         for pause in self._pauses:
             for identity, sink in self._sinks.items():
                 if pause.holds_for(identity) and not sink.is_paused:
@@ -187,11 +184,12 @@ class PauseCommands:
         return sinks[chosen(name, sinks)]
 
     async def _outcome(self, sink: DeviceSink, *, changed: bool) -> Mapping[str, Any]:
-        """Write down what holds now, also if nothing changed: it may have failed before."""
+        """Store the pauses, and return the answer to the command."""
         identity = sink.identity
         names = {"sensor": identity.sensor, "unit": identity.unit}
         if changed:
             _log.warning("paused" if sink.is_paused else "resumed", **names)
+        # Stored again even if nothing has changed, because the last attempt may have failed.
         problem, pending = await self._in_time(asyncio.create_task(self._written(names)))
         return {
             "device": device_name(identity),
@@ -201,7 +199,7 @@ class PauseCommands:
         }
 
     async def _in_time(self, writing: asyncio.Task[str | None]) -> tuple[str | None, bool]:
-        """Return why it is not written, and whether it still may be."""
+        """Return why the file is not written, and whether it may still be."""
         self._unfinished.add(writing)
         writing.add_done_callback(self._unfinished.discard)
         done, _ = await asyncio.wait({writing}, timeout=WRITTEN_WITHIN_S)
@@ -211,7 +209,7 @@ class PauseCommands:
         return f"{path} is not written yet: the disk or the computer is busy", True
 
     async def _written(self, names: Mapping[str, str]) -> str | None:
-        """Write the file beside the loop, which streams on; return why it could not be."""
+        """Write the file on another thread, while the loop streams; return why that failed."""
         async with self._writing:
             try:
                 await asyncio.to_thread(save_pauses, self._folder, tuple(self._pauses))

@@ -1,32 +1,33 @@
-"""Measures how fast a stream advances, from one status of the agent to the next."""
+"""Measures the rate of a stream from the agent's successive statuses."""
 
 from __future__ import annotations
 
 from collections import deque
 
 RATE_OVER_S = 10.0
-"""A rate is measured over so long, by the samples' own times."""
+"""Interval over which a rate is measured, by the samples' stamps."""
 STALE_AFTER_S = 5.0
-"""Samples of some devices come in lumps of seconds; later, there is no rate any more."""
+"""Age of the newest sample after which there is no rate; some devices send in lumps of seconds."""
 
 
 class RateMeter:
-    """Measures one stream by the stamps of its samples."""
+    """Measures the rate of one stream by the stamps of its samples."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque()
 
     def note(self, pushed: int, last_stamp: float) -> None:
-        """Take in a count, and the LSL time of the newest of those samples."""
+        """Take the number of samples so far, and the LSL time of the newest of them."""
+        # A smaller count is that of a restarted agent.
         if self._seen and pushed < self._seen[-1][0]:
             self._seen.clear()
         if not self._seen or pushed > self._seen[-1][0]:
             self._seen.append((pushed, last_stamp))
-            # Nobody need ask for the rate, as of a stream that has none.
+            # Not only in `rate_hz`, which may never be called for this stream.
             self._forget(last_stamp)
 
     def rate_hz(self, now: float) -> float | None:
-        """Return the rate at an LSL time; None while nothing comes."""
+        """Return the rate at an LSL time; None while no samples are received."""
         self._forget(now)
         if not self._seen or now - self._seen[-1][1] > STALE_AFTER_S:
             self._seen.clear()

@@ -1,9 +1,9 @@
 """Waits until all devices of the running agent deliver samples.
 
-A connected device may be silent, and a state may be old: a device counts as ready when
-the agent's own counters advance. Streams that come at a rate are waited for; events and
-values that come when they come cannot be. A device without a stream at a rate is judged
-by the one that tells its quality, which such a device sends once a second.
+A connected device may be silent, and its state in the status may be outdated. So a device is ready
+when the agent's counters of its streams advance. Only streams with a nominal rate are waited for;
+irregular ones may have nothing to send. A device without such a stream is ready when its quality
+stream advances, which such a device sends once a second.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from biosensor_gateway.agent.state import CONNECTED
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 
 FRESH_S = 5.0
-"""Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
+"""A belt after a loss and an E4 send samples in lumps of seconds."""
 _POLL_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """What is not ready.
+    """A device, or an agent, that is not ready.
 
     Attributes
     ----------
     device
-        As in the settings; empty if there is no agent.
+        Name of the device; empty if there is no agent.
     streams
-        The source_ids that are waited for.
+        source_ids of the streams that are missing.
     why
-        What is known of the reason.
+        The reason, as far as it is known.
     """
 
     device: str
@@ -47,7 +47,7 @@ class Missing:
 
     @property
     def sentence(self) -> str:
-        """The same for a person."""
+        """The same as a sentence for people."""
         if not self.device:
             return self.why
         named = f" (no samples of {', '.join(self.streams)})" if self.streams else ""
@@ -56,7 +56,7 @@ class Missing:
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """Outcome of a wait.
+    """Outcome of waiting for an agent's devices.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Readiness:
 
 @dataclass(slots=True)
 class _Watch:
-    """How the counters of one agent advance from report to report."""
+    """Notes when the counters of an agent's streams advance."""
 
     process: int = 0
     written: float = 0.0
@@ -84,7 +84,7 @@ class _Watch:
 
     def take(self, status: Mapping[str, Any]) -> None:
         if status["process"] != self.process:
-            # Another agent counts again.
+            # Another agent was started, and counts from 0.
             self.process, self.counts, self.advanced = status["process"], {}, {}
         self.written = status["written"]
         for device in status["devices"]:
@@ -113,7 +113,7 @@ def wait_until_ready(folder: Path, timeout_s: float, without: Iterable[str] = ()
     Returns
     -------
     Readiness
-        With what is missing, if it took too long.
+        With what is missing after the timeout.
 
     Raises
     ------
@@ -122,14 +122,14 @@ def wait_until_ready(folder: Path, timeout_s: float, without: Iterable[str] = ()
     """
     begun, excluded, watch = time.monotonic(), frozenset(without), _Watch()
     while True:
-        devices, streams, missing = _judge(folder, watch, excluded)
+        devices, streams, missing = _look(folder, watch, excluded)
         waited_s = time.monotonic() - begun
         if not missing or waited_s >= timeout_s:
             return Readiness(not missing, waited_s, devices, streams, missing)
         time.sleep(_POLL_S)
 
 
-def _judge(
+def _look(
     folder: Path, watch: _Watch, excluded: frozenset[str]
 ) -> tuple[int, int, tuple[Missing, ...]]:
     try:
@@ -147,15 +147,15 @@ def _judge(
 
 
 def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple[str, ...]:
-    """Return the source_ids of the streams by which a device shows that it streams.
+    """Return the source_ids of the streams that show whether a device streams.
 
     Parameters
     ----------
     device
-        As the agent's status has it. Before its first connection its streams are
-        those of the declaration.
+        A device of the agent's status. Before its first connection, its streams are those of the
+        declaration.
     excluded
-        Source_ids and data names to leave out.
+        source_ids and data names to leave out.
     """
     names = (device["sensor"], device["unit"], device["participant"], device["label"])
     identity = DeviceIdentity(*names)
@@ -167,9 +167,9 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
         source = naming.source_id(identity, stream.data_name)
         if source in excluded or stream.data_name in excluded:
             continue
-        # What the device told at its connection counts: some have a stream only in name.
-        told = open_streams.get(source, {})
-        rate = 0 if told.get("silent") else told.get("nominal_hz", stream.nominal_hz)
+        # The rates that the device reported when it connected: some models lack a declared stream.
+        opened = open_streams.get(source, {})
+        rate = 0 if opened.get("silent") else opened.get("nominal_hz", stream.nominal_hz)
         if rate != 0 and not stream.is_text:
             steady.append(source)
         elif stream.content_type == ContentType.QUALITY:

@@ -1,4 +1,4 @@
-"""Has a running agent read its settings again: the command ``reload``."""
+"""The command ``reload``: a running agent reads its settings again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from biosensor_gateway.agent.device_set import DeviceChanges
 from biosensor_gateway.settings.models import GatewaySettings
 
 ANSWERED_WITHIN_S = 3.0
-"""A device may take longer to let go of its connection; the change goes on then."""
+"""How long the answer waits; a device may take longer to disconnect, and the change goes on."""
 
 ReadSettings = Callable[[], GatewaySettings]
 """Reads the settings file again.
@@ -22,30 +22,30 @@ ReadSettings = Callable[[], GatewaySettings]
 Raises
 ------
 ConfigError
-    What is wrong with it.
+    If the file is wrong.
 """
 
 _AT_ONCE = frozenset({"markers"})
-"""Sections of the settings that a running agent takes over, besides the devices."""
+"""Sections of the settings, besides the devices, that apply to a running agent at once."""
 
 _log = structlog.get_logger("biosensor_gateway.agent")
 
 
 class SettingsReload:
-    """Reads the settings again on request, and changes the devices and the buttons of markers.
+    """Reads the settings again on request, and applies changed devices and marker buttons.
 
-    A file that is broken changes nothing, and the answer says what is wrong with it.
+    A broken file changes nothing, and the answer says what is wrong with it.
 
     Parameters
     ----------
     settings
-        As the agent was started.
+        Settings with which the agent was started.
     read
-        Reads them again; None if there is no file, as with virtual devices.
+        Reads the settings again; None if there is no file, as with virtual devices.
     change
-        Takes over what can be.
+        Applies new settings to the devices and the markers.
     preview
-        Says what `change` would do.
+        Returns the changes that `change` would make.
     """
 
     def __init__(
@@ -67,14 +67,14 @@ class SettingsReload:
         return self._read is None
 
     async def command(self, _arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Read the settings and change what is different.
+        """Read the settings and apply what has changed.
 
         Returns
         -------
         Mapping
-            Names by ``added``, ``removed``, ``restarted`` and ``kept``; ``now``: other sections
-            that have changed and hold; ``later``: sections that hold from the agent's next start
-            on; ``pending``: whether devices are still ending.
+            ``added``, ``removed``, ``restarted`` and ``kept``: names of devices; ``now``: other
+            changed sections that apply already; ``later``: changed sections that apply from the
+            agent's next start on; ``pending``: whether devices are still ending.
         """
         if self._task is not None and not self._task.done():
             message = "the settings are being read again already; try again in some seconds"
@@ -89,7 +89,7 @@ class SettingsReload:
         return {**asdict(changes), "now": now, "later": later, "pending": not done}
 
     async def preview(self, _arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Say which devices `command` would change, by the same names."""
+        """Return the devices that `command` would change, under the same keys."""
         return asdict(self._preview(await self._read_again()))
 
     async def _read_again(self) -> GatewaySettings:

@@ -1,4 +1,4 @@
-"""Frames of samples; see `feed_frames` for the others, and for what they all look like."""
+"""Frames of samples, in a separate module because they need numpy; see `feed_frames`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SAMPLES = struct.Struct("<HIH")
 
 
 def samples_frame(source_id: str, stamps: Sequence[float], values: ArrayLike) -> bytes:
-    """Return a frame of samples.
+    """Encode samples.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def samples_frame(source_id: str, stamps: Sequence[float], values: ArrayLike) ->
 
 
 def read_samples(content: bytes) -> Samples:
-    """Read the content of a frame of samples.
+    """Decode the content of a ``SAMPLES`` frame.
 
     Raises
     ------
     ValueError
-        It is not one.
+        If it is not valid.
     """
     try:
         n_name, n, channels = _SAMPLES.unpack_from(content)

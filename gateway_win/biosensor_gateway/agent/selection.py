@@ -1,4 +1,4 @@
-"""Finds the device that a person names."""
+"""Finds a device of the agent by a name that a person gave."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from biosensor_common.spec import DeviceIdentity
 
 
 def device_name(identity: DeviceIdentity) -> str:
-    """Return the name that only this device of an agent has, ``sensor/unit``."""
+    """Return the unique name of an agent's device, ``sensor/unit``."""
     return f"{identity.sensor}/{identity.unit}"
 
 
 def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
-    """Return the device of that name.
+    """Return the device with this name.
 
     Parameters
     ----------
@@ -26,8 +26,8 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
     Raises
     ------
     ConfigError
-        ``NOT_FOUND`` if none has it, ``WRONG_VALUE`` if several have; both list
-        the devices that could be meant.
+        ``NOT_FOUND`` if no device has the name, ``WRONG_VALUE`` if several have it; the message
+        lists the candidates.
     """
     known = list(devices)
     matching = [each for each in known if device_name(each) == name]

@@ -1,8 +1,8 @@
-"""Lets one agent run for each state folder: two would claim the same devices.
+"""Allows one agent per state folder, because two would claim the same devices.
 
-The guard is a lock that the operating system keeps for a process (``flock`` on
-POSIX, a locked byte on Windows) and gives back however that process ends, so
-a killed agent leaves nothing that a new one could trip over.
+The lock is one that the operating system holds for a process (``flock`` on
+POSIX, a locked byte on Windows). It is released however the process ends, so
+that a killed agent does not keep a new one from starting.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.system import state_file
 
 LOCK_FILE = "agent.lock"
-"""Of the agent; another program with a folder of this kind has a name of its own."""
+"""Lock file of the agent; other programs with such a folder use other names."""
 
-# Who looks whether an agent runs holds the lock for an instant; that is no agent.
+# A program that checks whether an agent runs holds the lock for an instant, so wait a little.
 _PATIENCE_S = 0.5
 _POLL_S = 0.05
 
 
 @contextlib.contextmanager
 def single_instance(folder: Path, lock_file: str = LOCK_FILE) -> Generator[None]:
-    """Be the only agent with a state folder while the context lasts.
+    """Hold the lock of a state folder while the context lasts.
 
     Parameters
     ----------
     folder
-        The state folder, made if needed.
+        The state folder, created if needed.
     lock_file
-        Name of the lock there.
+        Name of the lock file.
 
     Raises
     ------
     ConfigError
         ``IN_USE`` if another agent runs with the folder; ``UNREADABLE`` if the
-        folder cannot be written, which need not keep an agent from running.
+        folder cannot be written, in which case an agent can run without the lock.
     """
     lock = _lock(folder / lock_file)
     try:
@@ -69,12 +69,12 @@ def is_held(folder: Path, lock_file: str = LOCK_FILE) -> bool:
 
 
 def wait_until_free(folder: Path, timeout_s: float, lock_file: str = LOCK_FILE) -> bool:
-    """Wait until no agent runs with a state folder; return whether that came in time."""
+    """Wait until no agent runs with a state folder; return False if one still does."""
     try:
         if not (folder / lock_file).exists():
             return True
     except OSError:
-        # Nobody has a lock where none can be.
+        # A folder that cannot be read has no lock.
         return True
     lock = _lock(folder / lock_file)
     try:
@@ -82,20 +82,21 @@ def wait_until_free(folder: Path, timeout_s: float, lock_file: str = LOCK_FILE) 
     except Timeout:
         return False
     except OSError:
-        # Whoever cannot have the lock here runs without it.
+        # An agent that cannot lock a read-only folder runs without the lock.
         return True
     _give_back(lock)
     return True
 
 
 def _lock(path: Path) -> FileLock:
-    # The stand-in for file systems without locks would outlive a killed agent.
+    # A soft lock, for file systems without locks, would stay behind after a killed agent.
     return FileLock(path, fallback_to_soft=False)
 
 
 def _give_back(lock: FileLock) -> None:
-    # Removed while it is held: who has the old file open by then and gets its lock finds it
-    # without a name, and tries again. Windows forbids it, and there the release removes it.
+    # Unlink while the lock is held: a process that has the old file open and then gets its lock
+    # sees that it has no name any more, and tries again. Windows forbids this, and there the
+    # release removes the file.
     with contextlib.suppress(OSError):
         Path(lock.lock_file).unlink()
     lock.release()

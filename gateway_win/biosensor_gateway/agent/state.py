@@ -13,13 +13,13 @@ class State(Enum):
     CONNECTING = "connecting"
     STREAMING = "streaming"
     ENABLING = "enabling"
-    """Connected; silent streams have been enabled again and are waited for."""
+    """Connected; silent streams were enabled again, and their samples have not arrived yet."""
     BACKOFF = "backoff"
     STOPPED = "stopped"
 
 
 CONNECTED = frozenset({State.STREAMING.value, State.ENABLING.value})
-"""While one stream is asked for again, the others flow."""
+"""``ENABLING`` is included because the other streams deliver meanwhile."""
 
 STATE_WORDS = {
     State.DISCOVERING.value: "looking for it",
@@ -29,9 +29,9 @@ STATE_WORDS = {
     State.BACKOFF.value: "will try again",
     State.STOPPED.value: "stopped",
 }
-"""What people are told; files and streams have the value."""
+"""The states for people; files and streams have the enum's values."""
 
 
 def is_sending(state: str, *, paused: bool) -> bool:
-    """Whether a device sends, so that what it sent last may be of now."""
+    """Whether a device is sending, so that its last values can be current."""
     return state in CONNECTED and not paused

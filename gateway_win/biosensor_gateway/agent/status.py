@@ -1,7 +1,7 @@
-"""The agent and its devices now: what its status file, ``status --json`` and the page's API say.
+"""Models of the status of an agent and its devices.
 
-One set of models for all three. The agent fills them once a second; the page adds to them what a
-screen needs, by classes that inherit from these.
+The status file, ``status --json`` and the page's API share them. The agent fills them once a
+second; the page's subclasses add what a screen needs.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ class ClockStatus(BaseModel):
     ----------
     offset_s
         LSL time minus device time at the newest device time, in seconds; it contains the
-        smallest delay of the way.
+        shortest transmission delay.
     drift_ppm
         LSL microseconds gained per device second: positive for a slow device clock.
     residual_rms_s
-        RMS distance in seconds of the earliest packets of each half second from the line that
-        is kept below them.
+        RMS distance in seconds of the earliest packet of each half second from the lower
+        envelope.
     reanchors
-        How often the mapping had to jump.
+        How often the mapping was restarted after a clock step.
     observations
-        Packets that it was measured by.
+        Number of packets that the mapping is computed from.
     newest_s
         LSL time of the newest device time, in seconds.
     """
@@ -45,24 +45,24 @@ class ClockStatus(BaseModel):
 
 
 class RefusedStatus(BaseModel):
-    """Something that was not passed on as it came; see `biosensor_common.refusals`.
+    """Something that was not passed on unchanged; see `biosensor_common.refusals`.
 
     Attributes
     ----------
     what
         A word of `biosensor_common.refusal.Refusal`.
     about
-        Which stream it is of, if that is not where it stands.
+        LSL name of its stream, unless it is in the status of that stream.
     level
         ``warn`` or ``error``.
     sentence
-        For a person.
+        For people.
     count
-        In all.
+        Number of times in all.
     first_s, last_s
         LSL time in seconds.
     now
-        Whether it lasts, or was within the last seconds.
+        Whether it still happens, or happened within the last seconds.
     """
 
     what: str
@@ -76,7 +76,7 @@ class RefusedStatus(BaseModel):
 
     @classmethod
     def of(cls, refusals: Refusals) -> list[RefusedStatus]:
-        """Describe everything that was reported, what is worst and now first."""
+        """Return all refusals; current ones first, the worst of them at the top."""
         present = refusals.present
         others = [each for each in refusals.all if each not in present]
         return [
@@ -95,18 +95,18 @@ class RefusedStatus(BaseModel):
 
 
 class StreamStatus(BaseModel):
-    """What happened to one stream's samples on their way into LSL.
+    """Counters of one stream's samples on their way into LSL.
 
     Attributes
     ----------
     pushed, lost, refused, withheld, waited, last_stamp
         See `biosensor_gateway.streaming.counters.Counters`.
     nominal_hz
-        Declared rate, 0 for streams that come when they come.
+        Nominal rate; 0 for irregular streams.
     silent
-        Whether the settings switch it off, or this model has it only in name.
+        Whether the settings switch the stream off, or this model of the device lacks it.
     refusals
-        What was not passed on as it came.
+        What was not passed on unchanged.
     """
 
     pushed: int
@@ -121,12 +121,12 @@ class StreamStatus(BaseModel):
 
 
 class DeclaredStream(BaseModel):
-    """A stream as it is declared, for who knows the agent by its status alone.
+    """A declared stream, for programs that read only the agent's status.
 
     Attributes
     ----------
     nominal_hz
-        0 for streams that come when they come, None where the device says it.
+        0 for irregular streams; None if the device reports it when it connects.
     is_text
         Whether its samples are strings.
     labels, units
@@ -159,27 +159,27 @@ class DeviceFacts(BaseModel):
     Attributes
     ----------
     sensor, unit, participant, label
-        Which device it is, and who wears it.
+        Identity of the device.
     state
-        Where it is on its way to streaming, a value of `biosensor_gateway.agent.state.State`.
+        A value of `biosensor_gateway.agent.state.State`.
     paused
         Whether its participant has withdrawn, so that nothing is sent.
     since
         Unix time in seconds since when it is paused or does not stream; None while it streams.
     worn
-        None where nobody knows.
+        None if unknown.
     connections
         How often it was connected.
     error
-        Why it does not stream, in one sentence; None while all is well.
+        Why it does not stream, in one sentence; None if nothing is wrong.
     dropped_bytes
-        Bytes that made no valid message.
+        Number of received bytes that were not part of a valid message.
     battery_percent
-        None where nobody knows, and while the device is not connected.
+        None if unknown, and while the device is not connected.
     clock
         None before its first packet.
     refusals
-        What came of it and is no sample of any stream.
+        What was refused before it became a sample of a stream.
     """
 
     sensor: str
@@ -206,7 +206,7 @@ class DeviceStatus(DeviceFacts):
     streams
         By source_id.
     declared
-        What the device's settings declare; empty where its sensor's declaration says it all.
+        Streams that the device's settings declare; empty if the sensor's declaration has them all.
     """
 
     streams: dict[str, StreamStatus]
@@ -214,22 +214,22 @@ class DeviceStatus(DeviceFacts):
 
 
 class AgentFacts(BaseModel):
-    """An agent, without its devices; as they stand here while there is none.
+    """An agent, without its devices; the defaults are for when no agent runs.
 
     Attributes
     ----------
     written
-        When this was so, Unix time in seconds.
+        Time of this status, Unix time in seconds.
     lsl_time
-        The same as LSL time, on which the clocks' `newest_s` and the streams' `last_stamp` are.
+        The same as LSL time, the clock of `newest_s` and `last_stamp`.
     process
-        Its number.
+        Process id.
     virtual
         Whether its devices are virtual.
     restarts, last_end
-        How often the agent died and came back, and how it ended last.
+        How often the agent was restarted after a crash, and how it ended last.
     refusals
-        What of the agent's own streams is not sent, or not received.
+        What of the agent's own streams was not sent, or not received.
     """
 
     written: float | None = None
@@ -253,14 +253,14 @@ def declared_streams(sensor: str, own: Sequence[DeclaredStream] = ()) -> tuple[D
     Parameters
     ----------
     sensor
-        As its identity has it.
+        Name of the sensor.
     own
-        What the status says that its settings declare.
+        Streams that the device's settings declare, from its status.
 
     Raises
     ------
     SpecError
-        If it declares nothing itself, and its sensor's declaration cannot be loaded.
+        If *own* is empty, and the sensor's declaration cannot be loaded.
     """
     if own:
         return tuple(own)

@@ -1,6 +1,6 @@
 """Writes and reads the file with the agent's status, for ``status`` and for scripts.
 
-What is in it: `biosensor_gateway.agent.status`.
+Its content is described in `biosensor_gateway.agent.status`.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ def write_status(folder: Path, status: dict[str, Any]) -> None:
     Raises
     ------
     OSError
-        The folder cannot be written.
+        If the folder cannot be written.
     """
     state_file.replace(folder / STATUS_FILE, json.dumps(status, indent=1))
 
 
 def read_status(folder: Path) -> dict[str, Any]:
-    """Read what a running agent wrote last.
+    """Read the status of the running agent.
 
     Raises
     ------
     ConfigError
-        ``NOT_FOUND`` if no agent runs, ``UNREADABLE`` if its file is damaged or it writes none.
+        ``NOT_FOUND`` if no agent runs, ``UNREADABLE`` if its file is damaged or not written.
     """
     path = folder / STATUS_FILE
     try:
@@ -60,7 +60,8 @@ def read_status(folder: Path) -> dict[str, Any]:
 
 
 def _unwritten(folder: Path, what: str) -> ConfigError:
-    """Return what to say of an agent that runs: the lock tells, which needs no room on a disk."""
+    """Return the error for an agent that runs without writing its status."""
+    # That it runs is known from its lock, which works even on a full disk.
     message = (
         f"an agent runs, and {what} into {folder}: it is starting or stuck, or the disk is full; "
         "make room on it and look again"
@@ -69,13 +70,13 @@ def _unwritten(folder: Path, what: str) -> ConfigError:
 
 
 def running_status(folder: Path) -> dict[str, Any]:
-    """Read what the running agent wrote last; one that was killed does not run.
+    """Read the status of the running agent, and check that its process still exists.
 
     Raises
     ------
     ConfigError
-        As `read_status`; ``NOT_FOUND`` also at once after the agent's process has gone. It says
-        so if the agent is started again in a while.
+        As `read_status`; ``NOT_FOUND`` also right after the agent's process has ended. The message
+        says if the agent will be restarted.
     """
     try:
         return _status_of_a_process(folder)
@@ -88,7 +89,8 @@ def running_status(folder: Path) -> dict[str, Any]:
 
 def _status_of_a_process(folder: Path) -> dict[str, Any]:
     status = read_status(folder)
-    # An agent may run without the lock, and in a container its number says nothing here.
+    # Both are needed: an agent may run without the lock, and the process id of one in a container
+    # means nothing here.
     if not lives(status.get("process")) and not _is_held(folder):
         message = (
             "the agent has ended without a word, as if it had been killed; start it with: "
@@ -105,6 +107,6 @@ def _is_held(folder: Path) -> bool:
 
 
 def remove_status(folder: Path) -> None:
-    """Say that the agent has ended; a file that cannot be removed says so by its age."""
+    """Remove the file when the agent ends; one that cannot be removed becomes stale by its age."""
     with contextlib.suppress(OSError):
         (folder / STATUS_FILE).unlink()

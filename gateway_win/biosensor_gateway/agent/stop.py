@@ -1,4 +1,4 @@
-"""Ends the agent of a state folder, also one that has died and is about to be started again."""
+"""Ends the agent of a state folder, also one that has crashed and is about to be restarted."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _ASK_AGAIN_S = 0.2
 
 
 def stop_agent(folder: Path, timeout_s: float = USUAL_LIMIT_S) -> str:
-    """End the agent and wait until it has ended; return what came of it, for a person.
+    """End the agent and wait until it has ended; return the outcome for people.
 
     Raises
     ------
     TransportError
-        ``ABSENT`` if none runs, ``BUSY`` if it does not end in time, ``DENIED`` if it cannot be
-        kept from being started again.
+        ``ABSENT`` if none runs, ``BUSY`` if it does not end in time, ``DENIED`` if its restart
+        cannot be prevented.
     ProtocolError
         ``REFUSED``, with the sentence of the agent.
     """
     deadline = time.monotonic() + timeout_s
-    supervisor = _keep_from_starting(folder)
+    supervisor = _prevent_restart(folder)
     if supervisor is not None:
         has_ended = _has_ended(supervisor, deadline)
         process, outcome = supervisor, "the agent had died, and is not started again"
@@ -44,8 +44,8 @@ def stop_agent(folder: Path, timeout_s: float = USUAL_LIMIT_S) -> str:
     return outcome
 
 
-def _keep_from_starting(folder: Path) -> int | None:
-    """Have nobody start a dead agent again; return who had waited for it, None if nobody did."""
+def _prevent_restart(folder: Path) -> int | None:
+    """Cancel the restart of a crashed agent; return its supervisor's process, None if none."""
     notice = restart_notice.read(folder)
     try:
         is_taken_down = notice is not None and restart_notice.take_down(folder)
@@ -68,7 +68,7 @@ def _left_s(deadline: float) -> float:
 
 
 def _ask_to_end(folder: Path, deadline: float) -> int | None:
-    """Ask until the agent answers, and return its process; None if it has ended by itself."""
+    """Ask the agent to end until it answers; return its process, None if it ends by itself."""
     was_there = False
     while True:
         left = max(_ASK_AGAIN_S, deadline - time.monotonic())
@@ -77,7 +77,7 @@ def _ask_to_end(folder: Path, deadline: float) -> int | None:
         except TransportError as error:
             if error.reason is TransportReason.ABSENT and was_there:
                 return None
-            # While it starts, it does not listen yet.
+            # An agent that is starting holds its lock, but does not listen yet: ask again.
             if error.reason is TransportReason.ABSENT or time.monotonic() >= deadline:
                 raise
         was_there = True

@@ -1,4 +1,4 @@
-"""Acts on silent streams: enables them again, makes the connection again, or says why not."""
+"""Keeps a device connected, and recovers streams that fall silent."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from biosensor_gateway.streaming.sink import DeviceSink
 TICK_S = 0.25
 
 FRESH_S = 2.0
-"""What comes and cannot be read comes now, if some did within so long."""
+"""Bytes that could not be read count as current for this long."""
 _KEPT_LOOKS = 1024
 _ADVICE = "switch the device off and on"
 _UPDATE = "look for an update of its software"
 
 
 class SilenceRecovery:
-    """Looks after the streams of one connection.
+    """Enables silent streams of a connection again, or ends the connection.
 
     Parameters
     ----------
     driver
         May implement :class:`~biosensor_gateway.devices.driver.EnablesAgain`.
     sink
-        Knows what is silent.
+        Its watch reports silent streams.
     on_change
-        Called with what is wrong, None when nothing is any more; and with whether
-        something is being done about it that may still help.
+        Called with the problem, or None when it is over; and with whether enabling again may
+        still solve it.
     """
 
     def __init__(
@@ -58,23 +58,23 @@ class SilenceRecovery:
         self._limit_s = driver.silence_limit_s
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
         self._unreadable = _Unreadable(sink)
-        self._told: str | None = None
+        self._reported: str | None = None
         self._remarked: tuple[str, ...] = ()
 
     async def run(self) -> None:
-        """Look after them until cancelled.
+        """Watch the streams until cancelled.
 
         Raises
         ------
         TransportError
-            ``SILENT``: a new connection is needed.
+            ``SILENT`` if a new connection is needed.
         """
-        self._tell_denied()
+        self._report_denied()
         while True:
             await asyncio.sleep(min(TICK_S, self._limit_s))
             self._unreadable.look()
-            self._welcome(self._watch.take_came_back())
-            self._tell_remarks()
+            self._report_recovered(self._watch.take_came_back())
+            self._report_remarks()
             if self._watch.is_device_silent:
                 message = f"nothing from the device for {self._limit_s:.0f} s"
                 message += self._unreadable.since(self._limit_s)
@@ -82,7 +82,7 @@ class SilenceRecovery:
                     TransportReason.SILENT, f"{message}; the connection is started again"
                 )
             if self._sink.is_paused:
-                # Nobody misses what would be withheld.
+                # While it is paused, samples would be suppressed anyway.
                 self._watch.wait_again()
                 continue
             silence = self._watch.judge(
@@ -91,22 +91,25 @@ class SilenceRecovery:
             if silence is not None:
                 await self._act(silence)
 
-    def _welcome(self, came_back: frozenset[str]) -> None:
+    def _report_recovered(self, came_back: frozenset[str]) -> None:
         if came_back:
             self._sink.tell_came_back(came_back)
             _log.info("data come again", **self._names, streams=sorted(came_back))
         if came_back and not self._watch.absent:
-            self._told = None
-            self._on_change(self._standing(), False)
+            self._reported = None
+            self._on_change(self._remaining_problem(), False)
 
     def _patience_s(self) -> float:
-        """How long streams may be absent now: one that sends what nobody can read is not late."""
+        """Return how long streams may be absent, limited while only unreadable bytes arrive.
+
+        Then the device does send, and waiting longer would not help.
+        """
         is_foreign = (
             self._watch.device_silence_s >= PATIENCE_S and self._unreadable.count(FRESH_S) > 0
         )
         return PATIENCE_S if is_foreign else math.inf
 
-    def _tell_denied(self) -> None:
+    def _report_denied(self) -> None:
         denied = self._watch.denied
         if not denied:
             return
@@ -117,33 +120,33 @@ class SilenceRecovery:
         if not self._watch.absent:
             self._on_change(text, False)
 
-    def _standing(self) -> str | None:
-        """Return what is wrong although all that can come comes; None if that is nothing."""
+    def _remaining_problem(self) -> str | None:
+        """Return what is wrong although no stream is silent; None if nothing is."""
         found = [_denial(self._watch.denied), *self._watch.remarks.values()]
         return "; ".join(each for each in found if each) or None
 
-    def _tell_remarks(self) -> None:
+    def _report_remarks(self) -> None:
         remarks = tuple(self._watch.remarks.values())
         if remarks == self._remarked:
             return
         kinds = {_kind(each) for each in self._remarked}
         for each in remarks:
-            # The numbers differ each time.
+            # Compared without numbers, which differ each time.
             if _kind(each) not in kinds:
                 _log.warning(each, **self._names)
         self._remarked = remarks
         if not self._watch.absent:
-            self._on_change(self._standing(), False)
+            self._on_change(self._remaining_problem(), False)
 
     async def _act(self, silence: Silence) -> None:
         self._sink.tell_silent(silence)
         text = self._sentence(silence)
         if silence.remedy is Remedy.RECONNECT:
             raise TransportError(TransportReason.SILENT, text)
-        # A stream that stays away is tried again and again; it is said once.
+        # A silent stream is enabled again and again; only the first attempt is logged.
         if silence.attempts == 0 or silence.remedy is Remedy.NONE:
-            self._say(text)
-        self._on_change(self._told or text, silence.remedy is Remedy.ENABLE)
+            self._report(text)
+        self._on_change(self._reported or text, silence.remedy is Remedy.ENABLE)
         if silence.remedy is Remedy.ENABLE:
             await self._enable(silence)
 
@@ -155,11 +158,11 @@ class SilenceRecovery:
             raise TransportError(TransportReason.SILENT, str(error)) from error
         self._watch.enabled_again(silence.streams)
 
-    def _say(self, text: str) -> None:
-        # The seconds differ each time.
-        if self._told is None or _kind(text) != _kind(self._told):
+    def _report(self, text: str) -> None:
+        # Compared without the seconds, which differ each time.
+        if self._reported is None or _kind(text) != _kind(self._reported):
             _log.warning(text, **self._names, reason=TransportReason.SILENT.value)
-            self._told = text
+            self._reported = text
 
     def _sentence(self, silence: Silence) -> str:
         streams = ", ".join(sorted(silence.streams))
@@ -175,30 +178,30 @@ class SilenceRecovery:
 
 
 class _Unreadable:
-    """Bytes of a device that made no valid message, by when they came."""
+    """Counts a device's bytes that were not part of a valid message, over time."""
 
     def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         self._seen = deque([(sink.clock(), sink.dropped_bytes)], maxlen=_KEPT_LOOKS)
 
     def look(self) -> None:
-        """Note how many there are now."""
+        """Note the current count."""
         self._seen.append((self._sink.clock(), self._sink.dropped_bytes))
 
     def count(self, seconds: float) -> int:
-        """Return how many came in the last seconds, as far as is known."""
+        """Return the number in the last *seconds*, as far as it was noted."""
         begin_s = self._sink.clock() - seconds
         before = next((n for time_s, n in reversed(self._seen) if time_s <= begin_s), None)
         return self._sink.dropped_bytes - (self._seen[0][1] if before is None else before)
 
     def since(self, seconds: float) -> str:
-        """Say so; empty if there were none."""
+        """Return the number in the last *seconds* as text; empty if it is 0."""
         count = self.count(seconds)
         return f" ({count} bytes came that cannot be read)" if count else ""
 
 
 def _denial(denied: Mapping[str, str]) -> str | None:
-    """Say what the device refuses; None if that is nothing."""
+    """Return which streams the device refuses, and why; None if it refuses none."""
     if not denied:
         return None
     parts = (f"{', '.join(names)} ({why})" for why, names in _by_reason(denied).items())
@@ -220,7 +223,7 @@ PROBE_INTERVAL_S = 1.5
 BACKOFF_FIRST_S = 1.0
 BACKOFF_CAP_S = 30.0
 STABLE_AFTER_S = 30.0
-"""A connection that lasted this long clears the memory of earlier failures."""
+"""A connection that lasted this long resets the back-off."""
 CLOSE_TIMEOUT_S = 2.0
 
 _PROBED = frozenset({TransportReason.ABSENT, TransportReason.LOST, TransportReason.SILENT})
@@ -229,14 +232,14 @@ _log = structlog.get_logger("biosensor_gateway.supervisor")
 
 
 class Supervisor:
-    """Runs drivers for one device, one a connection, until it is stopped.
+    """Keeps one device connected, with a new driver for each connection.
 
     Parameters
     ----------
     make_driver
         Makes a driver for one connection.
     sink
-        Where drivers put samples; its silence is watched.
+        Receives the drivers' samples; its silent streams are recovered.
     on_state
         Called with every new state.
 
@@ -245,9 +248,9 @@ class Supervisor:
     on_drop
         Called with the reason, in one word, as soon as a connection has ended by itself.
     admit
-        Called before each connection; raises what forbids it.
+        Called before each connection; raises an exception to forbid it.
     away_since
-        Unix time in s since when it does not stream, for people; None while it does.
+        Unix time in s since when the device does not stream; None while it streams.
     """
 
     def __init__(
@@ -270,12 +273,12 @@ class Supervisor:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the device is connected, and whatever comes from it is passed on."""
+        """Whether the device is connected, and its samples are passed on."""
         return self.state.value in CONNECTED
 
     async def run(self) -> None:
-        """Keep the device connected; returns only by cancellation, with the device closed."""
-        # Whatever a driver logs from now on names its device.
+        """Keep the device connected until cancelled; then close it."""
+        # The driver's log entries then have the device's name.
         structlog.contextvars.bind_contextvars(**self._names)
         try:
             while True:
@@ -299,7 +302,7 @@ class Supervisor:
             if self._sink.watch.is_complete:
                 self.last_error = None
             started = self._sink.clock()
-            # What had fallen silent before has been enabled with everything else.
+            # Streams that were silent in the last connection were enabled again by the new one.
             self._enter(State.ENABLING if self._sink.watch.absent else State.STREAMING)
             return self._dropped(await self._stream(driver))
         except asyncio.CancelledError:
@@ -333,7 +336,7 @@ class Supervisor:
         return TransportError(TransportReason.LOST, "the driver stopped by itself")
 
     def _dropped(self, error: Exception) -> Exception:
-        # Closing comes later; it takes time and tells nothing more.
+        # Before closing, which takes time and does not change the reason.
         self.on_drop(_word(error))
         return error
 
@@ -363,7 +366,7 @@ class Supervisor:
             self._report_closing(closing)
 
     def _report_closing(self, closing: asyncio.Task[None]) -> None:
-        # Whatever went wrong, the connection is over.
+        # Only logged: the connection is over in any case.
         if not closing.done():
             closing.cancel()
             _log.warning("closing takes too long; it is left to itself", **self._names)
@@ -371,20 +374,20 @@ class Supervisor:
             _log.warning("closing failed", **self._names, error=str(error))
 
     async def _pause_after(self, error: Exception) -> None:
-        self._report(error)
+        self._log_error(error)
         if isinstance(error, TransportError) and error.reason in _PROBED:
             self._enter(State.DISCOVERING)
             await sleep(PROBE_INTERVAL_S)
         else:
             self._enter(State.BACKOFF)
             delay, self._delay_s = self._delay_s, min(BACKOFF_CAP_S, 2 * self._delay_s)
-            # Jitter keeps several devices from knocking at one radio in step.
+            # Jitter keeps several devices from retrying on one radio at the same time.
             await sleep(delay * random.uniform(0.75, 1.0))  # noqa: S311 - no secret
 
-    def _report(self, error: Exception) -> None:
+    def _log_error(self, error: Exception) -> None:
         text = str(error) or type(error).__name__
         if isinstance(error, GatewayError):
-            # Probing repeats the same sentence for hours; once is enough.
+            # Logged once: probing would repeat the same sentence for hours.
             if text != self.last_error:
                 _log.warning(text, **self._names, reason=str(error.reason.value))
         else:
@@ -411,9 +414,9 @@ def _word(error: Exception) -> str:
 
 
 def _cause(error: Exception) -> Exception:
-    """Unwrap what a driver's task group raised.
+    """Unwrap the exception of a driver's task group.
 
-    When a link is cut, several tasks may notice at once: one that says so is enough.
+    When a link is lost, several tasks may raise at once; the first of these errors is enough.
     """
     if not isinstance(error, ExceptionGroup):
         return error

@@ -90,7 +90,7 @@ def page(
     def show(address: str) -> None:
         is_open = browser and open_page(address, in_window=window)
         if window and not is_open:
-            # The start menu's entry has no console on which the address could be read.
+            # The windowed program has no console on which the address could be read.
             message = (
                 "no browser could be opened; install Edge or Chrome, or choose a usual browser"
             )
