@@ -59,7 +59,7 @@ class LoopLag:
         self._since = self._scheduled
 
     def seconds(self) -> float:
-        """Return the longest delay of the last second or two, including a timer that is late now."""
+        """Return the longest delay of the last one or two seconds, the current one included."""
         overdue_s = self._clock() - self._scheduled
         return min(MOST_S, max(overdue_s, self._longest_s, self._longest_before_s))
 

@@ -1,6 +1,6 @@
-"""Changes the devices of the settings file; its comments, its order and all else stay.
+"""Edits devices and marker buttons in the settings file; comments and order are preserved.
 
-A change that would make the file wrong is refused, and the file is as it was.
+A change that would make the file invalid is refused, and the file is not changed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _DEVICE, _MARKERS = "device", "markers"
 
 
 def table_lines(sensor: str, fields: Mapping[str, Any]) -> str:
-    """Return the lines of a device's table."""
+    """Return the TOML of a device's table."""
     table = tomlkit.table()
     table["sensor"] = sensor
     for key, value in fields.items():
@@ -38,12 +38,12 @@ def table_lines(sensor: str, fields: Mapping[str, Any]) -> str:
 
 
 def add_device(path: Path, models: Models, sensor: str, fields: Mapping[str, Any]) -> None:
-    """Add a device at the end of the settings file, which is written first if there is none.
+    """Add a device at the end of the settings file, which is created if there is none.
 
     Raises
     ------
     ConfigError
-        The file would be wrong with it, or cannot be written; it is as it was.
+        If the file would be invalid, or cannot be written; it is not changed.
     """
     if not path.exists():
         template.write_template(path, models)
@@ -55,7 +55,7 @@ def add_device(path: Path, models: Models, sensor: str, fields: Mapping[str, Any
 def change_device(
     path: Path, models: Models, sensor: str, unit: str, fields: Mapping[str, Value | None]
 ) -> None:
-    """Set keys of a device's table, or take out those that are None.
+    """Set keys of a device's table; remove those that are None.
 
     Raises
     ------
@@ -74,12 +74,12 @@ def change_device(
 
 
 def set_participant(path: Path, models: Models, participant: str) -> None:
-    """Have one person wear all enabled devices of the settings, by one change of the file.
+    """Set the participant of all enabled devices in the settings file.
 
     Raises
     ------
     ConfigError
-        As `add_device`; also if two devices could not be told apart then.
+        As `add_device`; also if two devices would then have the same name.
     """
     document, tables = _parsed(path)
     for table in cast("list[dict[str, object]]", tables):
@@ -89,7 +89,7 @@ def set_participant(path: Path, models: Models, participant: str) -> None:
 
 
 def set_marker_buttons(path: Path, models: Models, names: Sequence[str]) -> None:
-    """Name the buttons of markers; the file is written first if there is none.
+    """Set the names of the marker buttons; the file is created if there is none.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def set_marker_buttons(path: Path, models: Models, names: Sequence[str]) -> None
 
 
 def remove_device(path: Path, models: Models, sensor: str, unit: str) -> None:
-    """Take a device out of the settings file.
+    """Remove a device from the settings file.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def remove_device(path: Path, models: Models, sensor: str, unit: str) -> None:
 
 def _text(path: Path) -> str:
     settings_file.read_text(path)
-    # Again as it is: whoever wrote it with Windows' line ends keeps them.
+    # Read again as bytes, to preserve Windows' line ends.
     return path.read_bytes().decode("utf-8-sig")
 
 
@@ -149,7 +149,7 @@ def _index(path: Path, tables: AoT, sensor: str, unit: str) -> int:
 
 def _write(path: Path, models: Models, text: str) -> None:
     settings_file.settings_of(path, text, models)
-    # Where a link leads; a half-written file must never be in its place.
+    # Resolved, to replace the target of a link and not the link. The file is replaced as a whole.
     target = path.resolve()
     fresh = target.with_name(f"{target.name}.{os.getpid()}")
     try:

@@ -1,4 +1,4 @@
-"""Reads the settings file, and says everything that is wrong with it at once."""
+"""Reads and validates the settings file, and reports all its problems at once."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def load_settings(path: Path, device_models: Mapping[str, type[DeviceSettings]])
 def load_or_defaults(
     path: Path, device_models: Mapping[str, type[DeviceSettings]]
 ) -> GatewaySettings:
-    """Read the settings, or take the usual ones if there is no file; see `load_settings`."""
+    """Read the settings, or the defaults if there is no file; see `load_settings`."""
     try:
         return load_settings(path, device_models)
     except ConfigError as error:
@@ -59,7 +59,7 @@ def load_or_defaults(
     try:
         return GatewaySettings()
     except ValidationError as error:
-        # What the environment says, then.
+        # Only the environment's overrides can be wrong here.
         problems = list(from_validation(error, GatewaySettings))
         raise report(path, {}, problems) from None
 
@@ -67,7 +67,7 @@ def load_or_defaults(
 def settings_of(
     path: Path, text: str, device_models: Mapping[str, type[DeviceSettings]]
 ) -> GatewaySettings:
-    """Validate what stands in the settings file, or would; see `load_settings`."""
+    """Validate the text of a settings file; see `load_settings`."""
     data = _parse(path, text)
     sections = {key: value for key, value in data.items() if key in _top_level_keys()}
     problems = [unknown_key((key,), GatewaySettings) for key in data if key not in sections]
@@ -89,7 +89,7 @@ def _top_level_keys() -> frozenset[str]:
 
 
 def read_text(path: Path) -> str:
-    """Return what stands in the settings file.
+    """Return the text of the settings file.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def read_text(path: Path) -> str:
         ``NOT_FOUND`` or ``UNREADABLE``.
     """
     try:
-        # Windows editors put a byte order mark first, which TOML does not know.
+        # utf-8-sig, because Windows editors write a byte order mark, which TOML does not allow.
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         message = f"there is no settings file {path}; make one with `biosensor-gateway config init`"
@@ -125,7 +125,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 class _Devices:
-    """The entries of the file's device array, each judged by its sensor's model."""
+    """The entries of the file's device array, each validated by its sensor's model."""
 
     def __init__(self, entries: object, models: Mapping[str, type[DeviceSettings]]) -> None:
         self.valid: dict[int, DeviceSettings] = {}
@@ -136,10 +136,10 @@ class _Devices:
             self.problems.append(Problem(ConfigReason.WRONG_VALUE, (_DEVICE,), text))
             return
         for index, entry in enumerate(cast("list[object]", entries)):
-            self._judge(index, entry)
+            self._validate(index, entry)
         self.problems += self._duplicates()
 
-    def _judge(self, index: int, entry: object) -> None:
+    def _validate(self, index: int, entry: object) -> None:
         path = (_DEVICE, index)
         if not isinstance(entry, dict):
             text = "a device should be a table: [[device]] and one line for each key"
@@ -172,7 +172,7 @@ class _Devices:
 
 
 def _identities(device: DeviceSettings) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield what no two enabled devices may share, with its name for a person."""
+    """Yield the keys that must be unique among enabled devices, each with its text for people."""
     if not device.enabled:
         return
     name = device.sensor_name

@@ -1,4 +1,4 @@
-"""The settings of markers that web experiments send: who may, and where."""
+"""Models of all settings; drivers add their fields in subclasses of `DeviceSettings`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from biosensor_gateway.settings.names import MAX_LENGTH
 
 USUAL_PORT = 17871
 OF_NO_SITE = "null"
-"""What a browser names as origin of a page that was opened from a file."""
+"""The origin that a browser sends for a page that was opened from a file."""
 
 _MAX_ORIGINS = 20
 _MAX_ORIGIN_LENGTH = 200
@@ -30,7 +30,7 @@ _IMPLIED = {"http": ":80", "https": ":443"}
 
 
 def _origin(value: str) -> str:
-    """Refuse what no browser says of itself, for it would silently let nobody in."""
+    """Return a valid origin; an invalid one would silently match no page."""
     if value == OF_NO_SITE:
         return value
     parts = _ORIGIN.fullmatch(value)
@@ -82,7 +82,7 @@ def _printable(value: str) -> str:
 
 
 def _session(value: str) -> str:
-    # The text goes into an LSL query and an INI file, which know no escapes.
+    # The text goes into an LSL query and an INI file, which have no escapes.
     if not _SESSION.fullmatch(value):
         raise ValueError("should have only letters, digits, '_', '.' and '-'")
     return value
@@ -102,9 +102,9 @@ def _all_different(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 ShortText = Annotated[str, StringConstraints(max_length=MAX_LENGTH), AfterValidator(_printable)]
-"""Printable text of at most 32 characters, for whatever ends up in stream names."""
+"""Printable text of at most 32 characters, for parts of stream names."""
 
-# macOS knows a Bluetooth device by a UUID.
+# On macOS the address of a Bluetooth device is a UUID.
 _MAX_UNIT_LENGTH = 36
 
 UnitText = Annotated[
@@ -117,7 +117,7 @@ _MAX_BUTTONS = 20
 ButtonText = Annotated[
     str, StringConstraints(min_length=1, max_length=MAX_LENGTH), AfterValidator(_printable)
 ]
-"""The same for a button, which has a name."""
+"""The same for a button, whose name cannot be empty."""
 
 
 class LslSettings(BaseModel):
@@ -146,7 +146,7 @@ class LslSettings(BaseModel):
 
     @property
     def overrides(self) -> LslOverrides:
-        """What comes before the user's own LSL file; a range that nobody set does not."""
+        """Overrides of the user's LSL file; the default port range overrides nothing."""
         port_range = self.port_range if "port_range" in self.model_fields_set else None
         return LslOverrides(self.session_id, self.known_peers, port_range)
 
@@ -201,7 +201,7 @@ class MarkerSettings(BaseModel):
 
 
 class PowerSettings(BaseModel):
-    """What the agent asks of the computer that it runs on."""
+    """Settings about the power management of the agent's computer."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -214,11 +214,11 @@ class PowerSettings(BaseModel):
 
 
 class DeviceSettings(BaseModel):
-    """What every device has; each driver adds its own fields in a subclass.
+    """Settings of every device; each driver adds its own fields in a subclass.
 
-    A subclass keeps to scalars and lists (``tuple`` with ``strict=False``) and
-    to ``Literal`` for choices, gives every field a description, and a required
-    field an example, which the template shows.
+    A subclass uses only scalars, lists (``tuple`` with ``strict=False``) and
+    ``Literal`` for choices. Every field has a description, and a required field
+    has an example, which the template shows.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -243,17 +243,17 @@ class DeviceSettings(BaseModel):
 
     @property
     def sensor_name(self) -> str:
-        """What streams and topics call the sensor; its kind, unless the table gives it a name."""
+        """Name of the sensor in streams and topics: its kind, unless the settings have a name."""
         return self.sensor
 
     @property
     def identity(self) -> DeviceIdentity:
-        """Which device it is, for streams, topics and logs."""
+        """Identity of the device, for streams, topics and logs."""
         return DeviceIdentity(self.sensor_name, self.unit, self.participant, self.label)
 
 
 class _SectionOverrides(EnvSettingsSource):
-    """Environment variables for the sections; devices come from the file alone."""
+    """Overrides of sections by environment variables; devices are only in the file."""
 
     def prepare_field_value(
         self, field_name: str, field: FieldInfo, value: object, value_is_complex: bool
@@ -263,7 +263,7 @@ class _SectionOverrides(EnvSettingsSource):
         return super().prepare_field_value(field_name, field, value, value_is_complex)
 
     def decode_complex_value(self, field_name: str, field: FieldInfo, value: object) -> object:
-        # What is no JSON stays text, so that the model refuses it and names the key.
+        # Invalid JSON stays text, so that the model refuses it with the name of the key.
         try:
             return super().decode_complex_value(field_name, field, value)
         except ValueError:
@@ -301,11 +301,11 @@ class GatewaySettings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Take the environment before the arguments, and nothing else."""
+        """Use only the environment and the arguments, in this order of precedence."""
         del env_settings, dotenv_settings, file_secret_settings
         return _SectionOverrides(settings_cls), init_settings
 
 
 def environment_overrides() -> dict[str, Any]:
-    """Read what the environment sets, by section and key, not validated."""
+    """Return the environment's overrides by section and key, not validated."""
     return _SectionOverrides(GatewaySettings)()

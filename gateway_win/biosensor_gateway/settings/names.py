@@ -1,7 +1,7 @@
-"""The one rule for the names that people are given: what is typed again has letters and digits.
+"""The rule for participants' names: new names have only letters and digits.
 
-BIDS labels take nothing else, and file names, LSL names and ROS topics carry these as they are.
-Settings and recordings that have other names stay valid; :func:`label` says what they become.
+BIDS labels allow nothing else, and such names need no change in file names, LSL names and ROS
+topics. Other names in existing settings and recordings stay valid; :func:`label` converts them.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from hashlib import sha256
 from biosensor_common.errors import ConfigError, ConfigReason
 
 LABEL = re.compile(r"[A-Za-z0-9]+")
-"""What BIDS takes as a label, https://bids-specification.readthedocs.io."""
+"""A BIDS label, see https://bids-specification.readthedocs.io."""
 MAX_LENGTH = 32
-"""Characters of a name that becomes a part of stream names."""
+"""Maximum length of a name that is a part of stream names."""
 _MOST_CHARACTERS = 40
 _HASH_CHARACTERS = 6
 _NOT_OF_A_LABEL = re.compile(r"[^0-9A-Za-z]+")
 
 
 def label(text: str) -> str:
-    """Return letters and digits of a text: BIDS allows no other in its labels.
+    """Return the letters and digits of a text, for a BIDS label.
 
-    Letters lose their accents. Where nothing is left, or it is cut, it gets a hash of the text,
-    so that different ones stay different.
+    Accents are removed. A result that is empty or cut gets a hash of the text, so that different
+    texts have different labels.
     """
     plain = _plain(text)
     if plain and len(plain) <= _MOST_CHARACTERS:
@@ -34,12 +34,12 @@ def label(text: str) -> str:
 
 
 def require_participant(name: str) -> str:
-    """Return a participant's name that somebody has typed.
+    """Return a participant's name if it is valid.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if it has other characters than letters and digits, or too many.
+        ``WRONG_VALUE`` if it has other characters than letters and digits, or too many.
     """
     if LABEL.fullmatch(name) and len(name) <= MAX_LENGTH:
         return name

@@ -1,4 +1,4 @@
-"""The folders that the settings file and the state lie in."""
+"""The paths of the settings file and of the state folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STATE_VARIABLE = "BIOSENSOR_GATEWAY_STATE"
 
 
 def settings_path() -> Path:
-    """Where the settings file is: ``BIOSENSOR_GATEWAY_SETTINGS`` or the user's config folder."""
+    """Return ``BIOSENSOR_GATEWAY_SETTINGS``, or the settings file in the user's config folder."""
     chosen = os.environ.get(SETTINGS_VARIABLE)
     if chosen:
         return Path(chosen).expanduser()
@@ -21,7 +21,7 @@ def settings_path() -> Path:
 
 
 def state_folder() -> Path:
-    """Where status and logs go: ``BIOSENSOR_GATEWAY_STATE`` or the user's state folder."""
+    """Return ``BIOSENSOR_GATEWAY_STATE``, or the user's state folder, for status and logs."""
     chosen = os.environ.get(STATE_VARIABLE)
     if chosen:
         return Path(chosen).expanduser()

@@ -1,7 +1,8 @@
-"""Finds the line of a TOML text on which a key stands; parsers give the values alone.
+"""Describes problems of the settings, with the line of each key.
 
-The text has been accepted by :mod:`tomllib`, so this scanner only has to tell
-keys from values, not to find mistakes. Grammar: TOML 1.0.0, toml.io/en/v1.0.0.
+Parsers return values without lines, so that `key_lines` scans the text for the keys.
+:mod:`tomllib` has accepted the text before, and the scanner only has to distinguish keys
+from values. Grammar: TOML 1.0.0, toml.io/en/v1.0.0.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class _Scanner:
     def _key(self) -> Iterator[tuple[str, int]]:
         while True:
             token = self._take()
-            # A quoted key has the escapes of a string; the parser knows them all.
+            # A quoted key can have escapes, which the parser resolves.
             yield next(iter(tomllib.loads(f"{token.text} = 0"))), token.line
             if self._current.text != ".":
                 return
@@ -101,7 +102,7 @@ class _Scanner:
         path: KeyPath = ()
         line = 0
         for part, line in self._key():
-            # Below an array of tables, a header means the newest element.
+            # A header below an array of tables belongs to its last element.
             length = self._lengths.get(path, 0)
             path = self._note((*path, length - 1, part) if length else (*path, part), line)
         if is_element:
@@ -181,8 +182,8 @@ _LONGEST_SHOWN = 40
 class Problem(NamedTuple):
     """One thing to correct.
 
-    ``variable`` is the environment variable it comes from, empty for the file;
-    ``other`` is a second place in the file that it has to do with.
+    ``variable`` is the environment variable that has it, empty for the file;
+    ``other`` is a second place in the file that conflicts with it.
     """
 
     reason: ConfigReason
@@ -193,14 +194,14 @@ class Problem(NamedTuple):
 
 
 def report(path: Path, lines: Mapping[KeyPath, int], problems: Sequence[Problem]) -> ConfigError:
-    """Make one error of all problems, those of the file first and in its order.
+    """Return one error for all problems, those of the file first and in its order.
 
     Parameters
     ----------
     path
         The settings file.
     lines
-        Where its keys are, from `key_lines`.
+        Lines of its keys, from `key_lines`.
     problems
         At least one.
     """
@@ -226,16 +227,16 @@ def _line(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
 def from_validation(
     error: ValidationError, model: type[BaseModel], path: KeyPath = ()
 ) -> Iterator[Problem]:
-    """Translate what a model has found.
+    """Convert the errors of a model's validation to problems.
 
     Parameters
     ----------
     error
-        Its findings.
+        The validation's error.
     model
         The model that was validated.
     path
-        Where in the file the model's table is.
+        Path of the model's table in the file.
     """
     overrides = {} if path else environment_overrides()
     reported = [] if path else [problem.variable for problem in unknown_variables(model)]
@@ -285,7 +286,7 @@ def unknown_key(path: KeyPath, model: type[BaseModel] | None) -> Problem:
 
 
 def wrong_choice(path: KeyPath, key: str, value: object, known: Iterable[str]) -> Problem:
-    """Describe a name that is missing (``None``) or is none of those known."""
+    """Describe a name that is missing (``None``) or unknown."""
     names = sorted(known)
     listed = f"should be one of {', '.join(names)}" if names else "has no known value"
     text = f"'{key}' is missing; it {listed}"
@@ -296,7 +297,7 @@ def wrong_choice(path: KeyPath, key: str, value: object, known: Iterable[str]) -
 
 
 def unknown_variables(model: type[BaseModel]) -> Iterator[Problem]:
-    """Find environment variables that look like overrides, but would change nothing."""
+    """Find environment variables that look like overrides, but change nothing."""
     sections = {
         name.upper(): field.annotation
         for name, field in model.model_fields.items()
@@ -316,7 +317,7 @@ def unknown_variables(model: type[BaseModel]) -> Iterator[Problem]:
 
 
 def _is_set(path: KeyPath, overrides: Mapping[str, object]) -> bool:
-    """Whether the overrides set a key or something around it."""
+    """Whether the overrides set a key or a table around it."""
     node: object = overrides
     for part in path:
         if not isinstance(node, dict):
@@ -328,7 +329,7 @@ def _is_set(path: KeyPath, overrides: Mapping[str, object]) -> bool:
 
 
 def _variable(path: KeyPath) -> str:
-    """Name the variable that comes closest to a key which the environment sets."""
+    """Return the environment variable that sets a key, or the closest table around it."""
     keys = [str(part).upper() for part in path if isinstance(part, str)]
     name = OVERRIDE_PREFIX + OVERRIDE_DELIMITER.join(keys)
     related = [

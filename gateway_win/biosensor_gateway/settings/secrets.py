@@ -1,6 +1,6 @@
 """Reads secrets from the environment, else from the operating system's keyring.
 
-They are never in the settings file, the command line, a log or an error.
+Secrets are never in the settings file, the command line, a log or an error message.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _T = TypeVar("_T")
 
 
 class Secret:
-    """Text that shows itself to nobody who does not ask for it."""
+    """Text that `repr` and `str` hide, so that it is not logged by accident."""
 
     __slots__ = ("_text",)
 
@@ -29,7 +29,7 @@ class Secret:
         self._text = text
 
     def reveal(self) -> str:
-        """Return the text; only for what sends it to the service it is for."""
+        """Return the text, to send it to its service."""
         return self._text
 
     def __repr__(self) -> str:
@@ -44,16 +44,16 @@ class Secret:
 
 @dataclass(frozen=True, slots=True)
 class SecretName:
-    """Which secret of which sensor; drivers declare theirs.
+    """Name of a secret of a sensor; drivers declare theirs.
 
     Attributes
     ----------
     name
         Unique for the sensor.
     variable
-        Environment variable that has it; goes before the keyring.
+        Environment variable with the secret; it takes precedence over the keyring.
     title
-        What a person calls it.
+        Name of the secret for people.
     """
 
     sensor: str
@@ -63,17 +63,17 @@ class SecretName:
 
     @property
     def entry(self) -> str:
-        """Under which user name the keyring has it."""
+        """User name of the secret in the keyring."""
         return f"{self.sensor}.{self.name}"
 
 
 def find_secret(name: SecretName) -> Secret:
-    """Look a secret up; blocks while the keyring asks its user to unlock it.
+    """Look up a secret; blocks while the keyring asks its user to unlock it.
 
     Raises
     ------
     CredentialError
-        ``MISSING``: it is nowhere, or there is no keyring to look into.
+        ``MISSING`` if the secret is not found, or there is no keyring.
     """
     from_environment = _from_environment(name)
     if from_environment:
@@ -89,7 +89,7 @@ def find_secret(name: SecretName) -> Secret:
 
 
 def secret_origin(name: SecretName) -> str:
-    """Say where `find_secret` finds a secret, for a person.
+    """Return where `find_secret` finds a secret, for people.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def forget_secret(name: SecretName) -> bool:
         try:
             keyring.delete_password(SERVICE, name.entry)
         except PasswordDeleteError:
-            # Some other program was faster.
+            # Another program has removed it in between.
             return False
         return True
 
@@ -148,5 +148,6 @@ def _asked(name: SecretName, call: Callable[[], _T]) -> _T:
         problem = f"the keyring is locked; unlock it or set {name.variable}"
     except Exception as error:  # noqa: BLE001 - backends pass on whatever their system raises
         problem = f"the keyring fails ({type(error).__name__}); set {name.variable} instead"
-    # Outside of the handlers, so that no text of a backend, which may quote the secret, is chained.
+    # Raised outside the handlers, so that a backend's message, which may quote the secret, is not
+    # chained to it.
     raise CredentialError(CredentialReason.MISSING, f"{name.title}: {problem}")

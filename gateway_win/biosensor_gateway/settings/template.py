@@ -1,7 +1,7 @@
-"""Writes a settings file to begin with: every key, described and commented out.
+"""Writes a first settings file: every key with its description, commented out.
 
-Text is commented with ``# `` and settings with ``#``, so that a setting is
-switched on by removing one character.
+Descriptions begin with ``# `` and settings with ``#``, so that removing one
+character activates a setting.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _INTRODUCTION = (
 
 
 def template(device_models: Mapping[str, type[DeviceSettings]]) -> str:
-    """Write down every setting, with its description and its default or an example.
+    """Return TOML with every setting, its description, and its default or an example.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def template(device_models: Mapping[str, type[DeviceSettings]]) -> str:
     Returns
     -------
     str
-        TOML that loads as it stands and with any of its examples switched on.
+        TOML that loads unchanged and with any of its examples activated.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _section(name: str, model: type[BaseModel]) -> Iterator[str]:
             inner[f"{name}.{key}"] = type(field.default)
         else:
             yield from _setting(name, key, field)
-    # TOML has them last: what follows the head of a table belongs to it.
+    # Inner tables come last, because TOML assigns all keys after a header to that table.
     for each, table in inner.items():
         yield ""
         yield from _section(each, table)

@@ -1,4 +1,4 @@
-"""Names files so that programs can open them that know the letters of one code page only."""
+"""Finds file names for Windows programs that can only open names in the ANSI code page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _fits(text: str) -> bool:
 
 
 def _short(text: str) -> str:
-    """Return the short name (8.3) of what exists; empty where the disk keeps none."""
+    """Return the short (8.3) name of an existing path; empty if the disk has none."""
     if sys.platform != "win32":
         return ""
     buffer = ctypes.create_unicode_buffer(_LONGEST)
@@ -34,14 +34,12 @@ def ansi_folder(
     fits: Callable[[str], bool] = _fits,
     short: Callable[[str], str] = _short,
 ) -> Path | None:
-    """Return a name of a folder that any program can open; None if it has no such name.
+    """Return a name of an existing folder that any program can open; None if it has none.
 
     Parameters
     ----------
-    folder
-        Exists.
     is_windows, fits, short
-        What is known of the system.
+        Properties of the system; tests replace them.
     """
     if not is_windows or fits(str(folder)):
         return folder

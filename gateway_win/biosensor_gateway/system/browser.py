@@ -1,8 +1,8 @@
-r"""Opens an address in a window of its own, or in the browser.
+r"""Opens an address in a separate window, or in the browser.
 
-A program is started by its full path, never by its name alone: the current folder may hold one
-that somebody else put there. Source for ``App Paths`` and the folders of programs: Microsoft's
-documentation "Application Registration"; for ``--app``: Chromium's list of switches.
+A program is started by its full path, because the current folder may contain another program of
+the same name. Source for ``App Paths`` and the folders of programs: Microsoft's documentation
+"Application Registration"; for ``--app``: Chromium's list of switches.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from biosensor_common.system_programs import full_path
 
 _SHOWN_AFTER_S = 2.0
-"""One that cannot show a window, for want of a screen, say, has ended by then."""
+"""A browser that cannot show a window, for example without a screen, has ended by then."""
 
 _CHROMIUMS = (
     *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
@@ -32,24 +32,24 @@ def open_page(address: str, *, in_window: bool) -> bool:
     Parameters
     ----------
     address
-        Of a page on this computer.
+        Address of a page on this computer.
     in_window
-        Try first to give it a window without tabs and bars, as a program has one.
+        Whether to try a window without tabs and bars first.
     """
     return (in_window and _open_window(address)) or webbrowser.open(address)
 
 
 def _open_window(address: str) -> bool:
-    # What has the browser that a person chose as the usual one may not know such windows.
-    # One that was never used would show a tour before the page.
+    # Not the default browser, which may lack such windows. A browser that was never used would
+    # show a tour before the page.
     options = [f"--app={address}", "--no-first-run"]
     return any(_started([program, *options]) for program in _programs())
 
 
 def _started(command: list[str]) -> bool:
-    """Whether a browser has begun, or handed the address to one that runs."""
+    """Whether a browser has started, or passed the address to one that runs already."""
     try:
-        # Neither Ctrl-C here nor the end of this program is meant for it.
+        # In a new session, so that neither Ctrl-C nor the end of this program closes it.
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -72,16 +72,16 @@ if sys.platform == "win32":
     _FOLDERS = ("ProgramFilesDir (x86)", "ProgramFilesDir")
 
     def _programs() -> Iterator[str]:
-        r"""Yield where Edge is: as it says itself, and where Windows brings it."""
-        said = _value(rf"{_WINDOWS}\App Paths\{_EDGE}", "").strip('"')
+        r"""Yield the paths of Edge: as it is registered, and where Windows installs it."""
+        registered = _value(rf"{_WINDOWS}\App Paths\{_EDGE}", "").strip('"')
         folders = (_value(_WINDOWS, each) for each in _FOLDERS)
         usual = (str(Path(each, "Microsoft", "Edge", "Application", _EDGE)) for each in folders)
-        for program in dict.fromkeys((said, *usual)):
+        for program in dict.fromkeys((registered, *usual)):
             if Path(program).is_absolute() and Path(program).is_file():
                 yield program
 
     def _value(key: str, name: str) -> str:
-        # Of all users: what one of them has set is not asked.
+        # The machine's registry only, which a user without administrator rights cannot change.
         access = winreg.KEY_READ | winreg.KEY_WOW64_64KEY
         try:
             with winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, key, 0, access) as opened:
@@ -102,7 +102,7 @@ else:
 
 
 def apps(folders: Iterable[Path]) -> Iterator[str]:
-    """Yield the programs of browsers that macOS has in its folders of applications."""
+    """Yield the paths of browsers in macOS's folders of applications."""
     for name in _MAC_CHROMIUMS:
         for folder in folders:
             program = folder / f"{name}.app" / "Contents" / "MacOS" / name

@@ -1,4 +1,4 @@
-"""Starts this program again for another task, and tells that one when this one has ended."""
+"""Starts this program as another process, which can notice that this one has ended."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ _STDIN = 0
 
 
 def own_command(arguments: Sequence[str]) -> list[str]:
-    """Return the command line that runs this program with arguments.
-
-    An installed one has two programs in its folder; this is the one with a console.
-    """
+    """Return the command line that runs this program with arguments."""
     if getattr(sys, "frozen", False):
+        # An installation has two programs in its folder; this is the one with a console.
         return [str(Path(sys.executable).with_name(_PROGRAM)), *arguments]
     return [sys.executable, "-P", "-m", "biosensor_gateway.cli", *arguments]
 
@@ -34,19 +32,18 @@ def start_beside(
     output: int | IO[bytes] = subprocess.DEVNULL,
     cwd: Path | None = None,
 ) -> None:
-    """Run this program with arguments, without a terminal; it outlives this one.
+    """Start this program with arguments, without a terminal; it outlives this process.
 
     Parameters
     ----------
     environment
-        Variables that it has beside those of this one.
+        Variables in addition to those of this process.
 
     Raises
     ------
     OSError
-        The system cannot start it.
+        If the system cannot start it.
     """
-    # Nothing that this one has open may be held open by it.
     process = child.start(
         own_command(arguments),
         stdout=output,
@@ -54,26 +51,26 @@ def start_beside(
         env=os.environ | (environment or {}),
         cwd=cwd,
     )
-    # On POSIX a child that ended stays until somebody has waited for it.
+    # On POSIX a process that has ended stays as a zombie until its parent has waited for it.
     threading.Thread(target=process.wait, name=f"{arguments[0]} beside", daemon=True).start()
 
 
 def start_for(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Run this program with arguments and pipes to and from it, for as long as this one runs.
+    """Start this program with arguments and with pipes, for as long as this process runs.
 
-    The other side has `first_line` and `when_input_ends`. Raises ``OSError`` if the system cannot
-    start it.
+    The started process calls `first_line` and `when_input_ends`. Raises ``OSError`` if the system
+    cannot start it.
     """
     return child.start(own_command(arguments), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
 def first_line() -> bytes:
-    """Return the first line that came from whoever started this process; empty if it has gone."""
+    """Return the first line from the parent process; empty if that has ended."""
     return _input().readline()
 
 
 def when_input_ends(call: Callable[[], object]) -> None:
-    """Call a function, in a thread, when whoever started this process closes its input or dies."""
+    """Call a function, in a thread, when the parent process closes this one's input or ends."""
 
     def read() -> None:
         _input().read()
@@ -83,12 +80,12 @@ def when_input_ends(call: Callable[[], object]) -> None:
 
 
 def _input() -> FileIO:
-    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
+    # Unbuffered, because the interpreter cannot exit while a thread holds a buffer's lock.
     return FileIO(_STDIN, closefd=False)
 
 
 def lives(process: object) -> bool:
-    """Whether a process of that number lives; if that cannot be known, it does."""
+    """Whether a process with this id runs; True if that cannot be known."""
     import psutil
 
     try:

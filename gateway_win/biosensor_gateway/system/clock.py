@@ -1,8 +1,8 @@
-"""Tells the time, and lets threads wait by it.
+"""Clocks: LSL's, and a virtual one that advances only while everybody waits.
 
-Drivers, streams, supervisors and virtual devices are given one clock. Beside LSL's own, there is
-one that stands still while anybody works, so that half a minute of streaming takes as long as the
-work in it: here for one event loop, in tests for many threads.
+Drivers, streams, supervisors and virtual devices share one clock. With the virtual clock, half a
+minute of streaming takes only as long as its computations. This module has one for a single event
+loop; the tests have one for many threads.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ _T = TypeVar("_T")
 
 
 class Clock(Protocol):
-    """Seconds on LSL's clock when called; the event loops that it makes go by it."""
+    """A clock: returns seconds on LSL's clock, and makes event loops whose timers use it."""
 
     def __call__(self) -> float:
         """Return the time now, in seconds on LSL's clock."""
         ...
 
     def new_event_loop(self) -> asyncio.AbstractEventLoop:
-        """Make an event loop whose timers go by this clock, for a thread of its own."""
+        """Make an event loop whose timers use this clock, for a separate thread."""
         ...
 
     def wait_for(self, future: Future[_T], limit_s: float) -> _T:
@@ -34,7 +34,7 @@ class Clock(Protocol):
 
 
 class LslClock:
-    """The time that LSL stamps with."""
+    """The clock with which LSL stamps samples."""
 
     def __init__(self) -> None:
         self._now: Callable[[], float] | None = None
@@ -56,9 +56,9 @@ class LslClock:
 
 
 class LeapingClock:
-    """Stands still while its event loop works, and leaps to whatever that waits for next.
+    """A virtual clock: stands still while its event loop works, and leaps to its next timer.
 
-    For a loop alone in its thread: nothing of the world outside comes in time.
+    For a loop without sockets or other threads, whose events would arrive too late.
     """
 
     def __init__(self, now_s: float = 0.0) -> None:
@@ -78,7 +78,7 @@ class LeapingClock:
 
 
 class _LeapingSelector(selectors.DefaultSelector):
-    """Lets the time pass instead of waiting for it."""
+    """Advances the clock instead of waiting."""
 
     def __init__(self, clock: LeapingClock) -> None:
         super().__init__()
@@ -103,11 +103,11 @@ class _LeapingLoop(asyncio.SelectorEventLoop):
 
 
 def _local_clock() -> Callable[[], float]:
-    # Only now: settings and help do without LSL.
+    # Imported here, because settings and help do not need LSL.
     from pylsl.lib import lib
 
-    # pylsl's own call lets other threads of Python run meanwhile. This one takes 0.1 us and is
-    # asked six times for each sample: to wait for one's turn again costs far more than it gives.
+    # pylsl's own call releases the GIL. The function takes 0.1 us and is called six times for each
+    # sample, so that taking the GIL again would cost far more than it gives other threads.
     return ctypes.PYFUNCTYPE(ctypes.c_double)(("lsl_local_clock", lib))
 
 

@@ -1,4 +1,4 @@
-"""Tells folders that a program copies to a cloud service while files are written there."""
+"""Recognizes folders that a program synchronizes with a cloud service."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import platformdirs
 
 _ONEDRIVE = ("OneDrive", "OneDriveConsumer", "OneDriveCommercial")
-"""Variables that OneDrive sets to its folders, which may have any names."""
+"""Environment variables with OneDrive's folders, which can have any name."""
 _FOLDERS = (
     (re.compile(r"OneDrive( - .+)?", re.IGNORECASE), "OneDrive"),
     (re.compile(r"Dropbox( \(.+\))?", re.IGNORECASE), "Dropbox"),
@@ -20,14 +20,14 @@ _FOLDERS = (
     (re.compile(r"Nextcloud|ownCloud", re.IGNORECASE), "Nextcloud or ownCloud"),
     (re.compile(r"CloudStorage"), "a cloud service"),
 )
-"""Names that such folders have by default; macOS has all of them in CloudStorage."""
+"""Default names of such folders; on macOS they are all in CloudStorage."""
 _RECORDINGS = "Biosensor recordings"
 _FETCHED_WHEN_OPENED = 0x00040000 | 0x00400000
 """FILE_ATTRIBUTE_RECALL_ON_OPEN and FILE_ATTRIBUTE_RECALL_ON_DATA_ACCESS of Windows."""
 
 
 def cloud_of(folder: Path, variables: Mapping[str, str] = os.environ) -> str:
-    """Return what copies a folder to other computers; empty if nothing is known to."""
+    """Return the name of the service that synchronizes a folder; empty if none is known."""
     for name in _ONEDRIVE:
         of_onedrive = variables.get(name)
         if of_onedrive and folder.is_relative_to(of_onedrive):
@@ -40,7 +40,7 @@ def cloud_of(folder: Path, variables: Mapping[str, str] = os.environ) -> str:
 
 
 def warnings_of(folder: Path) -> tuple[str, ...]:
-    """Return the sentence to be said of a folder of recordings, if there is any."""
+    """Return the warnings about a folder of recordings."""
     cloud = cloud_of(folder)
     sentence = (
         f"{cloud} copies {folder} to other computers: what is recorded of people leaves this one, "
@@ -50,12 +50,12 @@ def warnings_of(folder: Path) -> tuple[str, ...]:
 
 
 def usual_recordings_folder() -> Path:
-    """Return where this user's recordings go if nothing else is said."""
+    """Return the default folder of this user's recordings."""
     return recordings_folder(platformdirs.user_documents_path(), Path.home(), _RECORDINGS)
 
 
 def recordings_folder(documents: Path, home: Path, name: str) -> Path:
-    """Return where recordings are kept by default: among the documents, if those stay here."""
+    """Return a folder in the documents, or in the home folder if the documents are synchronized."""
     return (home if cloud_of(documents) else documents) / name
 
 
@@ -65,5 +65,5 @@ def _is_fetched_when_opened(folder: Path) -> bool:
     try:
         return bool(folder.stat().st_file_attributes & _FETCHED_WHEN_OPENED)
     except OSError:
-        # It is made only when something is recorded.
+        # The folder does not exist until something is recorded.
         return False

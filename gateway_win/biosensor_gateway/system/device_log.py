@@ -1,4 +1,4 @@
-"""Logs about one device by its names, and says once what would be said at every connection."""
+"""Logs about one device, and logs once what every connection would repeat."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from biosensor_common.spec import DeviceIdentity
 
 
 class Once:
-    """Tells what is new; called with the same again, it is not."""
+    """Returns True at the first call with given arguments, and False at later ones."""
 
     def __init__(self) -> None:
         self._known: set[tuple[Hashable, ...]] = set()
@@ -24,12 +24,12 @@ class Once:
 
 
 class DeviceLog:
-    """Writes about one device, with its sensor and unit.
+    """Logs about one device, with its sensor and unit.
 
     Parameters
     ----------
     name
-        Whose sentences they are: ``biosensor_gateway.`` and the sensor.
+        Name of the logger: ``biosensor_gateway.`` and the sensor.
     """
 
     def __init__(self, name: str, identity: DeviceIdentity) -> None:
@@ -38,18 +38,18 @@ class DeviceLog:
         self._is_new = Once()
 
     def info(self, event: str, **facts: object) -> None:
-        """Say what a user may want to know."""
+        """Log what a user may want to know."""
         self._log.info(event, **self._names, **facts)
 
     def warning(self, event: str, **facts: object) -> None:
-        """Say what a user should look at."""
+        """Log what a user should look at."""
         self._log.warning(event, **self._names, **facts)
 
     def error(self, event: str, **facts: object) -> None:
-        """Say what must not happen."""
+        """Log what must not happen."""
         self._log.error(event, **self._names, **facts)
 
     def warn_once(self, event: str, **facts: object) -> None:
-        """Say it the first time, whatever the facts of later times."""
+        """Log a warning the first time; later calls with the same event do nothing."""
         if self._is_new(event):
             self.warning(event, **facts)

@@ -1,9 +1,8 @@
-"""Keeps a program running: starts it again whenever it dies, from a standby if there is one.
+"""Supervises a program: restarts it after a crash, from a warm spare if there is one.
 
-What a start takes is Python and its imports. A standby has them behind it: it is started with
-`STANDBY` in its environment, and `await_turn` keeps it from going on until its supervisor gives it
-the turn, as one line of JSON on its standard input. The end of that input says that the supervisor
-has gone.
+Most of the time of a start goes into Python and its imports. A spare has done both: it is started
+with `STANDBY` in its environment, and waits in `await_turn` until the supervisor sends one line of
+JSON to its standard input. The end of that input means that the supervisor has ended.
 """
 
 from __future__ import annotations
@@ -28,24 +27,24 @@ from biosensor_gateway.system.child import first_line, own_command
 from biosensor_gateway.system.restart_notice import RestartNotice
 
 STANDBY_AFTER_S = 5.0
-"""Who lived so long is worth a standby. While it starts, it has the processor for itself."""
+"""How long the program runs before a spare is started, which would compete for the processor."""
 
 RESTARTS, LAST_END = "BIOSENSOR_GATEWAY_RESTARTS", "BIOSENSOR_GATEWAY_LAST_END"
-"""Environment of the program: how often it was started again, and how it had ended before."""
+"""Environment of the program: how often it was restarted, and how it had ended before."""
 
 STANDBY = "BIOSENSOR_GATEWAY_STANDBY"
-"""Environment of a process that is to wait for its turn."""
+"""Environment of a spare, which has to wait until it is needed."""
 
 _STDIN = 0
 _TERMINAL = "CONIN$" if sys.platform == "win32" else "/dev/tty"
-_AS_IT_SHOULD, _WRONG_SETTINGS = 0, 2
+_CLEAN, _WRONG_SETTINGS = 0, 2
 _LOOK_S = 0.2
-# Handlers of signals run between two waits. POSIX interrupts a wait, Windows does not.
+# Signal handlers run between two waits: signals interrupt a wait on POSIX, but not on Windows.
 _LONGEST_WAIT_S = _LOOK_S if sys.platform == "win32" else math.inf
 
 
 def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
-    """Return ``restarts`` and ``last_end`` of this program; nothing if it has not died before."""
+    """Return ``restarts`` and ``last_end`` of this program; empty if it was never restarted."""
     count = environment.get(RESTARTS, "")
     if not count.isdecimal() or not int(count):
         return {}
@@ -53,7 +52,7 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
 
 
 def keep_alive(arguments: Sequence[str]) -> int:
-    """Keep this program running with other arguments; see :class:`KeepAlive`."""
+    """Supervise this program with other arguments; see :class:`KeepAlive`."""
     console = relay.console(relay.STDERR, "console")
 
     def tell(sentence: str) -> None:
@@ -64,14 +63,14 @@ def keep_alive(arguments: Sequence[str]) -> int:
 
 
 class Standby:
-    """A second process of the program, which waits until it is needed.
+    """A warm spare: a second process of the program, which waits until it is needed.
 
     Raises ``OSError`` if it cannot be started.
 
     Parameters
     ----------
     command
-        Program and arguments; it must call `await_turn` before it opens or claims anything.
+        Program and arguments; the program must call `await_turn` before it opens anything.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -80,7 +79,7 @@ class Standby:
         )
 
     def take_turn(self, environment: Mapping[str, str]) -> subprocess.Popen[bytes] | None:
-        """Have it go on, with more in its environment; return None if it has died meanwhile."""
+        """Let the spare run, with more environment variables; return None if it has ended."""
         terminal = sys.stdin is not None and sys.stdin.isatty()
         turn = json.dumps({"environment": dict(environment), "terminal": terminal})
         assert self._process.stdin is not None
@@ -90,34 +89,34 @@ class Standby:
                 self._process.stdin.close()
                 return self._process
         except OSError:
-            # It has died, and nobody reads any more.
+            # It has ended since `poll`, so that nobody reads the pipe.
             pass
         self.end()
         return None
 
     def end(self) -> None:
-        """End it; it holds nothing that it would have to give back."""
+        """Kill the spare, which has opened nothing that would have to be closed."""
         with self._process as process:
             process.kill()
 
 
 class KeepAlive:
-    """Runs a program, and again whenever it dies, until it ends as it should.
+    """Runs a program, and restarts it after each crash.
 
-    That is with code 0, or with 2, which says that its settings are wrong: they would be the
-    next time. SIGINT, SIGTERM and SIGHUP are passed on, and end it for good. To be used in the
-    main thread.
+    Exit code 0 is a clean end. Exit code 2 means wrong settings, which a restart would not change.
+    SIGINT, SIGTERM and SIGHUP are passed on, and end the program for good. To be used in the main
+    thread.
 
     Parameters
     ----------
     command
         Program and arguments; see `Standby` for what it must do.
     tell
-        Is given a sentence about each death.
+        Called with a sentence about each crash.
     folder
-        Where `restart_notice` says that it waits.
+        State folder, for the `restart_notice`.
     standby_after_s
-        How long the program runs before it gets a standby.
+        How long the program runs before a spare is started.
     """
 
     def __init__(
@@ -136,7 +135,7 @@ class KeepAlive:
         self._lived_s = 0.0
 
     def run(self) -> int:
-        """Return the program's exit code at its proper end."""
+        """Run until the clean end of the program; return its exit code."""
         for number in _requests():
             signal.signal(number, self._pass_on)
         try:
@@ -156,20 +155,20 @@ class KeepAlive:
             if self._is_asked_to_end:
                 break
             code = self._run_once({RESTARTS: str(restarts), LAST_END: last_end})
-            if code in {_AS_IT_SHOULD, _WRONG_SETTINGS} or self._is_asked_to_end:
+            if code in {_CLEAN, _WRONG_SETTINGS} or self._is_asked_to_end:
                 return code
             last_end = ending_in_words(code)
-        return _AS_IT_SHOULD
+        return _CLEAN
 
     def _delays(self) -> Iterator[float]:
-        """Yield how long to wait before each start; the first time, not at all."""
+        """Yield how long to wait before each start; 0 for the first."""
         yield 0.0
         backoff = Backoff()
         while True:
             yield backoff.next_s(self._lived_s)
 
     def _wait(self, seconds: float, last_end: str) -> None:
-        """Let time pass before the next start, unless somebody asks for the end."""
+        """Wait before the next start, unless the end is requested."""
         until = time.monotonic() + seconds
         notice = RestartNotice.of_this_process(seconds, last_end)
         is_announced = restart_notice.put_up(self._folder, notice)
@@ -178,7 +177,7 @@ class KeepAlive:
             if is_announced and not restart_notice.is_up(self._folder):
                 break
         if is_announced and not _take_down(self._folder):
-            # `stop` has done so.
+            # `stop` has removed the notice.
             self._is_asked_to_end = True
 
     def _run_once(self, environment: Mapping[str, str]) -> int:
@@ -199,10 +198,10 @@ class KeepAlive:
         return subprocess.Popen(self._command, env={**os.environ, **environment})
 
     def _code_of(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for the end of the program, which gets a standby after a while."""
+        """Wait for the end of the program, and start a spare after a while."""
         code = _wait_for(process, self._standby_after_s)
         if code is None:
-            # Without one, a start takes its second more.
+            # Without a spare, the next start takes a second longer.
             with contextlib.suppress(OSError):
                 self._standby = Standby(self._command)
             code = _wait_for(process)
@@ -228,7 +227,7 @@ def _take_down(folder: Path) -> bool:
     try:
         return restart_notice.take_down(folder)
     except OSError:
-        # Nobody else can, either.
+        # Then `stop` cannot have removed it, either.
         return True
 
 
@@ -239,23 +238,23 @@ def _requests() -> list[signal.Signals]:
 
 
 def _ask_to_end(process: subprocess.Popen[bytes]) -> None:
-    # A console of Windows tells all its programs by itself, and there, this would kill.
+    # A Windows console notifies all its programs by itself, and `terminate` would kill there.
     if sys.platform != "win32":
         process.terminate()
 
 
 def is_standby() -> bool:
-    """Whether this process is to call `await_turn`."""
+    """Whether this process is a spare, which has to call `await_turn`."""
     return STANDBY in os.environ
 
 
 def await_turn() -> None:
-    """Wait until this process is needed, and then be like one that was started just now.
+    """Wait until this spare is needed, then take over the environment of a new process.
 
     Raises
     ------
     SystemExit
-        With code 0: the supervisor has gone.
+        With code 0 if the supervisor has ended.
     """
     del os.environ[STANDBY]
     line = first_line()
@@ -263,11 +262,11 @@ def await_turn() -> None:
         raise SystemExit(0)
     turn = json.loads(line)
     os.environ.update(turn["environment"])
-    _lead_stdin(_TERMINAL if turn["terminal"] else os.devnull)
+    _redirect_stdin(_TERMINAL if turn["terminal"] else os.devnull)
 
 
-def _lead_stdin(path: str) -> None:
-    """Have standard input come from elsewhere than from the supervisor."""
+def _redirect_stdin(path: str) -> None:
+    """Read standard input from a file instead of the supervisor's pipe."""
     try:
         opened = os.open(path, os.O_RDWR)
     except OSError:

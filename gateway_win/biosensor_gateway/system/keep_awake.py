@@ -1,20 +1,20 @@
 """Keeps the computer from going to sleep by itself while a device streams.
 
-Only the sleep of the system is held off: the screen may go dark, and a closed lid still
-sends it to sleep. How it is held off:
+The screen may still go dark, and a closed lid still sends the computer to sleep. How sleep is
+prevented:
 
 Windows
     A power request (``PowerCreateRequest``), because ``powercfg /requests`` then shows
-    who asks and why, and because it belongs to the process, not to a thread. Where a
-    system has no power requests, ``SetThreadExecutionState``, which shows no reason.
-    On battery, a computer with Modern Standby ends either after a few minutes.
+    its owner and reason, and because it belongs to the process, not to a thread. On a
+    system without power requests, ``SetThreadExecutionState``, which shows no reason.
+    On battery, a computer with Modern Standby ends both after a few minutes.
 macOS
     ``caffeinate``; ``pmset -g assertions`` shows it.
 Linux
     An inhibitor lock of logind through ``systemd-inhibit``; ``systemd-inhibit --list``
     shows it.
 
-All three end with the agent, however it ends.
+All of them end with the agent, even after a crash.
 
 Sources: Microsoft's documentation of ``PowerSetRequest``, the manuals caffeinate(8) and
 systemd-inhibit(1).
@@ -39,16 +39,16 @@ from biosensor_common.system_programs import full_path
 
 
 class ProgramInhibitor:
-    """A program that holds off sleep for as long as it runs.
+    """A program that prevents sleep as long as it runs.
 
     Parameters
     ----------
     command
         The program and its arguments. It must end when its standard input or this
-        process does.
+        process ends.
     echoes
-        Whether it gives back what it reads as soon as it holds off sleep. Of a
-        program that does not, it is believed as long as it runs.
+        Whether the program writes back its input once it prevents sleep. If it does
+        not, it is assumed to prevent sleep as long as it runs.
     """
 
     def __init__(self, command: Sequence[str], *, echoes: bool) -> None:
@@ -71,22 +71,22 @@ class ProgramInhibitor:
         )
         assert process.stdout is not None
         assert process.stderr is not None
-        if sys.platform != "win32":  # which has no such program
+        if sys.platform != "win32":  # only for the type checker: Windows uses no program
             os.set_blocking(process.stdout.fileno(), False)
             os.set_blocking(process.stderr.fileno(), False)
-        # If it has ended already, held() knows why.
+        # A program that has ended already is reported by held().
         child.send(process, b"\n")
 
     def held(self) -> bool:
-        """Whether the program holds off sleep; raises ``OSError`` if it has ended."""
+        """Whether the program prevents sleep; raises ``OSError`` if it has ended."""
         process = self._process
         if process is None:
             return False
         assert process.stdout is not None
         assert process.stderr is not None
         if process.poll() is not None:
-            said = (process.stderr.read() or b"").decode(errors="replace").split("\n")
-            last = next((line for line in reversed(said) if line.strip()), "it ended by itself")
+            lines = (process.stderr.read() or b"").decode(errors="replace").split("\n")
+            last = next((line for line in reversed(lines) if line.strip()), "it ended by itself")
             raise OSError(last.strip())
         if not self._answered:
             self._answered = bool(process.stdout.read(1))
@@ -132,7 +132,7 @@ if sys.platform == "win32":
         Parameters
         ----------
         reason
-            Who asks and why, as ``powercfg /requests`` shows it.
+            Owner and reason, as ``powercfg /requests`` shows them.
         """
 
         def __init__(self, reason: str) -> None:
@@ -142,7 +142,7 @@ if sys.platform == "win32":
 
         @property
         def way(self) -> str:
-            """Which of the two it is."""
+            """Name of the method that is used."""
             return "execution state" if self._request is None else "power request"
 
         def begin(self) -> None:
@@ -150,21 +150,21 @@ if sys.platform == "win32":
             try:
                 self._request = self._new_request()
             except (AttributeError, OSError) as error:
-                # Wine has the functions and implements none.
+                # Wine has the functions, but does not implement them.
                 _log.debug("no power request", error=str(error))
                 self._set_execution_state(_ES_CONTINUOUS | _ES_SYSTEM_REQUIRED)
 
         def held(self) -> bool:
-            """Windows has answered at once."""
+            """Return True, because Windows answers at once."""
             return True
 
         def end(self) -> None:
-            """Take back the request or the state."""
+            """Cancel the request or the state."""
             if self._request is None:
                 self._set_execution_state(_ES_CONTINUOUS)
             else:
                 request, self._request = self._request, None
-                # Closed, it requests nothing any more.
+                # Closing the handle ends the request.
                 self._close(request)
 
         def _new_request(self) -> int:
@@ -198,7 +198,7 @@ if sys.platform == "win32":
             set_state = self._kernel.SetThreadExecutionState
             set_state.argtypes = [wintypes.DWORD]
             set_state.restype = wintypes.DWORD
-            # It returns the state before, which is never zero.
+            # Returns the previous state, which is never 0; 0 means failure.
             if not set_state(state):
                 raise OSError("SetThreadExecutionState refuses")
 
@@ -207,9 +207,9 @@ if sys.platform == "win32":
     from biosensor_gateway.system.keep_awake import WindowsInhibitor
 
 GRACE_S = 60.0
-"""How long the computer is kept awake without a stream: devices drop out for seconds."""
+"""How long to stay awake after the last stream, because devices drop out for seconds."""
 RETRY_S = 60.0
-"""How long a system that refused is left alone."""
+"""How long to wait after a refusal of the system."""
 
 _WHO = "Biosensor Gateway"
 _WHY = "a biosensor is streaming"
@@ -220,23 +220,23 @@ _log = structlog.get_logger("biosensor_gateway.keep_awake")
 
 
 class Inhibitor(Protocol):
-    """One way to hold off sleep."""
+    """A method to prevent sleep."""
 
     @property
     def way(self) -> str:
-        """Name of what holds off sleep, for the log."""
+        """Name of the method, for the log."""
         ...
 
     def begin(self) -> None:
-        """Ask the system; raises ``OSError`` if it refuses at once."""
+        """Send the request to the system; raises ``OSError`` if it refuses at once."""
         ...
 
     def held(self) -> bool:
-        """Whether the system has agreed by now; raises ``OSError`` if it has refused."""
+        """Whether the system has granted the request; raises ``OSError`` if it has refused."""
         ...
 
     def end(self) -> None:
-        """Take back whatever was asked, also what was refused."""
+        """Cancel the request, also after a refusal."""
         ...
 
 
@@ -244,17 +244,16 @@ _KEPT = "the computer is kept from sleeping while a device streams"
 
 
 class KeepAwake:
-    """Holds off sleep while it is wanted, and for ``GRACE_S`` after.
+    """Prevents sleep on request, and for ``GRACE_S`` after the last request.
 
-    Nothing that the system answers is raised: recording goes on, and the log says
-    once that the computer may go to sleep. Every call must come from the same thread,
-    which must live as long as the hold: Windows keeps the execution state by thread.
-    In the agent it is the thread of the event loop.
+    A refusal of the system is not raised, but logged once: streaming goes on. All calls
+    must come from one thread that lives as long, because Windows keeps the execution
+    state per thread. In the agent it is the thread of the event loop.
 
     Parameters
     ----------
     inhibitor
-        How to hold off sleep; ``None`` if it is not to be or cannot be.
+        How to prevent sleep; ``None`` if it is switched off or impossible.
     clock
         Monotonic time in seconds.
     """
@@ -269,12 +268,13 @@ class KeepAwake:
         self._asked = self._held = self._warned = False
 
     def hold(self, wanted: bool) -> None:
-        """Say whether the computer should stay awake; to be called about once a second."""
+        """Set whether the computer should stay awake; to be called about once a second."""
         if self._inhibitor is None:
             return
         now = self._clock()
-        # Before it is wanted again: a sleep that a person asked for ends a power request
-        # of Windows, whose clock counts the sleep; so it is asked for again after it.
+        # First cancel what has expired, then request again. On Windows, a sleep that a person
+        # starts ends the power request; its clock counts that sleep, so that the request has
+        # expired afterwards and is made again.
         if now >= self._wanted_until:
             self._let_go(self._inhibitor)
         if wanted:
@@ -328,7 +328,7 @@ class KeepAwake:
 
 
 def system_inhibitor(platform: str = sys.platform) -> Inhibitor | None:
-    """Choose how this system is kept awake; ``None`` if nothing here can do it."""
+    """Return the inhibitor of this system; ``None`` if it has none."""
     if sys.platform == "win32":
         return WindowsInhibitor(f"{_WHO}: {_WHY}")
     inhibitor = _caffeinate() if platform == "darwin" else _systemd_inhibit()
@@ -347,11 +347,11 @@ def _caffeinate() -> Inhibitor | None:
 def _systemd_inhibit() -> Inhibitor | None:
     program = full_path("systemd-inhibit")
     echo = full_path("cat")
-    # A container has the program, but nobody who would put it to sleep.
+    # A container can have the program, but it has no logind.
     if program is None or echo is None:
         return None
     if not (_BUS_VARIABLE in os.environ or _BUS_SOCKET.exists()):
         return None
     command = [program, "--what=sleep:idle", "--mode=block", f"--who={_WHO}", f"--why={_WHY}"]
-    # It runs the echo, cat, once it has the lock, and that ends with its input, which ends with us.
+    # systemd-inhibit runs cat once it has the lock; cat ends with its input, which ends with us.
     return ProgramInhibitor([*command, echo], echoes=True)

@@ -1,4 +1,4 @@
-"""Writes the log to console and file without letting anybody wait for either."""
+"""Writes the log to console and file on their own threads, so that logging never blocks."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 
-# A busy disk takes its time, and a file is opened before anything streams.
+# Generous for a busy disk: the file is opened before anything streams.
 HELD_AFTER_S = OPENED_WITHIN_S = 2.0
 
 _LOGGER = "biosensor_gateway.logs"
@@ -47,15 +47,15 @@ _log = structlog.get_logger(_LOGGER)
 
 
 class QueuedHandler(logging.StreamHandler["_Lines"]):
-    """Formats in the thread that logs, and leaves the writing to the output's own.
+    """Formats records in the logging thread, and writes them in the output's thread.
 
-    An output that is held is said once, in all outputs; lines that did not fit are counted
-    in a line of the log in their place.
+    If an output is blocked, all outputs report it once. Lines that do not fit into its queue are
+    dropped, and a line in their place has their number.
 
     Attributes
     ----------
     terminal
-        A descriptor of the terminal that the output is, its own; None if it is none.
+        A separate descriptor of the terminal; None if the output is not a terminal.
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
         outflow.notice = self._notice
 
     def columns(self) -> int | None:
-        """How wide the terminal is; None if it is none."""
+        """Width of the terminal; None if the output is not a terminal."""
         size = None if self.terminal is None else terminal_size(self.terminal)
         return None if size is None else size.columns
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Format and queue the record, and say so if the output has come to be held."""
+        """Format and queue the record, and log it once if the output is blocked."""
         handled = super().handle(record)
-        # Not in emit: two handlers that log with their locks held would wait for each other.
+        # Not in emit, which holds the handler's lock: two such handlers could deadlock.
         was_held, self._is_held = self._is_held, self.outflow.held_for_s > HELD_AFTER_S
         if self._is_held and not was_held:
             _log.warning(
@@ -87,7 +87,7 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
         return handled
 
     def close(self) -> None:
-        """Give the last lines a moment, at the first call."""
+        """Wait a moment until the last lines are written."""
         self.outflow.close(relay.LAST_LINES_S)
         if self.terminal is not None:
             os.close(self.terminal)
@@ -101,7 +101,7 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
 
 
 class _Lines:
-    """The stream that `logging` writes to."""
+    """The stream to which `logging` writes."""
 
     def __init__(self, outflow: Outflow, encoding: str) -> None:
         self._outflow, self._encoding = outflow, encoding
@@ -111,27 +111,27 @@ class _Lines:
 
 
 def console_handler(name: str) -> QueuedHandler | None:
-    """Return a handler that writes to stderr; None if there is none."""
-    # A program without a console window on Windows has no stderr, whatever the type says.
+    """Return a handler that writes to stderr; None if there is no stderr."""
+    # A windowed program on Windows has no stderr, although its type does not say so.
     stream = cast("TextIO | None", sys.stderr)
     if stream is None:
         return None
     try:
         descriptor = stream.fileno()
     except io.UnsupportedOperation:
-        # It is an object of Python alone, as in tests.
+        # An object without a descriptor, as in tests.
         outflow = Outflow("console", lambda lines: stream.write(lines.decode(stream.encoding)))
         return QueuedHandler(name, outflow, stream.encoding)
     outflow = relay.console(descriptor, "console")
     if outflow is None:
         return None
-    # What the descriptor leads to changes while the console is relayed.
+    # A copy, because the descriptor itself is redirected while the console is relayed.
     terminal = os.dup(descriptor) if os.isatty(descriptor) else None
     return QueuedHandler(name, outflow, stream.encoding, terminal)
 
 
 def file_handler(name: str, path: Path, max_bytes: int, keep_files: int) -> QueuedHandler:
-    """Return a handler that writes to a rotating file, whose folder is made if needed.
+    """Return a handler that writes to a rotating file, whose folder is created if needed.
 
     Raises
     ------
@@ -166,16 +166,16 @@ def _open_in_time(file: _LogFile) -> None:
 
 
 class _LogFile(RotatingFileHandler):
-    """A file for one thread, which may wait in a write for ever while the process ends.
+    """A log file for one thread, which may block in a write while the process ends.
 
-    It says once when it cannot be written, and is tried again with each line.
+    A failure is logged once, and the next line tries again.
     """
 
     terminator = ""
     _is_failing = _has_failed = False
 
     def createLock(self) -> None:  # noqa: N802 - the base class's name
-        # `logging` takes the lock of every handler at exit, and would wait for the thread.
+        # `logging` takes every handler's lock at exit, and would wait for a blocked thread.
         self.lock = None
 
     def flush(self) -> None:
@@ -185,7 +185,7 @@ class _LogFile(RotatingFileHandler):
         """Do nothing; `logging` calls this at exit, in another thread. See `end`."""
 
     def open(self) -> None:
-        """Open the file, and make its folder if needed; raises ``OSError``."""
+        """Open the file, and create its folder if needed; raises ``OSError``."""
         state_file.make_folder(Path(self.baseFilename).parent)
         self.stream = self._open()
 
@@ -197,7 +197,7 @@ class _LogFile(RotatingFileHandler):
 
     def end(self) -> None:
         """Close the file."""
-        # From Python 3.13 on, the base class's own needs a lock, of which there is none.
+        # Not the base class's `close`, which needs a lock from Python 3.13 on.
         if self.stream:
             self.stream.close()
 
@@ -207,7 +207,7 @@ class _LogFile(RotatingFileHandler):
             super().handleError(record)
             return
         if not self._is_failing:
-            # Before it is logged, because this file is asked to take it, too.
+            # Set before logging, because the warning comes to this file as well.
             self._is_failing = True
             _log.warning(
                 f"cannot write the log file {self.baseFilename}: {error.strerror or error}; "
@@ -222,7 +222,7 @@ class _LogFile(RotatingFileHandler):
 
 
 class _Unbuffered(io.FileIO):
-    """Python's buffers have a lock, for which the end of the interpreter would wait."""
+    """A file without Python's buffer, for whose lock the interpreter would wait at exit."""
 
     def write(self, data: ReadableBuffer, /) -> int:
         left = memoryview(data)
@@ -243,7 +243,7 @@ _SENSITIVE_TEXT = re.compile(
          (?:\\*"[^"]*"|\\*'[^']*'|(?:bearer\s+)?[^\s,;&)}}\]]+)""",
     re.IGNORECASE | re.VERBOSE,
 )
-# A file that is opened before its size is known is not rotated: that could cost an old one.
+# Before the settings are read the limits are unknown, and a rotation could delete an old file.
 _NEVER_FULL = 0
 
 _COMMON: tuple[Processor, ...] = (
@@ -261,9 +261,9 @@ def configure_logs(
     verbose: bool = False,
     title: Callable[[str], str] = str,
 ) -> None:
-    """Send all logging to the console and to a file; what was set up before is replaced.
+    """Send all logging to the console and to a file, instead of earlier handlers.
 
-    Libraries are never logged below ``info``: their debug lines hold samples
+    Libraries are never logged below ``info``, because their debug lines have samples
     and whole messages.
 
     Parameters
@@ -271,18 +271,18 @@ def configure_logs(
     settings
         Level, and size and number of files.
     folder
-        Where ``biosensor-gateway.log`` is written, made if needed; ``None``
-        for the console alone.
+        Folder of ``biosensor-gateway.log``, created if needed; ``None`` for
+        the console only.
     verbose
-        Log at ``debug``, whatever the settings say.
+        Log at level ``debug`` instead of the settings' level.
     title
-        Returns what people call a sensor, for a terminal.
+        Returns a sensor's name for people, for a terminal.
 
     Raises
     ------
     ConfigError
-        ``UNREADABLE`` if the file cannot be written. The logging that was set
-        up before stays, so the caller can go on with ``folder=None``.
+        ``UNREADABLE`` if the file cannot be written. The earlier handlers stay,
+        so that the caller can go on with ``folder=None``.
     """
     file = _file_handler(folder, settings.max_bytes, settings.keep_files) if folder else None
     end_logs()
@@ -295,7 +295,7 @@ def configure_logs(
 
 
 def log_to_file_alone(folder: Path) -> None:
-    """Send all logging to the file, before the settings say what else is wanted.
+    """Send all logging to the file only, before the settings are read.
 
     Raises
     ------
@@ -324,13 +324,13 @@ def _configure(level: int) -> None:
 
 
 def flush_logs(limit_s: float = LAST_LINES_S) -> bool:
-    """Wait until all that was logged is written, for each output at most so long."""
+    """Wait until everything is written, at most *limit_s* for each output; return whether it is."""
     flushed = [handler.outflow.flush(limit_s) for handler in _own_handlers()]
     return all(flushed)
 
 
 def end_logs() -> None:
-    """Write the last lines, in `LAST_LINES_S` at most for each output, and log no more."""
+    """Write the last lines, at most `LAST_LINES_S` for each output, and stop logging."""
     for handler in _own_handlers():
         logging.getLogger().removeHandler(handler)
         handler.close()
@@ -338,22 +338,21 @@ def end_logs() -> None:
 
 @contextlib.contextmanager
 def console_relayed() -> Generator[Panel | None]:
-    """Let nothing in this process wait for the console, whoever writes to it and how.
+    """Relay all output of this process to the console, so that a blocked console blocks nothing.
 
-    To be used after `configure_logs`. At the end the console gets the last lines, for
-    `LAST_LINES_S` at most, and the logging is over.
+    To be used after `configure_logs`. At the end, the last lines are written for at most
+    `LAST_LINES_S`, and logging stops.
 
     Yields
     ------
     Panel or None
-        What can be kept below the log; None where the log goes to no terminal whose cursor
-        can be moved.
+        A panel below the log; None if the log does not go to a terminal with a movable cursor.
     """
     handler = next((each for each in _own_handlers() if each.get_name() == _CONSOLE), None)
     with contextlib.ExitStack() as stack:
         panel = stack.enter_context(_panel(handler))
         stderr = handler.outflow if handler is not None else None
-        # What anybody else writes to the same terminal goes above the panel, too.
+        # Other output to the same terminal has to appear above the panel as well.
         is_shared = panel is not None and os.isatty(STDOUT)
         stdout = stderr if is_shared else console(STDOUT, "console")
         stack.enter_context(relayed([(STDOUT, stdout), *([(STDERR, stderr)] if stderr else [])]))
@@ -392,7 +391,7 @@ def _console_handler(title: Callable[[str], str], *, verbose: bool) -> QueuedHan
         )
         processors = (*processors, without_line_for_people, _event_on_one_line, plain)
     else:
-        # A Windows console takes them only while a panel is drawn.
+        # A Windows console understands colours only while a panel is drawn.
         colours = shows_colours() and sys.platform != "win32"
         lines = LinesForPeople(title, handler.columns, colours=colours, verbose=verbose)
         processors = (*processors, lines)

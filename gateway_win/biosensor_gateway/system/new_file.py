@@ -1,4 +1,4 @@
-"""Writes a file that is there whole or not at all, and never in the place of another."""
+"""Creates files and folders atomically, without replacing existing ones."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ _OWNER_MODE = 0o600
 def new_file(path: Path, like: Path) -> Generator[BinaryIO]:
     """Open a file for writing, which gets its name when the block ends without an error.
 
-    Until then it has another name in the same folder, and none after an error.
+    Until then it has a temporary name in the same folder; after an error it is removed.
 
     Parameters
     ----------
     path
-        Its name.
+        The new file.
     like
-        On POSIX, it can be read by nobody who cannot read that file.
+        A file whose read permissions the new one gets, on POSIX.
 
     Raises
     ------
     FileExistsError
-        Something has that name; it is as it was.
+        If *path* exists; it is not changed.
     OSError
-        It cannot be written.
+        If the file cannot be written.
     """
     mode = stat.S_IMODE(like.stat().st_mode) & _ANY_MODE | _OWNER_MODE
     temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-    # Of a process with this number that was killed here.
+    # A killed process with the same id may have left one.
     temporary.unlink(missing_ok=True)
     try:
         with os.fdopen(_create(temporary, mode), "wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        # To move it would replace what somebody has put there meanwhile; this refuses.
+        # A rename would replace a file that was created meanwhile; creating the target fails then.
         os.close(_create(path, mode))
         temporary.replace(path)
     finally:
@@ -51,7 +51,7 @@ def new_file(path: Path, like: Path) -> Generator[BinaryIO]:
 
 
 def _create(path: Path, mode: int) -> int:
-    # Windows translates line ends unless it is told not to.
+    # Without O_BINARY, Windows translates line ends.
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     return os.open(path, flags, mode)
 
@@ -61,39 +61,39 @@ _FOLDER_MODE = 0o755
 
 @contextmanager
 def new_place(path: Path, like: Path) -> Generator[Path]:
-    """Give a path of the same name, of what becomes `path` when the block ends without an error.
+    """Yield a temporary path for a file or folder, moved to *path* at the end of the block.
 
-    It is in another folder beside `path`, which is there only while the block runs.
+    It has the same name, in a temporary folder next to *path*. After an error it is removed.
 
     Parameters
     ----------
     path
-        What is to be made.
+        The new file or folder.
     like
-        On POSIX, it can be read by nobody who cannot read that file.
+        A file whose read permissions the new files get, on POSIX.
 
     Raises
     ------
     FileExistsError
-        Something has that name; it is as it was.
+        If *path* exists; it is not changed.
     OSError
-        It cannot be written.
+        If it cannot be written.
     """
     if os.path.lexists(path):
         raise FileExistsError(path)
     mode = stat.S_IMODE(like.stat().st_mode) & _ANY_MODE | _OWNER_MODE
     workshop = path.with_name(f"{path.name}.{os.getpid()}.part")
-    # Of a process with this number that was killed here.
+    # A killed process with the same id may have left one.
     shutil.rmtree(workshop, ignore_errors=True)
     workshop.mkdir(0o700)
     try:
         made = workshop / path.name
         yield made
         for file in _files(made):
-            _settle(file, mode)
+            _finish(file, mode)
         if made.is_dir():
             made.chmod(_FOLDER_MODE & ~_umask() | _OWNER_MODE)
-            # Refuses all but an empty folder that somebody has put there meanwhile.
+            # Fails if something but an empty folder was created there meanwhile.
             made.rename(path)
         else:
             _move_file(made, path)
@@ -110,8 +110,8 @@ def _files(made: Path) -> Iterator[Path]:
             yield each
 
 
-def _settle(file: Path, mode: int) -> None:
-    """Give a file its mode, and wait until it is on the disk."""
+def _finish(file: Path, mode: int) -> None:
+    """Set a file's mode, and wait until it is on the disk."""
     file.chmod(mode & ~_umask())
     with file.open("rb+") as opened:
         os.fsync(opened.fileno())
@@ -124,6 +124,6 @@ def _umask() -> int:
 
 
 def _move_file(made: Path, path: Path) -> None:
-    # To move it would replace what somebody has put there meanwhile; this refuses.
+    # A rename would replace a file that was created meanwhile; creating the target fails then.
     path.touch(_OWNER_MODE, exist_ok=False)
     made.replace(path)

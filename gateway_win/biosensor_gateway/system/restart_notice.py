@@ -1,7 +1,7 @@
-"""A file of the state folder says that a dead agent is started again in a while.
+"""A file of the state folder that announces the restart of a crashed agent.
 
-The supervisor (`keep_alive`) puts it up for as long as it waits. Whoever takes it down decides what
-comes next: the supervisor, which then starts the agent, or ``stop``, after which it ends.
+The supervisor (`keep_alive`) writes it while it waits. The process that removes it decides what
+comes next: if it is the supervisor, the agent is started; if it is ``stop``, the supervisor ends.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ _PAUSE_S = 0.01
 
 
 class RestartNotice(NamedTuple):
-    """What the file says.
+    """Content of the file.
 
     Attributes
     ----------
     process
-        Number of the supervisor.
+        Process id of the supervisor.
     at
-        When the agent is started again (Unix time, in seconds).
+        When the agent is restarted (Unix time, in seconds).
     last_end
-        How it has ended, in words.
+        How the agent has ended, in words.
     """
 
     process: int
@@ -45,7 +45,7 @@ class RestartNotice(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Says it to a person."""
+        """The notice as a sentence for people."""
         left_s = max(0.0, self.at - time.time())
         return (
             f"no agent is running: it has died ({self.last_end}) and is started again in "
@@ -63,17 +63,17 @@ def put_up(folder: Path, notice: RestartNotice) -> bool:
 
 
 def is_up(folder: Path) -> bool:
-    """Whether the file is there, whoever wrote it."""
+    """Whether the file exists."""
     return (folder / RESTARTING_FILE).exists()
 
 
 def take_down(folder: Path) -> bool:
-    """Remove the file; return False if somebody else has done so.
+    """Remove the file; return False if another process has removed it.
 
     Raises
     ------
     OSError
-        It cannot be removed.
+        If it cannot be removed.
     """
     path = folder / RESTARTING_FILE
     for _ in range(_TRIES - 1):
@@ -82,7 +82,7 @@ def take_down(folder: Path) -> bool:
         except FileNotFoundError:
             return False
         except PermissionError:
-            # Windows refuses for as long as a reader has it open.
+            # Windows refuses while a reader has the file open.
             time.sleep(_PAUSE_S)
         else:
             return True
@@ -91,10 +91,11 @@ def take_down(folder: Path) -> bool:
 
 
 def read(folder: Path) -> RestartNotice | None:
-    """Return what a supervisor that lives has put up; None if there is none."""
+    """Return the notice of a running supervisor; None if there is none."""
     try:
-        said = json.loads(state_file.read(folder / RESTARTING_FILE))
-        notice = RestartNotice(int(said["process"]), float(said["at"]), str(said["last_end"]))
+        content = json.loads(state_file.read(folder / RESTARTING_FILE))
+        process, at = int(content["process"]), float(content["at"])
+        notice = RestartNotice(process, at, str(content["last_end"]))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return notice if lives(notice.process) else None

@@ -1,4 +1,4 @@
-"""Ends the agent when it is asked to: by a signal, a closing console, the end of the session."""
+"""Ends the agent on request: by a signal, a closing console, or the end of the session."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from biosensor_common.ending import END_S, end_within
 def end_quietly_until_running() -> None:
     """Let a request that comes before `until_signalled` end the process, with exit code 0.
 
-    Nothing has been opened then that would have to be closed. Must be called from
-    the main thread, and before whatever takes long to import.
+    Nothing has to be closed by then. Must be called from the main thread, and before slow imports.
     """
 
     def end(_number: int, _frame: FrameType | None) -> NoReturn:
@@ -30,24 +29,24 @@ def end_quietly_until_running() -> None:
 async def until_signalled(
     main_task: Callable[[], Coroutine[Any, Any, None]], *, ends_within_s: float = END_S
 ) -> None:
-    """Run a coroutine until it ends, or cancel it once and wait for its end when asked to stop.
+    """Run a coroutine to its end; at a request to stop, cancel it once and wait for its end.
 
     Requests are SIGINT (Ctrl-C), SIGTERM and, on POSIX, SIGHUP (the terminal is
     closed) unless it was ignored before, as under ``nohup``; on Windows Ctrl-Break,
-    the console's close, logoff and shutdown. Later ones are ignored until exit. Must run
-    in the main thread.
+    the console's close, logoff and shutdown. Further requests are ignored until exit.
+    Must run in the main thread.
 
     Parameters
     ----------
     main_task
         Returns the coroutine.
     ends_within_s
-        From the first request; the process is ended then, whatever it waits for.
+        Time after the first request at which the process is ended, even if it is blocked.
 
     Raises
     ------
     Exception
-        Whatever the coroutine raises; its cancellation is not passed on.
+        An exception of the coroutine, but not its cancellation.
     """
     task = asyncio.create_task(main_task())
     loop = asyncio.get_running_loop()
@@ -58,7 +57,7 @@ async def until_signalled(
             task.cancel()
 
     def stop_from_any_thread() -> None:
-        # A request that comes after the loop has closed asks for what happens anyway.
+        # After the loop has closed, the process is ending anyway.
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(stop)
 
@@ -75,21 +74,21 @@ async def until_signalled(
 def _signals_call(
     stop_from_any_thread: Callable[[], None], *, deaf_afterwards: Callable[[], object]
 ) -> Generator[None]:
-    """Have signals call it; afterwards they do what they did before, or nothing."""
+    """Let signals call a function; afterwards restore their handlers, or ignore them."""
     before = {number: signal.getsignal(number) for number in _requests()}
     if sys.platform == "win32":
-        # The loop asks to be told when it need not be woken any more, which is no trouble.
+        # Without the warning that the loop's wakeup socket is full, which is harmless.
         signal.set_wakeup_fd(signal.set_wakeup_fd(-1), warn_on_full_buffer=False)
     for number in before:
-        # Runs between bytecodes of the main thread, so the loop has to be woken. The loop's own
-        # handlers get a signal through a socket, which threads fill that have much to tell a loop
-        # that is behind: the signal would be lost.
+        # Not the loop's own signal handlers: they receive a signal through a socket, which other
+        # threads can fill while the loop is busy, and the signal would be lost. This handler runs
+        # between bytecodes of the main thread, so it has to wake the loop.
         signal.signal(number, lambda _number, _frame: stop_from_any_thread())
     try:
         yield
     finally:
         for number, handler in before.items():
-            # What is ignored stays ignored while the interpreter shuts down.
+            # After a request, further ones stay ignored while the interpreter shuts down.
             signal.signal(number, signal.SIG_IGN if deaf_afterwards() else handler)
 
 

@@ -1,4 +1,4 @@
-"""Makes the state folder, and replaces files of it in one step: no reader sees half of one."""
+"""Creates the state folder, and replaces its files atomically."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ _PAUSE_S = 0.01
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder with all above it; on POSIX nobody but the user can look into new ones.
-
-    Names of people and what was recorded of them are in there, and computers of labs have other
-    users.
+    """Create a folder and its parents; on POSIX only the user can look into new ones.
 
     Raises
     ------
     OSError
-        It cannot be made.
+        If it cannot be created.
     """
+    # The folder can have names and data of people, and a lab's computers have several users.
     for each in reversed((folder, *folder.parents)):
         if not each.exists():
             each.mkdir(0o700, exist_ok=True)
@@ -30,27 +28,25 @@ def make_folder(folder: Path) -> None:
 
 
 def replace(path: Path, text: str, *, private: bool = False, durable: bool = False) -> None:
-    """Put a text in the place of a file; what was there stays until the new one is whole.
+    """Replace a file's content atomically; the file need not exist, and its folder is created.
 
     Parameters
     ----------
-    path
-        The file, which need not exist; its folder is made.
     text
         Written as UTF-8.
     private
-        On POSIX, nobody but the user can read it at any time.
+        On POSIX, only the user can read the file, at any time.
     durable
-        It also survives a loss of power.
+        Whether the new content must survive a loss of power.
 
     Raises
     ------
     OSError
-        It cannot be written; the old file is as it was.
+        If the file cannot be written; its old content is still there.
     """
     make_folder(path.parent)
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    # Of a process with this number that was killed here; it may be open to everybody.
+    # A killed process with the same id may have left one, perhaps readable by everybody.
     temporary.unlink(missing_ok=True)
     mode = 0o600 if private else 0o666
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
@@ -72,10 +68,11 @@ def read(path: Path) -> str:
     Raises
     ------
     OSError
-        It cannot be read.
+        If it cannot be read.
     UnicodeDecodeError
-        It is no UTF-8.
+        If it is not UTF-8.
     """
+    # Windows refuses to open a file while it is replaced.
     for _ in range(_TRIES - 1):
         try:
             return path.read_text(encoding="utf-8")
@@ -85,7 +82,7 @@ def read(path: Path) -> str:
 
 
 def _move(source: Path, target: Path) -> None:
-    # Windows refuses for as long as a reader has the old file open.
+    # Windows refuses while a reader has the old file open.
     for _ in range(_TRIES - 1):
         try:
             source.replace(target)

@@ -1,4 +1,4 @@
-"""Has systemd, on Linux, run the agent for this user whenever they are logged in."""
+"""Installs the agent as a systemd service of this user, on Linux."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ WantedBy=default.target
 
 
 def unit_path(environment: Mapping[str, str], home: Path) -> Path:
-    """Return where this user's units are, by the XDG base directory specification."""
+    """Return the path of this user's unit, by the XDG base directory specification."""
     folder = environment.get("XDG_CONFIG_HOME", "")
     base = Path(folder) if folder.startswith("/") else home / ".config"
     return base / "systemd" / "user" / UNIT
 
 
 def install(arguments: Sequence[str]) -> Path:
-    """Write the unit, and have it run now and at each login; return its path.
+    """Write the unit, start it now and at each login; return its path.
 
     Raises
     ------
     TransportError
         ``ABSENT`` if there is no systemd, ``DENIED`` if the unit cannot be written,
-        ``UNAVAILABLE`` if systemd does not do it.
+        ``UNAVAILABLE`` if systemd does not start it.
     """
     systemctl = _systemctl()
     path = unit_path(os.environ, Path.home())
@@ -111,7 +111,7 @@ def _systemctl() -> str:
 
 
 def _problem(systemctl: str, *arguments: str) -> str | None:
-    """Call systemctl; return what it complains of, None if it did what it should."""
+    """Call systemctl; return its error, or None if it succeeds."""
     try:
         done = subprocess.run(
             [systemctl, "--user", *arguments],
@@ -133,7 +133,7 @@ def _problem(systemctl: str, *arguments: str) -> str | None:
 
 
 def _quoted(word: str) -> str:
-    """Write a word so that systemd reads it as it is: quotes, variables, specifiers."""
+    """Quote a word for a unit: escape quotes, variables and specifiers."""
     for special, escaped in (("\\", "\\\\"), ('"', '\\"'), ("$", "$$"), ("%", "%%")):
         word = word.replace(special, escaped)
     return f'"{word}"'

@@ -1,6 +1,6 @@
-"""Writes records of the log as lines for people: local time, the device, a sentence.
+"""Formats log records as lines for people, and draws a panel below them on a terminal.
 
-The file has everything; here is left out what only a program can use.
+A line has local time, device and a sentence. Facts for programs are only in the log file.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from biosensor_common.outflow import Outflow
 from biosensor_common.terminal import wrapped
 
 FOR_PEOPLE = "for_people"
-"""Key of a record for the sentence that a terminal shows in place of the event and its facts."""
+"""Key of a record's sentence that a terminal shows instead of the event and its facts."""
 
-# Words of programs: the log file has them.
+# Facts for programs, which only the log file has.
 _UNSHOWN = frozenset({"code", "event_name", "reason", "where", "way"})
 _EVERYWHERE = frozenset({"event", "level", "logger", "sensor", "text", "timestamp", "unit"})
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
@@ -41,23 +41,23 @@ def without_line_for_people(
 
 
 def on_one_line(text: str) -> str:
-    """Escape line ends and whatever would command a terminal."""
+    """Escape line ends and control characters."""
     return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 class LinesForPeople:
-    """The last processor of a terminal's records.
+    """The last structlog processor for records on a terminal.
 
     Parameters
     ----------
     title
-        Returns what people call a sensor.
+        Returns a sensor's name for people.
     columns
-        Returns how wide the terminal is; None where nothing needs to fit.
+        Returns the width of the terminal; None to wrap no lines.
     colours
-        Whether it shows any.
+        Whether the terminal shows colours.
     verbose
-        Show all facts.
+        Whether to show all facts.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class LinesForPeople:
         self._colours, self._verbose = colours, verbose
 
     def __call__(self, _logger: WrappedLogger, _method: str, event_dict: EventDict) -> str:
-        """Return the line, without its end; wrapped between words."""
+        """Return the line without its end, wrapped between words."""
         mark = _MARKS.get(str(event_dict.get("level")), " ")
         text = on_one_line(f"{_clock_time(event_dict)} {mark} {self._sentence(event_dict)}")
         text = wrapped(text, self._columns(), _HANG)
@@ -89,22 +89,22 @@ class LinesForPeople:
     def _device(self, record: EventDict, said: str) -> str:
         sensor, unit = str(record.get("sensor", "")), str(record.get("unit", ""))
         title = self._title(sensor) if sensor else ""
-        # Many sentences begin with the device that they are about.
+        # Many sentences begin with the device's name already.
         name = "" if title and said.startswith(title) else f"{title} {unit}".strip()
         return f"{name}: " if name else ""
 
 
 def sentence_of(record: Mapping[str, object], *, verbose: bool = False) -> str:
-    """Say what happened, with its facts; the device and the time are left to others.
+    """Return the event with its facts, without device and time.
 
     Parameters
     ----------
     record
-        Of the log, also as read from its file.
+        A record of the log, also one that was read from its file.
     verbose
-        Show all facts.
+        Whether to show all facts.
     """
-    # What a device's service says in a text of its own is the sentence.
+    # A vendor's service can send its own text, which is shown instead of the event.
     event = str(record.get("text") or record.get("event", ""))
     facts = ", ".join(_facts(record, verbose=verbose))
     return f"{event} ({facts})" if facts else event
@@ -158,23 +158,23 @@ class Line(NamedTuple):
 
 
 Render = Callable[[Size], Sequence[Line]]
-"""Makes the lines for a terminal of that size."""
+"""Returns the lines of a panel for a terminal of this size."""
 
 
 class Panel:
-    """Draws in the thread of a terminal's outflow, so that nobody waits for the terminal.
+    """Lines below the log that are drawn by the thread of the terminal's writer.
 
-    While the terminal takes nothing, pictures are left out, each as a whole.
+    While the terminal is blocked, drawings are skipped.
 
     Parameters
     ----------
     outflow
-        The terminal's; all that is written to the terminal must come this way.
+        Writer of the terminal, through which all output to it must go.
     size
-        Tells how large the terminal is; None while it must not be drawn on, because another
-        program has it or it has gone.
+        Returns the size of the terminal; None while it must not be drawn on, because another
+        program has it or it was closed.
     encoding
-        Of the terminal.
+        Encoding of the terminal.
     """
 
     def __init__(
@@ -188,27 +188,27 @@ class Panel:
         outflow.shape = self.shape
 
     def show(self, render: Render) -> None:
-        """Show this from now on; never waits."""
+        """Replace the lines of the panel; never blocks."""
         self._render = render
         self._outflow.put_if_idle(b"")
 
     def close(self, last_line: str = "") -> None:
-        """Take the panel away once all before that is written; what is shown later counts not."""
+        """Remove the panel after everything before it is written; later calls have no effect."""
         if not self._is_closed:
             self._is_closed = True
             self._outflow.put(self._encoded(f"{last_line}\n" if last_line else ""))
 
     def shape(self, lines: bytes) -> bytes:
-        """Return what writes lines above the panel, and the panel again."""
+        """Return the bytes that insert log lines above the panel and redraw the panel."""
         whole = self._whole_lines(lines)
         size = self._size()
         if size is None:
-            # Whoever has the terminal now does not know of the panel.
+            # Another program has the terminal, so that the panel's lines cannot be found again.
             self._drawn = ()
             return whole
         start = self._start(size)
         if self._outflow.is_behind and whole:
-            # It is drawn again behind the last of many.
+            # More lines are waiting: the panel is drawn again after the last of them.
             self._drawn = ()
             return self._encoded(start + (_CLEAR_BELOW if start else "")) + whole
         wanted = self._fitting(size)
@@ -220,32 +220,32 @@ class Panel:
         return self._encoded(start + picture + clear)
 
     def _whole_lines(self, lines: bytes) -> bytes:
-        """Keep a line back until its end has come, or the next picture is due."""
-        come = self._unfinished + lines
-        if not lines and come:
+        """Return complete lines; an unfinished one waits for its end or for the next drawing."""
+        received = self._unfinished + lines
+        if not lines and received:
             self._unfinished = b""
-            return come + b"\n"
-        whole, _, self._unfinished = come.rpartition(b"\n")
-        return whole + b"\n" if whole or come[:1] == b"\n" else b""
+            return received + b"\n"
+        whole, _, self._unfinished = received.rpartition(b"\n")
+        return whole + b"\n" if whole or received[:1] == b"\n" else b""
 
     def _start(self, size: Size) -> str:
-        """Go to where the panel begins."""
-        # A terminal that was made narrower has broken wider lines, or has cut them: the old
-        # panel stays, because lines of the log above it must not be taken for a part of it.
+        """Return the sequence that moves the cursor to the start of the panel."""
+        # In a terminal that was made narrower, wider lines may have been wrapped, so that the
+        # start of the old panel is unknown. It stays, because lines of the log must not be erased.
         if not self._drawn or max(self._drawn) > size.columns:
             return ""
         return _TO_START + _UP.format(len(self._drawn))
 
     def _fitting(self, size: Size) -> list[Line]:
-        # The cursor stands below the last line, and above what has gone it cannot go.
+        # The cursor is below the last line, and cannot move to lines that have scrolled away.
         if self._is_closed or size.lines < 2 or size.columns < 2:
             return []
         lines = list(self._render(size))[: size.lines - 1]
-        # What ends in the last column is broken by some terminals.
+        # Some terminals wrap a line that ends in the last column.
         return [self._cut(line, size.columns - 1) for line in lines]
 
     def _cut(self, line: Line, room: int) -> Line:
-        # An escape for a letter that the terminal has not got is longer than the letter.
+        # Measured after encoding: the escape of a character that the terminal lacks is longer.
         text = self._encoded(on_one_line(line.text)).decode(self._encoding)
         return line._replace(text=text if cell_len(text) <= room else set_cell_size(text, room))
 
@@ -263,10 +263,10 @@ _NO_CURSOR = frozenset({"dumb", "unknown"})
 
 @contextlib.contextmanager
 def cursor_moves(descriptor: int) -> Generator[bool]:
-    """Say whether a program may move the cursor of the terminal behind a descriptor.
+    """Yield whether a program may move the cursor of the terminal with this descriptor.
 
-    A Windows console is made to heed such commands while the context lasts; before Windows 10
-    none does.
+    On Windows, the console interprets such sequences while the context lasts; before Windows 10
+    it cannot.
     """
     with contextlib.ExitStack() as stack:
         yield os.isatty(descriptor) and _prepared(descriptor, stack)
@@ -281,14 +281,14 @@ def shows_colours() -> bool:
 
 
 def terminal_size(descriptor: int) -> Size | None:
-    """Return the size of a terminal; None while it is not this process's to draw on."""
+    """Return the size of a terminal; None while this process is in the background."""
     if sys.platform == "win32":
         return _window(descriptor)
     try:
         columns, lines = os.get_terminal_size(descriptor)
     except OSError:
         return None
-    # Serial consoles do not know their size.
+    # A serial console reports a size of 0.
     return Size(columns or 80, lines or 24) if _is_in_front(descriptor) else None
 
 
@@ -298,7 +298,7 @@ def _is_in_front(descriptor: int) -> bool:
     try:
         return os.tcgetpgrp(descriptor) == os.getpgrp()
     except OSError:
-        # It is not the terminal that controls this process: no shell has put it behind.
+        # Not the controlling terminal of this process, so that no shell puts it in the background.
         return True
 
 

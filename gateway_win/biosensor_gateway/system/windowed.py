@@ -1,8 +1,8 @@
-"""The program of the Start menu: opens the page in a window of its own, without a console.
+"""The program of the Start menu: opens the page in a separate window, without a console.
 
-It starts the one with a console, which then has none, and waits for it. So whatever goes wrong
-there, up to a crash of the interpreter, a person gets a sentence instead of nothing. It
-imports little, because all that it imports is installed twice.
+It starts the console program without a console, and waits for it. So a person gets a message even
+if that program's interpreter crashes. This module imports little, because everything that it
+imports is installed twice.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ PAGE = ("page", "--window", "--end-after", "2")
 _LAST_LINES = 50
 _LAST_WORDS_S = 2.0
 _OWN_SENTENCE = "biosensor-gateway: "
-# STATUS_CONTROL_C_EXIT of ntstatus.h: Windows ends a console's program so when a user logs off.
+# STATUS_CONTROL_C_EXIT of ntstatus.h: the exit code of a console program at logoff.
 _LOGGED_OFF = 0xC000013A
 
 if sys.platform == "win32":
     import ctypes
 
     _FLAGS = subprocess.CREATE_NO_WINDOW
-    # Of winuser.h: an error's sign, and before all other windows.
+    # MB_ICONERROR and MB_SETFOREGROUND of winuser.h.
     _MESSAGE_BOX = 0x10 | 0x10000
 
     def _tell(sentence: str) -> None:
@@ -59,7 +59,7 @@ def main() -> int:
         return 1
     said: deque[str] = deque(maxlen=_LAST_LINES)
     assert process.stderr is not None
-    # What a browser that it has started says is not waited for.
+    # On a thread: a browser that the page has started may hold the pipe open after the page's end.
     reader = threading.Thread(target=said.extend, args=(process.stderr,), daemon=True)
     reader.start()
     code = process.wait()
@@ -70,7 +70,7 @@ def main() -> int:
 
 
 def _sentence(code: int, said: Iterable[str]) -> str:
-    """Say why the page has ended: in its own last sentence, or in whatever it said last."""
+    """Return why the page has ended: its last sentence of ours, or else its last line."""
     lines = [line.strip() for line in said if line.strip()]
     own = [line.removeprefix(_OWN_SENTENCE) for line in lines if line.startswith(_OWN_SENTENCE)]
     why = (own or lines or [f"exit code {code}"])[-1]

@@ -1,4 +1,4 @@
-"""Keeps a console window open that would close with this program, before its text was read.
+"""Keeps a console window open that would close with this program, and switches QuickEdit off.
 
 Source: Microsoft's documentation of ``GetConsoleProcessList``.
 """
@@ -13,34 +13,34 @@ from collections.abc import Generator
 
 
 def is_own_window() -> bool:
-    """Whether a console window closes when this process ends: it was started by a double click.
+    """Whether the console window closes with this process, as after a double click.
 
-    Never on other systems than Windows.
+    Always False on other systems than Windows.
     """
     if sys.platform != "win32":
         return False
     import ctypes
 
     processes = (ctypes.c_uint32 * 2)()
-    # It counts all processes on the console, also those that do not fit into the array.
+    # The function returns the number of all processes, even if the array is too small for them.
     return ctypes.windll.kernel32.GetConsoleProcessList(processes, 2) == 1
 
 
 def hold_open() -> None:
-    """Let a window that closes with this process wait for the Enter key first."""
+    """Let a window that would close with this process wait for the Enter key first."""
     if is_own_window() and has_a_reader():
-        # A traceback is printed after this.
+        # At exit, because a traceback is printed after this call.
         atexit.register(_await_enter)
 
 
 def has_a_reader() -> bool:
-    """Whether somebody sees what is written, and can press a key."""
-    # A program without a console has neither, whatever their types say.
+    """Whether a person can read the output and press a key."""
+    # A windowed program has neither stream, although their types do not say so.
     return all(each is not None and each.isatty() for each in (sys.stdin, sys.stdout))
 
 
 def _await_enter() -> None:
-    # Ctrl-C ends a program that has not begun by SystemExit.
+    # SystemExit, because Ctrl-C raises that until the agent runs.
     with contextlib.suppress(EOFError, KeyboardInterrupt, SystemExit):
         input("Press Enter to close this window. ")
 
@@ -55,14 +55,14 @@ def without_quick_edit(mode: int) -> int:
 
 @contextlib.contextmanager
 def quick_edit_off() -> Generator[None]:
-    """Have no QuickEdit for a while; does nothing on other systems or without a console.
+    """Switch QuickEdit off while the context lasts; does nothing without a Windows console.
 
-    The mode belongs to the console, which other programs may use afterwards, so it is put
-    back. A program that is killed leaves QuickEdit off.
+    The mode is restored, because the console may be used by other programs afterwards. A program
+    that is killed leaves QuickEdit off.
     """
     with contextlib.ExitStack() as stack:
         if sys.platform == "win32":
-            # Whoever redirects stdin has a console that can be clicked into all the same.
+            # Not stdin, which may be redirected while the console can still be clicked into.
             with contextlib.suppress(OSError):
                 console = os.open("CONIN$", os.O_RDWR)
                 stack.callback(os.close, console)
@@ -94,6 +94,6 @@ if sys.platform == "win32":
             raise ctypes.WinError(ctypes.get_last_error())
 
     def _put_back(console: int, mode: int) -> None:
-        # EXTENDED_FLAGS alone lets Windows heed the flag of QuickEdit.
+        # Windows applies the QuickEdit flag only together with EXTENDED_FLAGS.
         with contextlib.suppress(OSError):
             _set_mode(console, mode | ENABLE_EXTENDED_FLAGS)

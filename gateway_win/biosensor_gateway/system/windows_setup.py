@@ -1,7 +1,7 @@
-"""Starts the program when a user of a Windows PC logs on.
+"""Changes the registry for the Windows installer: start at logon, and the PATH.
 
-An installer runs as the administrator who allowed it, often somebody else than the user who
-sits there: the user is the one of the session, and the entry goes into that user's registry.
+An installer runs as the administrator who allowed it, who is often another person than the user of
+the session. The entry for the start at logon goes into the registry of the session's user.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ _RUN = r"Software\Microsoft\Windows\CurrentVersion\Run"
 
 
 class NoUserError(OSError):
-    """Nobody is logged on in the session, as where a service installs."""
+    """Nobody is logged on in the session, as when a service runs the installer."""
 
 
 if sys.platform == "win32":
@@ -21,7 +21,7 @@ if sys.platform == "win32":
     import winreg
     from collections.abc import Iterator
 
-    # Of wtsapi32.h: this server, this session, and what is asked of it.
+    # Constants of wtsapi32.h.
     _THIS_SERVER, _THIS_SESSION, _USER_NAME, _DOMAIN_NAME = None, -1, 5, 7
     _SID_BYTES, _NAME_CHARACTERS = 68, 256
     _ACCESS = winreg.KEY_READ | winreg.KEY_WRITE | winreg.KEY_WOW64_64KEY
@@ -32,7 +32,7 @@ if sys.platform == "win32":
         Raises
         ------
         NoUserError
-            There is none, or Windows does not tell.
+            If there is none, or Windows does not report it.
         """
         name = _of_session(_USER_NAME)
         if not name:
@@ -41,12 +41,12 @@ if sys.platform == "win32":
         return _sid(f"{domain}\\{name}" if domain else name)
 
     def choose(command: str, *, wanted: bool) -> None:
-        """Make the entry of the session's user or remove it; others who have one get the command.
+        """Write or remove the entry of the session's user; update the entries of other users.
 
         Raises
         ------
         OSError
-            The registry cannot be written; `NoUserError` if it is nobody's.
+            If the registry cannot be written; `NoUserError` if nobody is logged on.
         """
         own = user_of_session()
         for user in _users():
@@ -99,7 +99,7 @@ if sys.platform == "win32":
     def _users() -> Iterator[str]:
         count = winreg.QueryInfoKey(winreg.HKEY_USERS)[0]
         for name in [winreg.EnumKey(winreg.HKEY_USERS, each) for each in range(count)]:
-            # The rest are the template of new users, and what they open files with.
+            # The other keys are the template for new users, and the users' file associations.
             if name.startswith("S-1-") and not name.endswith("_Classes"):
                 yield name
 
@@ -129,7 +129,7 @@ else:
         raise NoUserError(_REFUSED)
 
     def is_chosen() -> bool:
-        """Return that there is no such entry."""
+        """Return False: only Windows has such entries."""
         return False
 
     def remove_all() -> None:
@@ -144,12 +144,12 @@ _BROADCAST_TIMEOUT_MS = 2000
 def with_folder(path: str, folder: str) -> str:
     """Return a search path with *folder* as its last entry, unless it has it already.
 
-    `without_folder` leads back to what was there before, semicolons at its end included.
+    `without_folder` restores the path as it was, with any semicolon at its end.
 
     Raises
     ------
     ValueError
-        The folder's name has a semicolon, which separates the entries.
+        If the folder's name has a semicolon, which separates the entries.
     """
     if ";" in folder:
         raise ValueError(f"the folder {folder} has a semicolon in its name")
@@ -172,7 +172,7 @@ def _same(one: str, other: str) -> bool:
 
 
 def _plain(entry: str) -> str:
-    """Return an entry without what makes no difference: case, quotes, a backslash at its end."""
+    """Normalize an entry: case, quotes and a backslash at the end make no difference."""
     return entry.strip().strip('"').rstrip("\\").lower()
 
 
@@ -182,7 +182,7 @@ def add_to_path(folder: str) -> None:
     Raises
     ------
     OSError
-        The registry cannot be written: no administrator.
+        If the registry cannot be written, as without administrator rights.
     ValueError
         As for `with_folder`.
     """
@@ -211,12 +211,12 @@ if sys.platform == "win32":
             changed = (with_folder if present else without_folder)(path, folder)
             if changed == path:
                 return
-            # It may hold %SystemRoot%: its kind stays what it was.
+            # With its type unchanged, because the value may contain %SystemRoot%.
             winreg.SetValueEx(key, "Path", 0, kind, changed)
         _announce()
 
     def _announce() -> None:
-        """Tell the programs that run, the desktop first of all, so that new terminals know."""
+        """Notify running programs, above all the desktop, from which new terminals inherit."""
         ctypes.windll.user32.SendMessageTimeoutW(
             *(_BROADCAST, _SETTING_CHANGE, 0, ctypes.c_wchar_p("Environment")),
             *(_ABORT_IF_HUNG, _BROADCAST_TIMEOUT_MS, None),

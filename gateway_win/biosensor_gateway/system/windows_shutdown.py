@@ -1,10 +1,10 @@
 """Notices that Windows ends a program: its console closes, or the session ends.
 
-A console that closes is told to a console control handler. So are logoff and
-shutdown, but not to a program that has user32.dll loaded, and OpenSSL loads it;
-such a program is told through the messages of a window. Sources: Microsoft's
-documentation of ``SetConsoleCtrlHandler``, ``HandlerRoutine``, ``WM_QUERYENDSESSION``,
-``WM_ENDSESSION`` and ``SetProcessShutdownParameters``.
+Windows calls a console control handler when the console closes. It also calls the handler
+at logoff and shutdown, but not in a program with user32.dll, which OpenSSL loads. Such a
+program needs a window, which receives messages. Sources: Microsoft's documentation of
+``SetConsoleCtrlHandler``, ``HandlerRoutine``, ``WM_QUERYENDSESSION``, ``WM_ENDSESSION``
+and ``SetProcessShutdownParameters``.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ CTRL_C_EVENT, CTRL_BREAK_EVENT = 0, 1
 WM_QUERYENDSESSION, WM_ENDSESSION = 0x0011, 0x0016
 WINDOW_CLASS = "BiosensorGatewaySession"
 
-_TOLD_FIRST = 0x3FF
-"""The highest level of programs; the usual one is 0x280. Higher ones are told earlier."""
+_NOTIFIED_FIRST = 0x3FF
+"""The highest shutdown level of programs, notified first; the default is 0x280."""
 
-# Windows ends a program 5 s after it has told it (HungAppTimeout).
+# Windows ends a program 5 s after the notification (HungAppTimeout).
 GRACE_S = 4.5
 
 _log = structlog.get_logger("biosensor_gateway.shutdown")
@@ -34,13 +34,13 @@ def watch(stop: Callable[[], None], *, before_others: bool = False) -> None:
     """Call ``stop`` at Ctrl-Break, the console's close and the session's end.
 
     To be called once in a process. ``stop`` is called in other threads than the main one.
-    Except for Ctrl-Break, Windows ends the process as soon as it has an answer, so the
-    answer is kept back for `GRACE_S`, in which the process has time to exit by itself.
+    Except for Ctrl-Break, Windows ends the process as soon as the handler returns, so the
+    handler waits for `GRACE_S`, in which the process has time to exit by itself.
 
     Parameters
     ----------
     before_others
-        Whether the session's end is told here before other programs are ended.
+        Whether this process is to be notified of the session's end before other programs.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def watch(stop: Callable[[], None], *, before_others: bool = False) -> None:
         If Windows refuses the console control handler.
     """
     assert sys.platform == "win32"
-    if before_others and not _kernel32().SetProcessShutdownParameters(_TOLD_FIRST, 0):
+    if before_others and not _kernel32().SetProcessShutdownParameters(_NOTIFIED_FIRST, 0):
         _log.debug("not told of the session's end before others", error=ctypes.get_last_error())
 
     def stop_and_wait_for_exit() -> None:
@@ -91,7 +91,7 @@ if sys.platform == "win32":
         @_HandlerRoutine
         def handle(event: int) -> bool:
             if event == CTRL_C_EVENT:
-                # Goes on to Python, for which it is SIGINT.
+                # Left to Python's handler, which raises SIGINT.
                 return False
             if event == CTRL_BREAK_EVENT:
                 stop()
@@ -104,7 +104,7 @@ if sys.platform == "win32":
             raise ctypes.WinError(ctypes.get_last_error())
 
     def _watch_session(stop_and_wait_for_exit: Callable[[], None]) -> None:
-        """Have a hidden window and answer its messages until the process exits."""
+        """Create a hidden window and answer its messages until the process exits."""
         user32 = _user32()
 
         @_WindowProcedure
@@ -129,7 +129,7 @@ if sys.platform == "win32":
             user32.DispatchMessageW(ctypes.byref(message))
 
     def _make_window(user32: ctypes.WinDLL, procedure: object) -> None:
-        """Make a top-level window that is never shown: others are not told of the session."""
+        """Create a top-level window that is never shown; only such windows get these messages."""
         window_class = _WindowClass(procedure=procedure, class_name=WINDOW_CLASS)
         if not user32.RegisterClassW(ctypes.byref(window_class)):
             raise ctypes.WinError(ctypes.get_last_error())
@@ -167,5 +167,5 @@ if sys.platform == "win32":
         return user32
 
     def _keep_for_ever(callback: object) -> None:
-        """Never free what Windows may call, not even while the interpreter shuts down."""
+        """Keep a callback alive for Windows, even while the interpreter shuts down."""
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(callback))
