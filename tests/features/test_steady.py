@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from biosensor_gateway.features.even_stamps import Steady
+from biosensor_gateway.features.even_stamps import EvenStamps
 from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, measured, overlaps, without
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ SHAPES = {
 
 
 def _steadied(stamps: Array, sizes: list[int]) -> tuple[Array, Array]:
-    steady = Steady(NOMINAL_HZ)
+    steady = EvenStamps(NOMINAL_HZ)
     values = np.arange(len(stamps), dtype=np.float64)[:, np.newaxis]
     parts: list[tuple[Array, Array]] = []
     begin = 0

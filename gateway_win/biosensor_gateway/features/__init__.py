@@ -1,12 +1,12 @@
-"""Computes what a robot can act on from raw streams: beats, heart rate, responses of the skin ...
+"""Computes features of raw streams that a robot can act on: beats, heart rate, skin responses ...
 
-Pure classes first, which take samples and give events, the same for any cutting of a stream:
-:mod:`.runs` cuts where samples are missing, :mod:`.filters` has filters with state, :mod:`.r_peaks`
-and :mod:`.pulse` find beats, :mod:`.heart` makes rates of them, and :mod:`.skin`,
-:mod:`.breathing`, :mod:`.activity` and :mod:`.quality` do the rest. All limits, with their sources,
-are in :mod:`.thresholds`. :mod:`.chains` puts these together for each type of stream, and
-:mod:`.outputs` declares what comes out.
+The detectors are pure classes that take samples and return events. Their results do not depend on
+how a stream is cut into blocks. :mod:`.runs` splits a stream at gaps, :mod:`.filters` has filters
+with state, :mod:`.r_peaks` and :mod:`biosensor_gateway.pulses` find beats, :mod:`.heart` computes
+rates, and :mod:`.skin`, :mod:`.breathing` and :mod:`.quality` do the rest. All limits, with their
+sources, are in :mod:`.thresholds`. :mod:`.chains` combines detectors for each type of stream, and
+:mod:`.outputs` declares the streams of features.
 
-:mod:`.sources` judges a stream's header, :mod:`.headers` writes those of what comes out,
-:mod:`.live` reads LSL and sends LSL, and :mod:`.offline` does the same to a recording.
+:mod:`.sources` selects streams by their headers, :mod:`.headers` writes the headers of features,
+:mod:`.live` receives and sends LSL streams, and :mod:`.offline` does the same for a recording.
 """

@@ -1,7 +1,7 @@
-"""Tells how much the beats in a window are like each other: Orphanidou 2015; or too much.
+"""Measures the similarity of the beats in a window: Orphanidou 2015, and beats that are too equal.
 
-References are in :mod:`.thresholds`. A window has one length, so results are the same to the last
-bit however a stream was cut.
+References are in :mod:`.thresholds`. All windows have the same length, so that results are equal to
+the last bit however a stream is cut.
 """
 
 from __future__ import annotations
@@ -14,37 +14,36 @@ from biosensor_gateway.features.runs import Array
 from biosensor_gateway.pulses import thresholds as pulses
 
 
-def ecg_likeness(values: Array, rate: float) -> float:
-    """Return the mean correlation of QRS complexes, with what is around them, with their template.
+def ecg_similarity(values: Array, rate: float) -> float:
+    """Return the mean correlation of QRS complexes and their surroundings with their template.
 
-    It is 0 where fewer than three are found.
+    It is 0 if fewer than three are found.
     """
     slow, rate = averaged(values, rate, at.TEMPLATE_RATE_HZ)
     width = 2 * round(at.QRS_S * rate / 2) + 1
     energy = np.convolve(
         np.square(_band(slow, rate, at.ECG_BAND_HZ)), np.full(width, 1 / width), "same"
     )
-    return _likeness(slow, _tops(energy, rate), rate, at.ECG_TEMPLATE_S)
+    return _similarity(slow, _tops(energy, rate), rate, at.ECG_TEMPLATE_S)
 
 
-def ppg_likeness(values: Array, rate: float) -> float:
+def ppg_similarity(values: Array, rate: float) -> float:
     """Return the mean correlation of pulses with their template; 0 with fewer than three."""
     slow, rate = averaged(values, rate, at.TEMPLATE_RATE_HZ)
     tops = _tops(_band(slow, rate, pulses.BAND_HZ), rate)
-    return _likeness(slow, tops, rate, at.PPG_TEMPLATE_S)
+    return _similarity(slow, tops, rate, at.PPG_TEMPLATE_S)
 
 
 def apart(values: Array, rate: float, hertz: float) -> float:
-    """Return how far waves differ that are laid over each other; 1 where they are unlike.
+    """Return how much the waves of a period differ, from 0 for equal to 1 for unrelated ones.
 
-    Samples are put in the order of their phase, and neighbours compared, as Lafler and Kinman did
-    with stars. No heart beats as evenly as a clock, nor as high each time; the light of a lamp that
-    is sampled too slowly does, whatever its shape.
+    Samples are sorted by phase, and neighbours are compared, as Lafler and Kinman did with stars.
+    A heart's beats differ in interval and height. The waves of an aliased lamp are all equal.
 
     Parameters
     ----------
     hertz
-        The strongest frequency, nearly.
+        Approximation of the strongest frequency.
     """
     slow, rate = averaged(values, rate, at.PPG_APART_RATE_HZ)
     times = np.arange(len(slow)) / rate
@@ -59,7 +58,7 @@ def apart(values: Array, rate: float, hertz: float) -> float:
         return float(np.sort(steps)[:kept].sum()) / len(slow) / whole
 
     found: list[float] = []
-    # The strongest may be the first overtone.
+    # The strongest frequency may be the first overtone.
     for begin in (hertz, hertz / 2):
         found.append(at_hertz(begin))
         if found[-1] < at.PPG_APART_NEAR:
@@ -68,14 +67,14 @@ def apart(values: Array, rate: float, hertz: float) -> float:
 
 
 def averaged(values: Array, rate: float, wanted_hz: float) -> tuple[Array, float]:
-    """Return means of neighbours, at the wanted rate or up to twice that, and their rate."""
+    """Return means of neighbouring samples, and their rate, from `wanted_hz` to twice that."""
     factor = max(1, int(rate // wanted_hz))
     whole = len(values) // factor * factor
     return values[:whole].reshape(-1, factor).mean(axis=1), rate / factor
 
 
 def unevenness(values: Array, rate: float, block_s: float) -> float:
-    """Return how many times as much the wildest block spans as the usual one; 1 if none does."""
+    """Return the span of the widest block relative to the median block."""
     length = min(len(values), max(1, round(block_s * rate)))
     blocks = values[: len(values) // length * length].reshape(-1, length)
     spans = np.ptp(blocks, axis=1)
@@ -91,7 +90,7 @@ def _band(values: Array, rate: float, band_hz: tuple[float, float]) -> Array:
 
 
 def _tops(values: Array, rate: float) -> NDArray[np.intp]:
-    """Return where values are the largest around, and a share of what is usual for such."""
+    """Return the places of local maxima that have at least a share of the usual height."""
     near = max(1, round(at.TEMPLATE_APART_S * rate))
     padded = np.pad(values, near, constant_values=-np.inf)
     largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
@@ -100,7 +99,7 @@ def _tops(values: Array, rate: float) -> NDArray[np.intp]:
     return np.flatnonzero((values == largest) & (values > at.TEMPLATE_SHARE * usual))
 
 
-def _likeness(
+def _similarity(
     values: Array, tops: NDArray[np.intp], rate: float, around_s: tuple[float, float]
 ) -> float:
     before, after = (round(each * rate) for each in around_s)
@@ -113,7 +112,7 @@ def _likeness(
     if not sizes.min() > 0:
         return 0.0
     shapes = beats / sizes[:, np.newaxis]
-    # Of a mean, one artefact would make a template of its own.
+    # The median, because one large artefact would dominate a mean.
     template = np.median(shapes, axis=0)
     size = float(np.sqrt(np.square(template).sum()))
     return float((shapes * template).sum(axis=1).mean()) / size if size > 0 else 0.0

@@ -24,22 +24,22 @@ class _Point(NamedTuple):
 
 
 class Breathing:
-    """Gives `breaths`, `breath_depth`, `br_live` and `br_live_quality` at each end of breathing in.
+    """Gives `breaths`, `breath_depth`, `br_live` and `br_live_quality` after each inspiration.
 
-    The smoothed signal has turned where it has come back by a share of how far it usually moves:
-    what is less belongs to the same breath, whatever the level is. Tops are ends of breathing in.
+    A turning point of the smoothed signal is where it has moved back by a share of its usual span;
+    smaller movements belong to the same breath. Maxima are ends of inspirations.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz.
+        Nominal rate in Hz.
     """
 
     def __init__(self, rate: float) -> None:
         self._decimator = Decimator(rate, at.BREATH_RATE_HZ)
         cut_hz = at.BREATH_BAND_HZ[1]
         self._smooth = Biquad(cut_hz, self._decimator.rate, is_high_pass=False)
-        # How late a Butterworth filter of second order is for what is slow.
+        # Delay of a second-order Butterworth filter for slow signals.
         self._late_s = math.sqrt(2) / (2 * math.pi * cut_hz)
         self._usual = _Usual(round(at.BREATH_BLOCK_S * self._decimator.rate))
         self._low = self._high = _Point(math.nan, math.nan)
@@ -58,7 +58,6 @@ class Breathing:
     def _sample(self, here: _Point) -> list[Event]:
         limit = at.BREATH_HYSTERESIS * self._usual.take(here.value)
         if limit <= 0:
-            # Nothing is known yet, or nothing moves.
             self._low = self._high = here
             return []  # nothing is dropped: nothing is known yet, or nothing moves
         if self._is_up:
@@ -89,15 +88,15 @@ class Breathing:
         return events
 
     def _rate(self, stamp: float) -> list[Event]:
-        """Return breaths a minute, of the intervals that are like their median, and of all.
+        """Return breaths per minute, from the intervals close to their median, and from all.
 
-        A breath that was missed makes one interval of two, and a cough makes two of one; but a
-        pause is one, too.
+        A missed breath doubles an interval, and a cough halves one. A pause doubles one as well,
+        which is why the rate from all intervals is returned alongside.
         """
         intervals = [each.value for each in self._intervals]
         middle = median(intervals)
         alike = [s for s in intervals if middle / at.BR_ALIKE <= s <= middle * at.BR_ALIKE]
-        # Of an even number none need be like the median, which lies between two of them.
+        # With an even number, the median lies between two intervals, and none may be close to it.
         taken = alike or intervals
         covered = min(1.0, math.fsum(taken) / at.BR_WINDOW_S)
         beside = (float(len(taken)), len(taken) / len(intervals), covered, 60 / fmean(intervals))
@@ -112,9 +111,9 @@ def _value(point: _Point) -> float:
 
 
 class _Usual:
-    """Tells how far a signal usually moves: the median of what it spans in blocks of time.
+    """Measures the usual span of a signal: the median of its spans in blocks of time.
 
-    One cough or change of posture does not matter to it, unlike to the signal's spread.
+    Unlike a standard deviation, it does not change with one cough or change of posture.
     """
 
     def __init__(self, length: int) -> None:
@@ -125,7 +124,7 @@ class _Usual:
         self._median = 0.0
 
     def take(self, value: float) -> float:
-        """Return it with this value; 0 before two blocks are full."""
+        """Take a value, and return the usual span; 0 before two blocks are full."""
         self._block.append(value)
         if len(self._block) == self._length:
             self._spans.append(max(self._block) - min(self._block))

@@ -1,4 +1,4 @@
-"""Puts stages together: what is computed from which type of stream."""
+"""Combines detectors into a chain for each type of stream."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from biosensor_gateway.pulses.elgendi import Beat, Pulses
 
 
 class PulsesOfAnyRate:
-    """Gives the apex of each pulse.
+    """Finds pulses at any rate, by averaging faster signals first.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz.
+        Nominal rate in Hz.
     """
 
     def __init__(self, rate: float) -> None:
@@ -35,7 +35,7 @@ class PulsesOfAnyRate:
         self._pulses = Pulses(self._decimator.rate)
 
     def take(self, stamps: Array, values: Array) -> list[Beat]:
-        """Return the pulses that are decided by now; both of shape (n,)."""
+        """Take samples, both of shape (n,); return the pulses that are decided by now."""
         found: list[Beat] = []
         for stamp, value in self._decimator.take(stamps, values):
             found += self._pulses.take(stamp, value)
@@ -45,20 +45,20 @@ class PulsesOfAnyRate:
 class Activity:
     """Gives `activity_live`: the mean amplitude deviation of each epoch, stamped with its end.
 
-    It is the mean distance of the vector's length from its own mean, in g, and needs no
-    calibration: Vaha-Ypya 2015, see :mod:`.thresholds`.
+    It is the mean absolute deviation of the acceleration's magnitude from its mean, in g, and needs
+    no calibration: Vaha-Ypya 2015, see :mod:`.thresholds`.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz; values are three axes in g.
+        Nominal rate in Hz; values are three axes in g.
     """
 
     def __init__(self, rate: float) -> None:
         self._hops = Hops(max(2, round(at.ACTIVITY_EPOCH_S * rate)))
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
-        """Take samples of one run in; shapes (n,) and (n, 3)."""
+        """Take samples of one run; shapes (n,) and (n, 3)."""
         events: list[Event] = []
         for times, epoch in self._hops.take(stamps, values):
             length = np.sqrt(np.square(epoch).sum(axis=1))
@@ -68,10 +68,10 @@ class Activity:
 
 
 class _EachSecond:
-    """Stages of one waveform and its quality; says each second what is known of now.
+    """Computes beats or breaths of a waveform and its quality, and a state every second.
 
-    Nothing of a later second goes in before, so the same is said however a stream was cut, and
-    what is told beside a beat is of windows that have ended before it.
+    Samples are processed second by second, so that results do not depend on how the stream is cut,
+    and a beat's quality comes from windows that have ended before it.
     """
 
     def __init__(self, rate: float, judge: quality.Quality, find: Stage, state: State) -> None:
@@ -99,7 +99,7 @@ class _EachSecond:
 
 
 class _Beating:
-    """Beats of a waveform, one column, and what is made of them."""
+    """Finds beats in a waveform, and computes their features."""
 
     def __init__(self, find: RPeaks | PulsesOfAnyRate, trust: quality.Quality) -> None:
         self._find, self._heart = find, Heart(trust)
@@ -126,9 +126,9 @@ def _breath(rate: float) -> Stage:
 
 
 class _Intervals:
-    """Beats that a device tells as intervals, each stamped with the beat that ends it.
+    """Computes features of intervals that a device reports, each stamped with its second beat.
 
-    Where the stamps say that beats are missing in between, nothing is bridged.
+    If the stamps show that beats are missing, the windows begin again.
     """
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class _Intervals:
 
 
 class _Averaged:
-    """Has a stage take means of neighbours, each stamped with their middle."""
+    """Passes means of neighbouring samples to a stage, each stamped with their middle."""
 
     def __init__(self, factor: int, stage: Stage) -> None:
         self._hops, self._stage = Hops(factor), stage
@@ -165,7 +165,7 @@ class _Averaged:
 
 
 class _Together:
-    """Several stages on one column."""
+    """Runs several stages on one channel."""
 
     def __init__(self, *stages: Stage) -> None:
         self._stages = stages
@@ -176,14 +176,14 @@ class _Together:
 
 
 def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
-    """Return what takes the samples of a stream, as they come, and gives events of features.
+    """Return the chain that computes the features of a stream.
 
     Parameters
     ----------
     content_type
         One of `READ_TYPES` of :mod:`.outputs`.
     rate
-        Nominal, in Hz, 0 if irregular.
+        Nominal rate in Hz, 0 if irregular.
     foreign
         See :class:`.Runs`.
     """
@@ -196,7 +196,7 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
         ContentType.RESPIRATION: partial(_breath, slow),
         ContentType.RR: lambda: _Together(_Intervals()),
         ContentType.ACCELEROMETER: partial(Activity, slow),
-        # It says something of skin, and has no feature.
+        # No feature: a temperature only shows whether a sensor is worn.
         ContentType.TEMPERATURE: _Together,
     }
     make, hole_s = makers[content_type], at.HOLE_S.get(content_type, 0.0)

@@ -1,4 +1,4 @@
-"""Reasons for which features are not computed."""
+"""Reasons why features are not computed."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from biosensor_common.errors import GatewayError
 
 @unique
 class FeatureReason(Enum):
-    """What keeps features from being computed of a stream or a recording."""
+    """Why features of a stream or a recording are not computed."""
 
     UNIT = "unit"
-    """A unit is missing, or is none that is known here."""
+    """A unit is missing or unknown."""
     RATE = "rate"
-    """The stream has no nominal rate, or one at which nothing can be found."""
+    """The stream has no nominal rate, or one that is unsuitable for detection."""
     FORMAT = "format"
-    """It does not have numbers, or too few channels."""
+    """The stream does not have numbers, or has too few channels."""
     NOTHING = "nothing"
-    """There is no stream that features are computed of."""
+    """There is no stream from which features are computed."""
     EXISTS = "exists"
-    """A file is in the way and would be overwritten."""
+    """A file would be overwritten."""
     UNWRITABLE = "unwritable"
     """The file cannot be written."""
 
 
 class FeatureError(GatewayError):
-    """Features are not computed; the message says of what, and why."""
+    """Features are not computed; the message says of which stream, and why."""

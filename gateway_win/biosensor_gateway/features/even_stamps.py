@@ -1,8 +1,8 @@
-"""Gives samples of other programs that are stamped in bursts, or with overlaps, even stamps.
+"""Replaces the stamps of other programs' streams that are stamped in bursts or with overlaps.
 
-A beat that is found in 73 samples with one stamp has no time. So of such a stream the line through
-its earliest stamps (`recording.xdf.pace`) is followed, sample by sample. Neat streams pass as they
-are and wait for nothing: the first stamp that is not later than the one before tells.
+A beat in 73 samples with the same stamp has no time. So such samples get stamps on the line through
+the earliest stamps (`recording.xdf.pace`). Streams with increasing stamps pass unchanged, without
+delay, until the first stamp that is not later than the previous one.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from biosensor_gateway.recording.xdf.pace import STEP_BACK_S, Pace, find_pace
 Array = NDArray[np.float64]
 
 SECTION_S, FEWEST = 3.0, 64
-"""So much is looked at at once. Of a stream that is not neat it waits for as much that follows."""
+"""Length of a section. In a stream with bursts, a section waits for the one that follows it."""
 SECTIONS = 20
-"""As many are remembered, for the line."""
+"""Number of sections from which the line is computed."""
 _AT_ONCE = 0.1
-"""Part of a period within which two stamps are as good as one."""
+"""Part of a period within which two stamps count as equal."""
 _MOST_SLEW = 0.005
-"""The line is corrected by this part of the time at most, so that intervals stay right."""
+"""Largest correction of the line relative to time, so that intervals stay right."""
 
 
-class Steady:
-    """Passes samples on; even stamps depend on nothing but the samples, whatever their blocks.
+class EvenStamps:
+    """Passes samples on with even stamps, which do not depend on how the stream is cut.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz; above 0.
+        Nominal rate in Hz; above 0.
 
     Attributes
     ----------
     pace
-        Of the newest samples, if they are not neat; None where stamps are as they came.
+        Pace of the newest samples; None while stamps are passed unchanged.
     """
 
     def __init__(self, rate: float) -> None:
@@ -51,12 +51,12 @@ class Steady:
         self._history = np.empty(0)
         self._new: list[tuple[Array, Array]] = []
         self._count = 0
-        # What waits for what follows it: whether samples are missing is told by that.
+        # Samples that wait for the next section, which shows whether samples are missing.
         self._waiting: list[tuple[Array, Array]] = []
         self._next: float | None = None
 
     def take(self, stamps: Array, values: Array) -> tuple[Array, Array]:
-        """Take samples in; return those that are ready, shapes (n,) and (n, n_channels)."""
+        """Take samples; return those that are ready, shapes (n,) and (n, n_channels)."""
         ready: list[tuple[Array, Array]] = []
         while len(stamps):
             room = self._section - self._count
@@ -71,13 +71,13 @@ class Steady:
         return _joined(ready, values)
 
     def _pass(self) -> tuple[Array, Array]:
-        """Return the samples before the first that tells of bursts or overlaps, but the last one.
+        """Return the samples before the first burst or overlap, except the last one.
 
-        That waits for the next, for it may be the first of many with one stamp.
+        The last one waits for the next, because it may be the first of many with the same stamp.
         """
         stamps, values = _joined(self._new, self._new[0][1][:0])
         steps = np.diff(stamps, prepend=self._last)
-        # A step further back is of another clock, and the next runs see to it.
+        # A larger step back is another clock's, which `Runs` handles.
         is_odd = (steps <= _AT_ONCE / self._rate) & (steps >= -STEP_BACK_S)
         self._is_held = bool(is_odd.any())
         end = int(np.argmax(is_odd)) if self._is_held else len(stamps)
@@ -85,7 +85,7 @@ class Steady:
         return stamps[begin : self._passed], values[begin : self._passed]
 
     def finish(self, channels: int) -> tuple[Array, Array]:
-        """Return what still waits for its stamps."""
+        """Return the samples that still wait for their stamps."""
         ready = self._look(is_last=True) if self._new or self._waiting else []
         return _joined(ready, np.empty((0, channels)))
 
@@ -106,7 +106,7 @@ class Steady:
             if len(stamps):
                 begin = len(history) - len(stamps) - sum(len(each) for each, _ in self._waiting)
                 ready = [(self._even(history, begin, stamps), values)]
-        # Of what was passed nothing tells of bursts, though the history may.
+        # A section that was passed had no bursts, even if the history has some.
         self._is_held = self._is_held and self.pace is not None
         if not self._is_held:
             self._next = None
@@ -122,7 +122,7 @@ class Steady:
         return None if pace.burst == 1 and not pace.overlap_s else pace
 
     def _even(self, history: Array, begin: int, stamps: Array) -> Array:
-        """Return stamps on the line for the samples from number `begin` of the history on."""
+        """Return stamps on the line for the samples from index `begin` of the history on."""
         if self.pace is None:
             return stamps
         period_s = self.pace.period_s
@@ -133,23 +133,23 @@ class Steady:
         even = np.empty(len(rest))
         for first, end in pairwise(bounds):
             even[first:end] = float(rest[first:end].min()) + period_s * number[first:end]
-        told = even[begin : begin + len(stamps)]
+        section = even[begin : begin + len(stamps)]
         if self._next is not None and begin not in bounds:
-            told = self._slewed(told, bounds, begin, period_s)
-        self._next = float(told[-1]) + period_s
-        return told
+            section = self._slewed(section, bounds, begin, period_s)
+        self._next = float(section[-1]) + period_s
+        return section
 
-    def _slewed(self, told: Array, bounds: list[int], begin: int, period_s: float) -> Array:
-        """Go on where the section before has ended, and come to the line little by little."""
+    def _slewed(self, section: Array, bounds: list[int], begin: int, period_s: float) -> Array:
+        """Continue at the end of the previous section, and approach the line gradually."""
         assert self._next is not None
-        run_end = min(next(each for each in bounds if each > begin) - begin, len(told))
-        behind_s = self._next - float(told[0])
+        run_end = min(next(each for each in bounds if each > begin) - begin, len(section))
+        behind_s = self._next - float(section[0])
         most_s = _MOST_SLEW * period_s * run_end
         if abs(behind_s) > max(2 * most_s, period_s):
-            # It was told wrong, for a hole had not been seen yet: what follows is a run of its own.
-            return told
+            # The previous section was wrong, because a gap was not visible yet: begin a new run.
+            return section
         left = np.maximum(0.0, 1.0 - np.arange(run_end) / run_end)
-        return np.concatenate([told[:run_end] + behind_s * left, told[run_end:]])
+        return np.concatenate([section[:run_end] + behind_s * left, section[run_end:]])
 
 
 def _joined(parts: list[tuple[Array, Array]], empty: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
-"""Sends features in a process of its own that ends with the agent, however that ends.
+"""Sends features in a separate process that ends with the agent, even after a crash.
 
-The settings of LSL come as a line of JSON, and the end of the input ends it. Each line of its
-output is a sentence for the agent's log.
+Its standard input has one line of JSON with the LSL settings; the end of the input ends the
+process. Each line of its output is a sentence for the agent's log.
 """
 
 from __future__ import annotations
@@ -36,25 +36,24 @@ def send_for_another() -> int:
     when_input_ends(end)
     refusals = FeatureRefusals(state_folder())
     try:
-        Live(_Telling(), report=refusals.write).run(stopping)
+        Live(_LogListener(), report=refusals.write).run(stopping)
     finally:
         refusals.close()
     return 0
 
 
-class _Telling:
+class _LogListener:
     def found(self, source: Source) -> None:
         names = ", ".join(each.stream.data_name for each in source.features)
-        _tell(f"of {source.name}: {names}")
+        self.refused(f"of {source.name}: {names}")
 
     def refused(self, sentence: str) -> None:
-        _tell(sentence)
+        _print_line(sentence)
 
 
-def _tell(sentence: str) -> None:
+def _print_line(sentence: str) -> None:
     line = " ".join(sentence.split())
-    # Who reads may have died, and the end of the input says so, too.
-    # nothing is dropped: who reads may have died, and the end of the input says so, too
+    # nothing is dropped: the agent may have ended, which the end of the input reports as well
     with contextlib.suppress(OSError):
         sys.stdout.buffer.write(f"{line}\n".encode(errors="replace"))
         sys.stdout.buffer.flush()

@@ -1,4 +1,4 @@
-"""Filters with state; a sample has the same result whatever came with it in a block."""
+"""Filters with state, whose results do not depend on how a stream is cut into blocks."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from biosensor_gateway.features.runs import Array, Hops
 def band_pass(low_hz: float, high_hz: float, length_s: float, rate: float) -> Array:
     """Return a linear-phase band-pass, a sinc in a Hamming window, shape (n,) with n odd.
 
-    Its delay is ``(n - 1) / 2`` samples, it lets no constant pass, and its gain is 1 in the
-    middle of the band.
+    Its delay is ``(n - 1) / 2`` samples, its gain is 0 for a constant and 1 in the middle of the
+    band.
     """
     half = max(1, round(length_s * rate / 2))
     n = np.arange(-half, half + 1)
@@ -30,14 +30,14 @@ def band_pass(low_hz: float, high_hz: float, length_s: float, rate: float) -> Ar
 
 
 class Fir:
-    """Convolves pieces of one length; what came before the first sample was like it."""
+    """FIR filter for pieces of equal length; the first sample is assumed to have come before."""
 
     def __init__(self, taps: Array) -> None:
         self._taps = taps
         self._before: Array | None = None
 
     def take(self, values: Array) -> Array:
-        """Return as many values as were given, late by half of the filter."""
+        """Return as many values as were given, delayed by half of the filter's length."""
         if self._before is None:
             self._before = np.full(len(self._taps) - 1, values[0])
         joined = np.concatenate([self._before, values])
@@ -46,12 +46,12 @@ class Fir:
 
 
 class Decimator:
-    """Averages neighbours, so that what follows sees at least `wanted_hz` and less than twice it.
+    """Averages neighbouring samples, down to a rate from `wanted_hz` to less than twice that.
 
     Attributes
     ----------
     rate
-        Of what it gives, in Hz.
+        Rate of the output, in Hz.
     """
 
     def __init__(self, rate: float, wanted_hz: float) -> None:
@@ -60,7 +60,7 @@ class Decimator:
         self._hops = Hops(self._factor)
 
     def take(self, stamps: Array, values: Array) -> Iterator[tuple[float, float]]:
-        """Give stamp and mean of each group; the stamp is that of its middle."""
+        """Yield the stamp of the middle, and the mean, of each group."""
         if self._factor == 1:
             yield from zip(stamps.tolist(), values.tolist(), strict=True)
             return  # nothing is dropped: all samples were given as they are

@@ -24,7 +24,7 @@ def is_feature(xml: str) -> bool:
 def stream_info(source: Source, feature: Feature) -> pylsl.StreamInfo:
     """Return the header of a feature's stream.
 
-    Beside what every stream of ours says, it tells below ``desc``::
+    In addition to the usual header of our streams, it has below ``desc``::
 
         <features>
           <derived_from>polar_h10-…-ecg</derived_from> <source_id>…</source_id>
@@ -32,17 +32,17 @@ def stream_info(source: Source, feature: Feature) -> pylsl.StreamInfo:
           <window_s>10.0</window_s> <delay_s>0.3</delay_s> <holds_s>5.3</holds_s>
         </features>
 
-    What comes from a replay says that it does.
+    A feature of a replayed stream is marked as a replay.
     """
     stream, replay = feature.stream, source.header.replay
     source_id = naming.source_id(source.identity, stream.data_name)
     desc = describe(stream, source.identity, DeviceInfo(model=feature.algorithm))
-    _tell_origin(desc, source, feature)
+    _add_origin(desc, source, feature)
     if replay is not None:
         mark_as_replay(
             desc, Replay(replay.file, source_id, IRREGULAR, replay.speed, replay.start_s)
         )
-        # The hash of the recording, which the source's own has.
+        # The hash of the recording, taken from the replayed stream's source_id.
         played = source.source_id.removeprefix(PREFIX).partition(":")[0]
         source_id = f"{PREFIX}{played}:{source_id}"
     info = pylsl.StreamInfo(
@@ -57,7 +57,7 @@ def stream_info(source: Source, feature: Feature) -> pylsl.StreamInfo:
     return info
 
 
-def _tell_origin(desc: ET.Element, source: Source, feature: Feature) -> None:
+def _add_origin(desc: ET.Element, source: Source, feature: Feature) -> None:
     block = ET.SubElement(desc, BLOCK)
     for name, text in (
         ("derived_from", source.name),

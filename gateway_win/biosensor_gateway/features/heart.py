@@ -1,4 +1,4 @@
-"""Makes heart rate and heart-rate variability of beats."""
+"""Computes heart rate and heart-rate variability from beats."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _QUALITY_AGE_S = 1.5
 
 
 class Variability(NamedTuple):
-    """Of one window.
+    """Heart-rate variability of one window.
 
     Attributes
     ----------
     rmssd_ms, sdnn_ms, pnn50_percent
-        By the Task Force's definitions, with n - 1 under SDNN; NaN without two intervals, or
-        without two neighbours of them.
+        By the Task Force's definitions, SDNN with n - 1; NaN with fewer than two intervals, or
+        without two neighbouring ones.
     """
 
     rmssd_ms: float
@@ -41,7 +41,7 @@ def variability(intervals_s: Array, is_valid: NDArray[np.bool_]) -> Variability:
     ----------
     intervals_s : ndarray of float64, shape (n,)
     is_valid : ndarray of bool, shape (n,)
-        What is not is left out, and no difference is taken across it.
+        Invalid intervals are left out, and no difference is taken across them.
     """
     valid = intervals_s[is_valid]
     steps = np.diff(intervals_s)[is_valid[1:] & is_valid[:-1]]
@@ -49,15 +49,15 @@ def variability(intervals_s: Array, is_valid: NDArray[np.bool_]) -> Variability:
     if not len(steps):
         return Variability(NOTHING, sdnn, NOTHING)
     rmssd = math.sqrt(float(np.mean(steps * steps))) * 1e3
-    # A step of exactly 50 ms is none, however its last bit was rounded.
+    # A margin, so that a step of exactly 50 ms is not counted because of rounding.
     count = int(np.count_nonzero(np.abs(steps) > at.NN50_S + 1e-9))
     return Variability(rmssd, sdnn, 100 * count / len(valid))
 
 
 def is_artefact(interval_s: float, before_s: float) -> bool:
-    """Whether an interval is not one between normal beats, by Malik's rule.
+    """Whether an interval is not between normal beats, by Malik's rule.
 
-    `before_s` is the interval before it, NaN where there is none.
+    `before_s` is the previous interval, NaN if there is none.
     """
     low, high = at.INTERVAL_S
     changes = abs(interval_s - before_s) > at.INTERVAL_CHANGE * before_s
@@ -71,23 +71,23 @@ class _Interval(NamedTuple):
 
 
 class Trust(Protocol):
-    """Says how far the signal can be trusted in which beats are found."""
+    """Quality of the signal in which beats are found."""
 
     def worst(self, begin_s: float, end_s: float) -> float:
-        """Return the lowest quality of the windows that lie in between; NaN without any."""
+        """Return the lowest quality of the windows between two stamps; NaN if there is none."""
         ...
 
 
 class Heart:
     """Takes beats of one run; gives `beats`, `hr_live`, `hr_live_quality` and `hrv_live`.
 
-    Windows go by the times of the beats. A window gives nothing before it is full, and NaN where
-    too few of its intervals are valid. Motion is told by another: it is NaN here.
+    Windows end with a beat. A window gives nothing before it is full, and NaN if too few of its
+    intervals are valid. The motion channel is NaN; `Beside` fills it in.
 
     Parameters
     ----------
     trust
-        Of the signal; without one, a device says what the intervals are, and it is believed.
+        Quality of the signal; None for intervals that a device reports, which are trusted.
     """
 
     def __init__(self, trust: Trust | None = None) -> None:
@@ -97,14 +97,14 @@ class Heart:
         self._stamp = self._before = NOTHING
 
     def beat(self, stamp: float, interval_s: float | None = None) -> list[Event]:
-        """Take a beat in.
+        """Take a beat, and return its events.
 
         Parameters
         ----------
         stamp
-            Of its apex, after that of the one before.
+            Of its apex; later than the previous one.
         interval_s
-            Since the one before, NaN if there is none; None to take it from the stamps.
+            Since the previous beat, NaN if there is none; None to compute it from the stamps.
         """
         if interval_s is None:
             interval_s = stamp - self._stamp
@@ -123,17 +123,13 @@ class Heart:
         return events + self._rate() + self._variability()
 
     def _quality(self, window_s: float) -> float:
-        """Return that of the signal over a window up to now; NaN where it is not known."""
+        """Return the signal's quality in a window that ends now; NaN if unknown."""
         if self._trust is None:
             return NOTHING
         return self._trust.worst(self._stamp - window_s, self._stamp)
 
     def _rate(self) -> list[Event]:
-        """Return the mean of the valid intervals, or of all where many are not: `HR_VALID_SHARE`.
-
-        Few are where the rhythm is irregular, and what is left of it would be a biased choice; or
-        where the signal is bad.
-        """
+        """Return the rate from the valid intervals, or from all if too few are valid."""
         window_s = at.HR_WINDOW_S
         last = [each for each in self._kept if each.stamp > self._stamp - window_s]
         valid = [each for each in last if each.is_valid]
@@ -141,6 +137,8 @@ class Heart:
         taken = valid
         quality = self._quality(window_s + _QUALITY_AGE_S)
         if len(valid) < at.HR_VALID_SHARE * len(last):
+            # Either the rhythm is irregular, and the valid intervals would be a biased choice; or
+            # the signal is bad, and none can be used.
             is_good = self._trust is None or quality >= at.GOOD_QUALITY
             taken = [each for each in last if is_good and low <= each.length_s <= high]
         if len(taken) < at.HR_LEAST:
@@ -177,7 +175,7 @@ class Heart:
 
 
 def _covered(intervals: Sequence[_Interval], end_s: float, window_s: float) -> float:
-    """Return the share of a window's time that these intervals take up."""
+    """Return the share of a window's time that the intervals cover."""
     begin_s = end_s - window_s
     inside = (min(each.length_s, each.stamp - begin_s) for each in intervals)
     return min(1.0, math.fsum(inside) / window_s)

@@ -1,4 +1,4 @@
-"""Receives one outlet of a stream, and computes the features of what it sends."""
+"""Receives one outlet of a stream, and computes its features."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from biosensor_gateway.features.witnesses import Witnesses
 
 _OPEN_S = 5.0
 _MOST_HELD = 4096
-"""Runs of events that wait for the first correction of their stamps."""
+"""Number of event lists that may wait for the first clock correction."""
 _BUFFER_S = 360
 _MOST_SAMPLES = 8192
 
 
 Remark = tuple[Refusal, int, str]
-"""What was left out, how much, and why."""
+"""What was left out, how many samples, and why."""
 
 
 class Link:
-    """One outlet of a source: its inlet, and what computes.
+    """The inlet of one outlet of a source, and the computation of its features.
 
     Parameters
     ----------
     source
-        What is computed of it.
+        The stream and its features.
     info
-        As a resolver gave it.
+        Of the outlet, from a resolver.
     asking
-        Its threads wait for the sender.
+        Threads that wait for the sender.
     witnesses
         Of all devices.
 
@@ -46,10 +46,8 @@ class Link:
     ----------
     uid
         Of the outlet.
-    connection
-        What receives it.
     is_here
-        Whether its sender is this computer, so that its stamps stay as they are, to the last bit.
+        Whether the sender is this computer, whose stamps need no clock correction.
     """
 
     def __init__(
@@ -69,18 +67,18 @@ class Link:
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
 
     def read(self) -> list[tuple[Sequence[Event], float]]:
-        """Take in what has come, without waiting.
+        """Receive the samples that have arrived, without blocking.
 
         Returns
         -------
         list
-            Events of which the time is known by now, each with the seconds to add to its stamps
-            for the clock of this computer.
+            Events whose time is known, each with the clock correction to add to its stamps, in
+            seconds.
 
         Raises
         ------
         RuntimeError
-            The outlet is gone, or does not answer.
+            If the outlet has ended, or does not answer.
         """
         inlet = self.connection.inlet
         if inlet is None:
@@ -94,7 +92,7 @@ class Link:
             if events:
                 self._gone += len(self._held) == _MOST_HELD
                 self._held.append(events)
-        # Where there is no answer the last one holds meanwhile: clocks drift slowly.
+        # Without an answer, the last correction is still good: clocks drift slowly.
         seconds = 0.0 if self.is_here else self.connection.correction
         known: list[tuple[Sequence[Event], float]] = []
         while self._held and seconds is not None:
@@ -102,7 +100,7 @@ class Link:
         return known
 
     def remarks(self) -> list[Remark]:
-        """Say what was left out since the last call; of stamps when it is twice as much."""
+        """Return what was left out since the last call; wrong stamps when their count doubles."""
         found: list[Remark] = []
         if self._computer.left_out > self._told:
             new = self._computer.left_out - self._told // 2

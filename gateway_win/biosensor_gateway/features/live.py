@@ -1,4 +1,4 @@
-"""Reads raw streams from LSL and sends their features as streams."""
+"""Receives raw streams from LSL, and sends their features as streams."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from biosensor_gateway.features.witnesses import Witnesses
 
 READ_S = 0.02
 LOOK_EVERY = 25
-"""Readings from one look at the network to the next."""
+"""Number of readings between two looks at the network."""
 SETTLED_S = 3.0
-"""Streams of one device appear together; what comes later gets what is left to compute."""
+"""How long to wait for all streams of a device; later ones get the features that are left."""
 DUPLICATE_S = 7.0
-"""An outlet that has ended is found for some seconds more; after that two of them live."""
+"""Age at which a second outlet is a duplicate; an ended one is found for some seconds more."""
 _DESCRIPTION_S = 3.0
 _ASKING = 4
-"""Threads that wait for other computers, so that reading does not."""
+"""Number of threads that wait for other computers, so that receiving never waits."""
 
 
-class Told(Protocol):
-    """Is told what happens; each is a sentence or the name of a stream."""
+class Listener(Protocol):
+    """Is notified of sources and refusals."""
 
     def found(self, source: Source) -> None:
-        """Features of a stream are computed from now on."""
+        """Note that features of a stream are computed."""
         ...
 
     def refused(self, sentence: str) -> None:
-        """Nothing is computed of a stream, or of some of its samples."""
+        """Note that features of a stream, or of some of its samples, are not computed."""
         ...
 
 
@@ -62,7 +62,7 @@ class Sender:
         }
 
     def send(self, events: Sequence[Event], correction_s: float) -> None:
-        """Push events, with their stamps on the clock of this computer."""
+        """Push events, with their stamps converted to this computer's clock."""
         for name, outlet in self._outlets.items():
             own = [each for each in events if each.feature == name]
             if own:
@@ -71,7 +71,7 @@ class Sender:
 
 
 class _Stage:
-    """One source, over all outlets that it has one after the other."""
+    """Receives one source, over successive outlets, and sends its features."""
 
     def __init__(
         self,
@@ -88,40 +88,40 @@ class _Stage:
 
     @property
     def uid(self) -> str:
-        """Of the newest outlet."""
+        """Uid of the newest outlet."""
         return self._link.uid
 
     @property
     def has_begun(self) -> bool:
-        """Whether it has ever received."""
+        """Whether the source was ever received."""
         return self._sender is not None
 
     def follow(self, info: pylsl.StreamInfo) -> None:
-        """Go on with another outlet, whose header is the same."""
+        """Go on with another outlet that has the same header."""
         self.close()
         self._link = Link(self.source, info, self._asking, self._witnesses)
         self.is_lost = False
 
     @property
     def connection(self) -> Connection | None:
-        """What receives it, if its sender has a clock of its own that can be measured."""
+        """The connection, if its sender is another computer whose clock must be measured."""
         return None if self.is_lost or self._link.is_here else self._link.connection
 
     def read(self) -> None:
-        """Take in what has come, and send what can be told by now.
+        """Receive samples, and send the features that are ready.
 
         Raises
         ------
         RuntimeError
             See `Link`.
         TransportError
-            No more files may be opened.
+            If no more files may be opened.
         """
         if self.is_lost:
             return  # nothing is dropped: its outlet has ended
         known = self._link.read()
         if self._link.connection.is_open:
-            # Not before: who receives features shall not find any of a stream that is gone.
+            # The outlets are opened only now, so that there are none for a stream that has ended.
             self._sender = self._sender or Sender(self.source)
             for events, seconds in known:
                 self._sender.send(events, seconds)
@@ -143,33 +143,31 @@ class _Seen:
 class Live:
     """Computes features of all streams on the network, until stopped.
 
-    One thread reads, computes and sends. What has to wait for another computer, a description or
-    a clock, is asked in others: a sender that hangs holds up no stream but its own.
+    One thread receives, computes and sends. Other threads wait for descriptions and clocks of other
+    computers, so that a sender that hangs blocks no other stream.
 
     Parameters
     ----------
-    told
-        Is told what is found.
     clock
-        LSL's.
+        LSL's clock.
     report
-        Is given all refusals about twice a second, in a thread that may wait.
+        Called with all refusals about twice a second, in a thread that may block.
     """
 
     def __init__(
         self,
-        told: Told,
+        listener: Listener,
         clock: Callable[[], float] = pylsl.local_clock,
         report: Callable[[Refusals], None] | None = None,
     ) -> None:
-        self._told, self._clock, self._report = told, clock, report
-        self.refusals = Refusals(told.refused, clock=clock)
+        self._listener, self._clock, self._report = listener, clock, report
+        self.refusals = Refusals(listener.refused, clock=clock)
         self._refuse = self.refusals.refuse
         self._reported: Future[None] | None = None
-        # By uid: what it is called over restarts.
+        # Key of each stream, which survives restarts, by uid.
         self._known: dict[str, str] = {}
         self._waiting: list[_Seen] = []
-        # Streams of which a better one of their device left something over.
+        # Streams with features that a better stream of their device provides now.
         self._spare: dict[str, _Seen] = {}
         self._taken: Taken = set()
         self._stages: dict[str, _Stage] = {}
@@ -177,11 +175,11 @@ class Live:
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
         self._duplicates: dict[str, float] = {}
-        # Of those whose clocks are measured, in another thread.
+        # Connections whose clocks another thread measures.
         self._measured: list[Connection] = []
 
     def run(self, stopping: threading.Event) -> None:
-        """Read and send until it is set."""
+        """Receive and send until *stopping* is set."""
         raw_streams = any_of(*(equals("type", each.value) for each in READ_TYPES))
         network = Network(raw_streams)
         clocks = SenderClocks(lambda: self._measured)
@@ -190,7 +188,7 @@ class Live:
             while not stopping.wait(READ_S):
                 if count % LOOK_EVERY == 0:
                     self.look(network.streams())
-                    self._tell()
+                    self._report_refusals()
                 count += 1
                 self.read()
         finally:
@@ -199,13 +197,13 @@ class Live:
             for stage in self._stages.values():
                 stage.close()
 
-    def _tell(self) -> None:
+    def _report_refusals(self) -> None:
         """Report the refusals, unless the last report still waits for a slow disk."""
         if self._report is not None and (self._reported is None or self._reported.done()):
             self._reported = self._asking.submit(self._report, self.refusals)
 
     def look(self, infos: Sequence[pylsl.StreamInfo]) -> None:
-        """Take note of what is on the network, and begin with what is described by now."""
+        """Note the streams on the network, and start with those whose description is here."""
         present = {info.uid() for info in infos}
         pending = {info.uid() for info, _ in self._described}
         pending |= {each.info.uid() for each in self._waiting}
@@ -216,16 +214,16 @@ class Live:
             if info.uid() not in self._known and not self._is_held(info, present):
                 self._known[info.uid()] = _key(info)
                 self._described.append((info, self._asking.submit(_description, info)))
-        told = [each for each in self._described if each[1].done()]
+        done = [each for each in self._described if each[1].done()]
         self._described = [each for each in self._described if not each[1].done()]
-        for info, description in told:
+        for info, description in done:
             self._judge(info, description)
         self._begin()
         connections = (each.connection for each in self._stages.values())
         self._measured = [each for each in connections if each is not None]
 
     def read(self) -> None:
-        """Take in what has come of all streams, and send what can be told by now."""
+        """Receive samples of all streams, and send the features that are ready."""
         for key, stage in list(self._stages.items()):
             had_begun = stage.has_begun
             try:
@@ -238,19 +236,19 @@ class Live:
                 self._refuse(Refusal.NO_FEATURES, about=stage.source.name, why=error)
                 self._give_up(key)
             if stage.has_begun and not had_begun and stage.source.features:
-                self._told.found(stage.source)
+                self._listener.found(stage.source)
             for what, count, why in stage.remarks():
                 self._refuse(what, count, about=stage.source.name, why=why)
 
     def _lose(self, key: str, stage: _Stage) -> None:
-        """Look for the stream again, whatever outlet it has then."""
+        """Look for a new outlet of the stream."""
         stage.is_lost = True
         self._known = {uid: each for uid, each in self._known.items() if each != key}
         if not stage.has_begun:
             self._give_up(key)
 
     def _give_up(self, key: str) -> None:
-        """Leave its features to other streams of the device."""
+        """Close a stream, and leave its features to other streams of the device."""
         stage = self._stages.pop(key)
         stage.close()
         identity = stage.source.identity
@@ -261,7 +259,7 @@ class Live:
                 self._waiting.append(self._spare.pop(uid))
 
     def _is_held(self, info: pylsl.StreamInfo, present: Container[str]) -> bool:
-        """Whether another outlet of this stream, or this one, is received."""
+        """Whether this outlet, or another one of its stream, is received."""
         stage = self._stages.get(_key(info))
         if stage is None or stage.is_lost:
             return False
@@ -273,7 +271,7 @@ class Live:
         return False
 
     def _note_duplicate(self, info: pylsl.StreamInfo) -> None:
-        """Say it once of an outlet that stays: one that has ended is still found for a while."""
+        """Report a duplicate outlet once, unless it ends: an ended one is found for a while."""
         since_s = self._duplicates.setdefault(info.uid(), self._clock())
         if self._clock() - since_s > DUPLICATE_S:
             self._duplicates[info.uid()] = math.inf
@@ -308,7 +306,7 @@ class Live:
         self._waiting.append(_Seen(source, info, self._clock()))
 
     def _begin(self) -> None:
-        """Begin with devices of which no new stream has appeared for a while."""
+        """Start the streams of devices that had no new stream for a while."""
         now = self._clock()
         young = {each.source.identity for each in self._waiting if now - each.since_s < SETTLED_S}
         ready = [each for each in self._waiting if each.source.identity not in young]
@@ -325,7 +323,7 @@ class Live:
                 self._start(source, seen.info)
 
     def _start(self, source: Source, info: pylsl.StreamInfo) -> None:
-        """Compute features of a stream, and with them those that it had already."""
+        """Compute features of a stream, in addition to those that it has already."""
         if (earlier := self._stages.pop(_key(info), None)) is not None:
             earlier.close()
             source = replace(source, features=(*earlier.source.features, *source.features))
@@ -333,10 +331,10 @@ class Live:
 
 
 def _key(info: pylsl.StreamInfo) -> str:
-    """Return what names a stream over restarts, as far as it has a name."""
+    """Return a key of a stream that survives restarts, if it has a source_id."""
     return info.source_id() or info.uid()
 
 
 def _description(info: pylsl.StreamInfo) -> str:
-    """Return what the sender of a stream says of it; raises what liblsl does."""
+    """Return the full description of a stream from its sender; raises as liblsl does."""
     return fetch_description(info, _DESCRIPTION_S)

@@ -1,4 +1,4 @@
-"""Computes features of a recording, by the same classes as live."""
+"""Computes features of a recording, with the same classes as for live streams."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ SUFFIXES = (".xdf", ".csv")
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """What became of a recording.
+    """Outcome of computing the features of a recording.
 
     Attributes
     ----------
     counts
-        Samples of each stream of a feature, by its LSL name.
+        Number of samples of each stream of a feature, by its LSL name.
     refused
-        Why nothing was computed of a stream that looked as if it could be; sentences.
+        Why a stream of a suitable type has no features; sentences.
     remarks
-        What was wrong with the stamps of others; sentences.
+        Problems with the stamps of other streams; sentences.
     """
 
     written: Path
@@ -53,8 +53,8 @@ def compute(path: Path, target: Path) -> Computed:
     Parameters
     ----------
     target
-        A new XDF file, whose streams have the clocks of what they are derived from, or a CSV
-        file with a row for each value, on the recorder's clock.
+        A new XDF file, whose streams have the clocks of their sources, or a new CSV file with a
+        row for each value, on the recorder's clock.
 
     Raises
     ------
@@ -66,9 +66,9 @@ def compute(path: Path, target: Path) -> Computed:
     with open_contents(path) as contents:
         pairs, refused = _sources(contents.streams)
         if not any(source.features for _, source in pairs):
-            told = "; ".join(refused) or "it has no stream of a type that features are of"
-            told += contents.why_incomplete
-            raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {told}")
+            why = "; ".join(refused) or "it has no stream of a type that features are of"
+            why += contents.why_incomplete
+            raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {why}")
         try:
             with new_file(target, like=path) as file:
                 write = _write_csv if target.suffix == ".csv" else _write_xdf
@@ -105,7 +105,7 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
 
 
 def _witnesses(pairs: _Pairs) -> Witnesses:
-    """Return what streams say of others of their device, over the whole recording."""
+    """Return the witnesses of all devices, over the whole recording."""
     witnesses: Witnesses = {}
     for stream, source in pairs:
         witness = source.new_witness(keep_s=math.inf)
@@ -119,7 +119,7 @@ def _witnesses(pairs: _Pairs) -> Witnesses:
 def _computed(
     stream: Stream, source: Source, witnesses: Witnesses, remarks: list[str]
 ) -> Iterator[tuple[Samples, list[Event]]]:
-    # A copy, for a witness would else be told from its first sample on.
+    # A copy, because the computer of a witness would replace the one of the whole recording.
     computer = source.new_computer(dict(witnesses))
     samples: Samples | None = None
     for samples in stream.blocks():
@@ -131,7 +131,7 @@ def _computed(
 
 
 class _Written:
-    """A stream of a feature in an XDF file, and what its footer tells."""
+    """A stream of a feature in an XDF file, with the data of its footer."""
 
     def __init__(self, number: int, stream: Stream, feature: Feature) -> None:
         self.number, self._feature = number, feature
@@ -198,7 +198,7 @@ def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str, remarks: list[str]) -
 
 
 def _clock(stream: Stream, samples: Samples) -> Callable[[float], float]:
-    """Return what brings a stamp of about these samples' time onto the recorder's clock."""
+    """Return a function that converts stamps near these samples to the recorder's clock."""
     if not stream.clock.is_known:
         return lambda stamp: stamp
     shift = float(samples.times[-1] - samples.stamps[-1])

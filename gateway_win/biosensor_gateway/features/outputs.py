@@ -1,4 +1,4 @@
-"""Declares the streams of features: names, channels, units, and what they are computed by."""
+"""Declares the streams of features: names, channels, units and algorithms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from biosensor_gateway.features.skin import smoothing_delay_s
 from biosensor_gateway.features.state import BR_STATE, HR_STATE
 
 VERSION = "5"
-"""Of all algorithms here; another one where a value may differ for the same samples."""
+"""Version of all algorithms; it changes whenever a value may differ for the same samples."""
 
 
 def _of_each_window(labels: Mapping[str, Unit]) -> tuple[ChannelSpec, ...]:
@@ -71,17 +71,15 @@ class Feature:
     Attributes
     ----------
     name
-        As events have it.
+        Name of the feature in events.
     stream
-        Its declaration.
-    algorithm
-        By which it is computed.
+        Declaration of its stream.
     window_s
-        How far back its values look, in s; 0 where that is a single beat, breath or response.
+        Length of the window of a value, in s; 0 for a single beat, breath or response.
     delay_s
-        How long after the time of what it describes it is decided, usually, in s.
+        Usual time from the event that a value describes to its decision, in s.
     every_s
-        How long it takes at most from one value to the next while all is well, in s.
+        Longest time between two values while nothing is wrong, in s.
     """
 
     name: str
@@ -93,7 +91,7 @@ class Feature:
 
     @property
     def holds_s(self) -> float:
-        """So many seconds after its stamp a value is not that of now any more."""
+        """Age in seconds from which a value is outdated."""
         return self.every_s + self.delay_s + at.LUMP_S
 
 
@@ -109,7 +107,7 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
             delay_s,
             every_s,
         ),
-        # Beside it, for a stream of one channel is a plain number in ROS and stays one.
+        # A separate stream: hr_live, with one channel, is a plain number in ROS and must stay one.
         Feature(
             HR_QUALITY,
             hardware(HR_QUALITY, ContentType.QUALITY, _HR_QUALITY),
@@ -198,14 +196,14 @@ def _activity() -> tuple[Feature, ...]:
 def features_of(
     content_type: str, data_name: str, unit: str, rate: float = 0.0
 ) -> tuple[Feature, ...]:
-    """Return what is computed of a stream; nothing of a type that none are of.
+    """Return the features of a stream; empty for other types of streams.
 
     Parameters
     ----------
     data_name
-        Of the stream, a lower-case ROS name; its quality is called after it.
+        Lower-case ROS name of the stream, which the name of its quality begins with.
     unit, rate
-        Of its values, as it says.
+        Of its values, from its header.
     """
     of_type: Mapping[str, tuple[Feature, ...]] = {
         ContentType.ECG: (*_heart("Hamilton 2002 on 8 to 20 Hz", 0.3), _HR_STATE),
@@ -238,13 +236,13 @@ TYPES = (
     ContentType.RESPIRATION,
     ContentType.ACCELEROMETER,
 )
-"""Types of streams that features are computed of, the best source of beats first."""
+"""Types of streams with features, the best source of beats first."""
 READ_TYPES = (*TYPES, ContentType.TEMPERATURE)
-"""Types of streams that are read: temperature says something of skin, and has no feature."""
+"""Types of streams that are received: temperature has no feature, but shows whether one is worn."""
 
 
 def feature_streams() -> Predicate:
-    """Return by which names liblsl finds streams of features, and no other one of ours."""
+    """Return a predicate for liblsl that matches streams of features, and none of our others."""
     features = [each for kind in TYPES for each in features_of(kind, "any", "none")]
     names = [each.stream.data_name for each in features if each.name != "sqi"]
     endings = dict.fromkeys([*(f"-{each}" for each in names), "_sqi"])

@@ -1,4 +1,4 @@
-"""Judges how far windows of a signal can be trusted, from 0 to 1, and says why not.
+"""Computes the quality of windows of a signal, from 0 to 1, with reasons for a low one.
 
 References are in :mod:`.thresholds`.
 """
@@ -16,8 +16,8 @@ from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.beat_similarity import (
     apart,
     averaged,
-    ecg_likeness,
-    ppg_likeness,
+    ecg_similarity,
+    ppg_similarity,
     unevenness,
 )
 from biosensor_gateway.features.runs import Array, Event, Hops
@@ -26,15 +26,15 @@ from biosensor_gateway.pulses import thresholds as pulses
 from biosensor_gateway.pulses.filters import between_samples, moment
 
 REASONS = ("flat", "clipped", "noisy", "baseline", "out_of_range")
-"""What a window may suffer from, in the order of the channels."""
+"""Reasons for a low quality, in the order of the channels."""
 
 Judged = tuple[float, tuple[str, ...]]
 _KEPT_S = max(at.HRV_WINDOWS_S) + 60.0
-"""How long qualities are kept: samples may come in lumps."""
+"""How long qualities are stored, with a margin because samples may arrive in lumps."""
 
 
 def _scaled(value: float, limits: tuple[float, float]) -> float:
-    """Return 0 up to the lower limit, 1 from the upper one on."""
+    """Return 0 up to the lower limit, 1 from the upper limit on, and linear values between."""
     low, high = limits
     return min(1.0, max(0.0, (value - low) / (high - low)))
 
@@ -58,10 +58,10 @@ def _share(part: float, whole: float) -> float:
 
 
 def _held(values: Array, rate: float) -> dict[str, bool]:
-    """Whether a signal stands still, or stays at one of its ends.
+    """Return whether a signal is flat, and whether it is clipped at one of its extremes.
 
-    Both go by time, not by samples: a converter with coarse steps repeats values the more often the
-    faster it is.
+    Both are measured in time, not in samples, because a converter with coarse steps repeats more
+    values the faster it samples.
     """
     changes = np.flatnonzero(np.diff(values)) + 1
     begins, ends = np.append(0, changes), np.append(changes, len(values))
@@ -79,9 +79,9 @@ def _held(values: Array, rate: float) -> dict[str, bool]:
 
 
 def _clipped_s(levels: Array, runs_s: Array, is_fast: NDArray[np.bool_], period_s: float) -> float:
-    """Return how long a signal stays at its upper end, to which it came too fast to rest there.
+    """Return how long a signal stays at its maximum, after a rise too steep for a rounded top.
 
-    At a top that is only rounded it is about as long as at the level below.
+    At a rounded top it stays about as long as at the level below.
     """
     highest = levels.max()
     below = levels[levels < highest]
@@ -101,9 +101,9 @@ def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
 
 
 def ecg(values: Array, rate: float) -> Judged:
-    """Judge an ECG by how like its beats are, Orphanidou 2015, by kurtosis and power, Li 2008.
+    """Judge an ECG by beat similarity, Orphanidou 2015, and by kurtosis and power, Li 2008.
 
-    A part that is much wilder than the others, as of an electrode pop, is noise, too.
+    A part with a much larger span than the others, as from an electrode pop, is noise, too.
     """
     power = _power(values, rate)
     usual = power(1, 40)
@@ -111,7 +111,7 @@ def ecg(values: Array, rate: float) -> Judged:
         _scaled(moment(values, 4), at.ECG_KURTOSIS),
         _scaled(_share(power(5, 15), power(5, 40)), at.ECG_QRS_SHARE),
         _scaled(_share(usual, power(1, rate)), at.ECG_HUM_SHARE),
-        _scaled(ecg_likeness(values, rate), at.ECG_LIKENESS),
+        _scaled(ecg_similarity(values, rate), at.ECG_LIKENESS),
         _even(values, rate, at.ECG_UNEVENNESS, at.ECG_BLOCK_S),
     )
     baseline = _scaled(_share(usual, power(0, 40)), at.ECG_BASELINE_SHARE)
@@ -119,7 +119,7 @@ def ecg(values: Array, rate: float) -> Judged:
 
 
 def _upright(values: Array, rate: float) -> Array:
-    """Turn a pulse over that is upside down, as where reflected light is counted."""
+    """Invert a pulse that is upside down, as in some reflective sensors."""
     spectrum = np.fft.rfft(values - values.mean())
     frequencies = np.fft.rfftfreq(len(values), 1 / rate)
     low, high = pulses.BAND_HZ
@@ -128,11 +128,11 @@ def _upright(values: Array, rate: float) -> Array:
 
 
 def _waves(values: Array, rate: float) -> float:
-    """Return how sure it is that these are waves of a heart, not of a lamp or an arm that swings.
+    """Return a score for waves of a heart, and not of a lamp or of a swinging arm.
 
-    A pulse has much of its power in overtones; the light of a lamp that is sampled too slowly has
-    little, and a limb that swings not much more. The faster a pulse, the rounder it is. A lamp that
-    is switched has overtones, but its waves are all the same.
+    A pulse has much of its power in overtones; an aliased lamp has little, and a swinging limb not
+    much more. The faster a pulse is, the fewer overtones it has. A switched lamp has overtones, but
+    its waves are all equal.
     """
     low, high = pulses.BAND_HZ
     spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))))
@@ -148,10 +148,10 @@ def _waves(values: Array, rate: float) -> float:
 
 
 def _alone(spectrum: Array, frequencies: Array) -> float:
-    """Return how sure it is that there are no waves of a second source, as of a pulse below steps.
+    """Return a score for the absence of a second source of waves, such as a pulse below steps.
 
-    What is left without the strongest waves and their overtones is then of one frequency and its
-    overtones, too. An irregular rhythm leaves much, but not at one frequency.
+    With a second source, the spectrum without the strongest waves and their overtones has one
+    frequency and its overtones again. An irregular rhythm leaves power, but not at one frequency.
     """
     strongest = _top_hz(spectrum, frequencies)
     overtones = np.maximum(1, np.round(frequencies / strongest)) * strongest
@@ -172,7 +172,7 @@ def _alone(spectrum: Array, frequencies: Array) -> float:
 
 
 def _top_hz(spectrum: Array, frequencies: Array) -> float:
-    """Return the strongest frequency, between those of a spectrum."""
+    """Return the strongest frequency, interpolated between those of the spectrum."""
     place = int(spectrum.argmax())
     if not 0 < place < len(spectrum) - 1 or not spectrum[place - 1 : place + 2].min() > 0:
         return float(frequencies[place])
@@ -181,28 +181,28 @@ def _top_hz(spectrum: Array, frequencies: Array) -> float:
 
 
 def ppg(values: Array, rate: float) -> Judged:
-    """Judge a pulse by how like its beats are, Orphanidou 2015, and skewness, Elgendi 2016.
+    """Judge a pulse by beat similarity, Orphanidou 2015, and skewness, Elgendi 2016.
 
-    Besides, by power outside of its band, and a second that is much wilder than the others.
+    Also by the power outside its band, and by a second with a much larger span than the others.
     """
     values = _upright(values, rate)
     power = _power(values, rate)
     inside = power(*pulses.BAND_HZ)
     noisy = _scaled(_share(inside, power(pulses.BAND_HZ[0], rate)), at.PPG_BAND_SHARE)
     shape = _scaled(moment(values, 3), at.PPG_SKEWNESS)
-    like = _scaled(ppg_likeness(values, rate), at.PPG_LIKENESS)
+    like = _scaled(ppg_similarity(values, rate), at.PPG_LIKENESS)
     even = _even(values, rate, at.PPG_UNEVENNESS, at.PPG_BLOCK_S)
     waves = _waves(values, rate)
     return _judged({"noisy": min(noisy, shape, like, even, waves)}, _held(values, rate))
 
 
 def gsr(values: Array, rate: float) -> Judged:
-    """Return which share of the last seconds of skin conductance, in microsiemens, is valid.
+    """Judge skin conductance, in microsiemens, by the share of its last seconds that is valid.
 
-    Rules 1, 2 and 4 of Kleckner 2018: its range, its slope, and nothing of either close by. Slopes
-    are those of means of neighbours, since noise of single samples is steeper the faster they are
-    taken; where little is conducted, as at a wrist, less is a jump. Noise that hides responses is
-    not of his rules. His rule 3 is another stream's to tell.
+    Rules 1, 2 and 4 of Kleckner 2018: its range, its slope, and the distance to invalid samples.
+    Rule 3 needs another stream; see `Warmth`. Slopes are computed from means of neighbours, because
+    the noise of single samples is steeper the faster they are sampled. At a low conductance, as at
+    a wrist, a smaller step is a jump. Noise that hides responses is not in these rules.
     """
     slow, slow_hz = averaged(values, rate, at.EDA_RATE_HZ)
     low, high = at.EDA_RANGE_MICROSIEMENS
@@ -221,13 +221,13 @@ def gsr(values: Array, rate: float) -> Judged:
 
 
 def _spread(flags: NDArray[np.bool_], near: int) -> NDArray[np.bool_]:
-    """Return what is so near to a flag, or is one."""
+    """Return flags that also cover the *near* samples on both sides of each flag."""
     counts = np.cumsum(np.pad(flags, (near + 1, near)))
     return counts[2 * near + 1 :] > counts[: -2 * near - 1]
 
 
 def respiration(values: Array, rate: float) -> Judged:
-    """Judge breathing by the share of power in its band, and by how alike breaths are in depth."""
+    """Judge breathing by the share of power in its band, and by the evenness of its depth."""
     power = _power(values, rate)
     share = _share(power(*at.BREATH_BAND_HZ), power(0, rate))
     inside = _scaled(share, at.BREATH_BAND_SHARE)
@@ -241,20 +241,20 @@ JUDGES: Mapping[str, Callable[[Array, float], Judged]] = {
     "GSR": gsr,
     "Respiration": respiration,
 }
-"""By LSL content type."""
+"""Function for each LSL content type."""
 
 
 class Quality:
-    """Gives `sqi` of the last window of a run, now and then once there is one.
+    """Gives `sqi` of successive windows of a run, stamped with their ends.
 
-    It is stamped with the window's end. Motion is told by another: it is NaN here.
+    The motion channel is NaN; `Beside` fills it in.
 
     Parameters
     ----------
     content_type
         One of `JUDGES`.
     rate
-        Nominal, in Hz.
+        Nominal rate in Hz.
     """
 
     def __init__(self, content_type: str, rate: float) -> None:
@@ -264,7 +264,7 @@ class Quality:
         self._window_s = at.QUALITY_WINDOW_S[content_type]
         # nothing is dropped: what a window slides over
         self._pieces: deque[Array] = deque(maxlen=max(1, round(self._window_s * rate / piece)))
-        self._told: deque[tuple[float, float]] = deque()
+        self._qualities: deque[tuple[float, float]] = deque()
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         """Take samples of one run in; both of shape (n,)."""
@@ -274,16 +274,16 @@ class Quality:
             if len(self._pieces) < (self._pieces.maxlen or 0):
                 continue  # nothing is dropped: the first window is not full yet
             quality, reasons = self._judge(np.concatenate(self._pieces), self._rate)
-            told = tuple(float(each in reasons) for each in REASONS)
+            flags = tuple(float(each in reasons) for each in REASONS)
             stamp = float(times[-1])
-            events.append(Event("sqi", stamp, (quality, *told, math.nan)))
-            self._told.append((stamp, quality))
-            while self._told[0][0] < stamp - _KEPT_S:
-                self._told.popleft()
+            events.append(Event("sqi", stamp, (quality, *flags, math.nan)))
+            self._qualities.append((stamp, quality))
+            while self._qualities[0][0] < stamp - _KEPT_S:
+                self._qualities.popleft()
         return events
 
     def worst(self, begin_s: float, end_s: float) -> float:
         """See `heart.Trust`."""
         earliest = begin_s + self._window_s
-        inside = (quality for stamp, quality in self._told if earliest <= stamp <= end_s)
+        inside = (quality for stamp, quality in self._qualities if earliest <= stamp <= end_s)
         return min(inside, default=math.nan)

@@ -1,8 +1,8 @@
 """Finds R peaks in an ECG.
 
-The energy of the band in which QRS complexes are [2]_ is compared with thresholds that follow the
-signal, by the rules of Hamilton's detector [1]_: references are in :mod:`.thresholds`. The apex is
-then looked for in the signal as it was measured.
+The energy in the band of QRS complexes [2]_ is compared with adaptive thresholds, by the rules of
+Hamilton's detector [1]_: references are in :mod:`.thresholds`. The apex is then looked for in the
+unfiltered signal.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class _Peak(NamedTuple):
 
 
 class RPeaks:
-    """Gives the apex of each QRS complex, at a fixed delay.
+    """Gives the apex of each QRS complex, with a fixed delay.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz.
+        Nominal rate in Hz.
     """
 
     def __init__(self, rate: float) -> None:
@@ -79,7 +79,7 @@ class RPeaks:
         return beats + self._rule.pass_time(self._count - self._near)
 
     def _candidates(self) -> list[int]:
-        """Return where, in what is kept, the energy is the largest around."""
+        """Return the places of local maxima of the energy, in the stored signal."""
         size = len(self._energy)
         begin, end = size - self._hop - self._near, size - self._near
         if begin < self._near + self._late + self._around + 1:
@@ -99,7 +99,7 @@ class RPeaks:
         around = self._signal[begin : middle + self._around + 1]
         level = float(np.median(around))
         up, down = float(around.max()) - level, level - float(around.min())
-        # Which side complexes go to holds for a while; else the apex would jump between them.
+        # The polarity changes slowly; otherwise the apex would jump between R and S waves.
         self._polarity += 0.2 * ((up - down) / (up + down or 1.0) - self._polarity)
         is_up = self._polarity > -0.1
         apex = begin + int(around.argmax() if is_up else around.argmin())
@@ -132,14 +132,14 @@ class _Hamilton:
         self._passed_over: list[_Peak] = []
 
     def take(self, peak: _Peak) -> list[Beat]:
-        """Take a peak in; return beats."""
+        """Take a peak; return the beats that it decides."""
         if self._learnt is not None:
             self._learnt.append(peak)
             return []  # nothing is dropped: it is judged when learning ends
         return self._judge(peak)
 
     def pass_time(self, place: int) -> list[Beat]:
-        """Take note that every peak before that place has been given; return beats."""
+        """Note that all peaks before this place were given; return the beats that this decides."""
         if self._learnt is not None:
             return self._learn(place)
         beats = self._search_back(place)
@@ -159,7 +159,7 @@ class _Hamilton:
             largest[number] = max(largest.get(number, 0.0), peak.energy)
         heights = sorted(largest.values(), reverse=True)
         if heights[-1] < at.LEARNING_ALIKE * heights[0]:
-            # Some of these seconds had no beat, as of a slow heart, or one had an artefact.
+            # Some of these seconds had no beat, as with a slow heart, or one had an artefact.
             if place - self._learns_from < most:
                 return []  # nothing is dropped: it goes on learning
             usual = heights[min(at.LEARNING_ARTEFACTS, len(heights) - 1)]

@@ -1,4 +1,4 @@
-"""Cuts a stream into runs without a gap, and runs into pieces that depend on nothing else."""
+"""Splits a stream into runs without gaps, and runs into pieces of equal length."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Event(NamedTuple):
     feature
         Its name.
     stamp
-        LSL time of what it describes, on the clock of the source.
+        LSL time of the event that it describes, on the clock of the source.
     values
-        One a channel of the feature; NaN for what has no value.
+        One value per channel of the feature; NaN for no value.
     """
 
     feature: str
@@ -33,10 +33,10 @@ class Event(NamedTuple):
 
 
 class Stage(Protocol):
-    """Makes events of the samples of one run; it is dropped at the run's end."""
+    """Computes events of the samples of one run, and is discarded at the end of the run."""
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
-        """Take neighbouring samples in.
+        """Take neighbouring samples, and return the events that they decide.
 
         Parameters
         ----------
@@ -49,33 +49,33 @@ class Stage(Protocol):
 
 
 class Runs:
-    """Gives each run of a stream a stage of its own, so that nothing is bridged.
+    """Passes each run of a stream to a new stage, so that no gap is bridged.
 
-    A run ends where a value is no number (or as large as none can be), a stamp does not follow the
-    ones before it, or, in a regular stream, so much is lost before it that a beat may be. Samples
-    of the first two kinds are left out, but where stamps step back by more than `STEP_BACK_S` a run
-    begins: the ones before were wrong, or the clock was set back. What a stage had not decided by
-    then is not decided.
+    A run ends at a value that is not finite or impossibly large, at a stamp that does not follow
+    the previous ones, or, in a regular stream, at a gap that is long enough to hide a beat. Samples
+    of the first two kinds are left out. If stamps step back by more than `STEP_BACK_S`, a run
+    begins: the previous stamps were wrong, or the clock was set back. Events that a stage has not
+    decided at the end of its run are lost.
 
     Parameters
     ----------
     make
         Returns a new stage.
     rate
-        Nominal, in Hz; 0 for an irregular stream, which has no gaps.
+        Nominal rate in Hz; 0 for an irregular stream, which has no gaps.
     hole_s
-        What is lost for so long is no gap.
+        Longest loss that is not a gap, in s.
     foreign
-        Whether stamps are another program's and may jitter.
+        Whether the stamps are another program's, which may jitter.
 
     Attributes
     ----------
     left_out
-        Samples so far whose stamps are no numbers or do not follow the ones before.
+        Number of samples so far with a stamp that is not finite or does not follow the previous.
     steps_back
         How often stamps stepped back so far that a run began.
     without_value
-        Samples so far that had an infinite value, or one that is too large to be true.
+        Number of samples so far with an infinite or impossibly large value.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Runs:
         self._make = make
         self._longest_step = np.inf
         if rate > 0:
-            # Half of a period more, for stamps jitter.
+            # Half of a period longer, because stamps jitter.
             longest_s = hole_s + at.GAP_PERIODS / rate
             self._longest_step = max(longest_s, foreign * at.FOREIGN_JITTER_S)
         self._stage: Stage | None = None
@@ -92,7 +92,7 @@ class Runs:
         self.left_out = self.steps_back = self.without_value = 0
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
-        """Take samples in, cut anyhow; shapes (n,) and (n, n_channels)."""
+        """Take samples in blocks of any size; shapes (n,) and (n, n_channels)."""
         events: list[Event] = []
         if not len(stamps):
             return events  # nothing is dropped: there is nothing
@@ -104,7 +104,7 @@ class Runs:
             begins = is_good & (stamps - latest > self._longest_step)
         begins[steps_back] = is_good[steps_back]
         self.left_out += int(np.count_nonzero(~follows))
-        # What is no number says itself that it is no value.
+        # NaN means "no value" and is not counted.
         wrong = (np.abs(values) > at.LARGEST_VALUE).any(axis=1)
         self.without_value += int(np.count_nonzero(wrong))
         self.steps_back += len(steps_back)
@@ -120,7 +120,7 @@ class Runs:
         return events
 
     def _latest_before(self, stamps: Array) -> tuple[Array, list[int]]:
-        """Return the latest stamp before each since stamps stepped back, and where they did."""
+        """Return the latest stamp before each one since the last step back, and the steps back."""
         latest = np.fmax.accumulate(np.concatenate([[self._last], stamps]))[:-1]
         steps_back: list[int] = []
         while True:
@@ -136,10 +136,10 @@ class Runs:
 
 
 class Hops:
-    """Cuts a run into pieces of one length, counted from its begin.
+    """Cuts a run into pieces of equal length, counted from its begin.
 
-    Each piece then goes through the same operations on arrays of the same shape, whatever blocks
-    it arrived in: results are equal to the last bit.
+    All computations then see arrays of the same shape, so that results are equal to the last bit
+    however the stream is cut into blocks.
     """
 
     def __init__(self, length: int) -> None:
@@ -148,7 +148,7 @@ class Hops:
         self._count = 0
 
     def take(self, stamps: Array, values: Array) -> Iterator[tuple[Array, Array]]:
-        """Give the pieces that are complete by now."""
+        """Take samples, and yield the pieces that are complete."""
         self._pending.append((stamps, values))
         self._count += len(stamps)
         if self._count < self._length:
@@ -160,5 +160,5 @@ class Hops:
         self._count -= done
         for begin in range(0, done, self._length):
             end = begin + self._length
-            # Copies begin at a like address, so that sums are made in a like order.
+            # Copies are aligned alike, so that numpy adds in the same order.
             yield all_stamps[begin:end].copy(), all_values[begin:end].copy()

@@ -18,15 +18,15 @@ from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.pulses.filters import MovingMean
 
 _MEDIAN = 0.6745
-"""Of noise, half is within so many standard deviations."""
+"""Median of the absolute value of normal noise, in standard deviations."""
 _TURNS = 2 / 3
-"""Of noise, so many samples are larger than both neighbours or smaller: I. J. Bienayme 1874."""
+"""Share of samples of noise that are larger or smaller than both neighbours: Bienayme 1874."""
 
 
 def least_response(levels: Array, rate: float) -> float:
-    """Return the least response, in microsiemens, that can be told from the noise in these levels.
+    """Return the smallest response, in microsiemens, above the noise of these levels.
 
-    Noise is what bends from sample to sample, and turns at most of them; responses do not.
+    Noise bends from sample to sample, and turns at most of them; responses do not.
     """
     steps = np.diff(levels)
     bends = np.abs(np.diff(steps))
@@ -39,13 +39,13 @@ def least_response(levels: Array, rate: float) -> float:
 
 
 def smoothing_delay_s(rate: float) -> float:
-    """Return how late the smoothed signal is of a stream of this rate, in Hz."""
+    """Return the delay of the smoothed signal, in s, of a stream with this rate in Hz."""
     slow = Decimator(rate, at.EDA_RATE_HZ).rate
     return (_smoothed(slow) - 1) / 2 / slow if slow else 0.0
 
 
 def _smoothed(rate: float) -> int:
-    """Return how many samples are averaged before responses are looked for."""
+    """Return the number of samples that are averaged to smooth the signal."""
     return max(1, round(at.SCR_SMOOTHING_S * rate))
 
 
@@ -55,17 +55,16 @@ class _Point(NamedTuple):
 
 
 class Skin:
-    """Gives `scl` every second, and `scr` and `scr_prominent` once the peak of each is passed.
+    """Gives `scl` every second, and `scr` and `scr_prominent` after the peak of each response.
 
-    A response is what the smoothed signal rises from a trough to a peak, the classic way of
-    Boucsein 2012; what is no more than noise is none. A prominent one has at least a tenth of the
-    largest ones of late, much as in NeuroKit2; what is less is part of the rise or the fall of
-    another.
+    A response is a rise of the smoothed signal from a trough to a peak (Boucsein 2012) that is
+    larger than noise. A prominent response has at least a tenth of the largest recent ones, much
+    as in NeuroKit2; a smaller one is part of another response's rise or fall.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz; the values are in microsiemens.
+        Nominal rate in Hz; the values are in microsiemens.
     """
 
     def __init__(self, rate: float) -> None:
@@ -115,7 +114,7 @@ _Found = tuple[float, tuple[float, float, float]]
 
 
 class _Responses:
-    """Finds what rises from a trough by a limit and falls again, by this share of the limit."""
+    """Finds rises from a trough by at least a limit, followed by a fall of a share of the limit."""
 
     def __init__(self, fall_share: float) -> None:
         self._fall_share = fall_share
@@ -124,11 +123,11 @@ class _Responses:
         self._peak: _Point | None = None
 
     def raise_limit(self, limit: float) -> None:
-        """Have what is smaller be none."""
+        """Set the height of the smallest response."""
         self._limit, self._fall = limit, self._fall_share * limit
 
     def take(self, here: _Point) -> _Found | None:
-        """Return the stamp of the peak of a response that is over, and its three values."""
+        """Take a point; return peak stamp and values of a response that has ended, else None."""
         if self._trough is None or self._peak is None:
             self._trough = self._peak = here
             return None  # nothing is dropped: the first level of all
@@ -137,7 +136,7 @@ class _Responses:
             return None  # nothing is dropped: the response still rises
         height = self._peak.level - self._trough.level
         if self._peak is self._trough or height < self._limit:
-            # Not a response yet: a lower trough is a later onset.
+            # Not a response yet; a lower trough moves the onset.
             if here.level <= self._trough.level:
                 self._trough = self._peak = here
             return None  # nothing is dropped: there is no response yet
@@ -153,10 +152,10 @@ class _Responses:
 
 
 class _Largest:
-    """Tells how high the second largest response of late was.
+    """Measures the height of the second largest recent response.
 
-    It is the second, for one touch of an electrode is larger than all responses. What the level
-    rose before a response does not count.
+    Not the largest, because a touch of an electrode is larger than all responses. A slow rise of
+    the level before a response is not part of its height.
     """
 
     def __init__(self, length: int) -> None:
@@ -168,7 +167,7 @@ class _Largest:
         self._second = 0.0
 
     def take(self, here: _Point) -> float:
-        """Take a point in; return the height, 0 before there are two."""
+        """Take a point; return the height, 0 before there are two responses."""
         self._before.append(here.level)
         self._rises.append(_Point(here.stamp, here.level - min(self._before)))
         if self._kept and self._kept[0].stamp <= here.stamp - at.SCR_LARGEST_S:
@@ -177,7 +176,7 @@ class _Largest:
         return self._second
 
     def add(self, stamp: float) -> None:
-        """Take note that there is a response with its peak at this stamp."""
+        """Note a response with its peak at this stamp."""
         self._kept.extend(each for each in self._rises if each.stamp == stamp)
         self._update()
 

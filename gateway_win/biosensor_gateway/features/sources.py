@@ -1,4 +1,4 @@
-"""Judges by its header what can be computed of a stream."""
+"""Determines by a stream's header which features can be computed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
-from biosensor_gateway.features.even_stamps import Steady
+from biosensor_gateway.features.even_stamps import EvenStamps
 from biosensor_gateway.features.outputs import READ_TYPES, Feature, features_of
 from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.features.witnesses import Beside, Motion, Warmth, Witness, Witnesses
@@ -29,33 +29,31 @@ _SCALES: dict[str, dict[str, float]] = {
         "m/s2": 1 / at.STANDARD_GRAVITY,
     },
 }
-"""By type: what a unit, in lower case, is multiplied by. Of other types only ratios matter, so
-they need no unit."""
+"""Factor of each unit, in lower case, by type. Features of other types use only ratios, so that
+their streams need no unit."""
 
 _ANY = "arbitrary"
-"""Unit of what is derived of a stream without one."""
+"""Unit of features of a stream without a unit."""
 _AXES = 3
 _NOT_LIT = "ambient"
 _SKIN = "skin"
-"""The channel that is a temperature of skin, not of a case or of the air."""
+"""Label of the channel with the temperature of the skin, not of a case or of the air."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A stream that features are computed of, or that says something of others.
+    """A stream with features, or one that is a witness for other streams of its device.
 
     Attributes
     ----------
-    name, source_id
-        Of the stream.
     identity
-        Of the device; lower-case ROS names also of another program's stream.
+        Of the device; with lower-case ROS names also for another program's stream.
     features
-        What is computed of it; nothing if it only says something of others.
+        Features to compute; empty if the stream is only a witness.
     columns
-        Which of its channels are taken.
+        The channels that are used.
     scale
-        By which its values are multiplied.
+        Factor of its values.
     """
 
     name: str
@@ -68,21 +66,21 @@ class Source:
 
     @property
     def key(self) -> tuple[DeviceIdentity, str]:
-        """By which it is found as a witness."""
+        """Its key among the witnesses."""
         return self.identity, self.header.content_type
 
     def new_computer(self, witnesses: Witnesses | None = None) -> Computer:
-        """Return what computes its features, from its first sample on.
+        """Return a new computation of its features, which begins with its first sample.
 
         Parameters
         ----------
         witnesses
-            Of the devices; if it is one, it is added.
+            Of all devices; if this source is a witness, it is added.
         """
         return Computer(self, {} if witnesses is None else witnesses)
 
     def new_witness(self, keep_s: float = at.MOTION_KEPT_S) -> Witness | None:
-        """Return what tells of its samples what they say of other streams, if they do."""
+        """Return a new witness that takes its samples; None if it is not one."""
         if self.header.content_type == ContentType.ACCELEROMETER:
             return Motion(self.header.rate, foreign=self.header.foreign, keep_s=keep_s)
         if self.header.content_type == ContentType.TEMPERATURE:
@@ -90,13 +88,13 @@ class Source:
         return None  # nothing is dropped: it says nothing of others
 
     def scaled(self, values: object) -> Array:
-        """Return those channels that are taken, in the unit that features are computed in."""
+        """Return the channels that are used, in the unit of the computations."""
         numbers = np.asarray(values, dtype=np.float64).reshape(-1, len(self.header.labels))
         return numbers[:, self.columns.start : self.columns.stop] * self.scale
 
 
 class Computer:
-    """Computes the features of one source, whatever blocks its samples come in."""
+    """Computes the features of one source from samples in blocks of any size."""
 
     def __init__(self, source: Source, witnesses: Witnesses) -> None:
         header = source.header
@@ -108,15 +106,15 @@ class Computer:
         self._wanted = {each.name for each in source.features}
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
         self._channels = source.columns.stop - source.columns.start
-        self._steady = Steady(header.rate) if header.foreign and header.rate > 0 else None
+        self._even_stamps = EvenStamps(header.rate) if header.foreign and header.rate > 0 else None
 
     def take(self, stamps: Array, values: object) -> list[Event]:
-        """Take samples in, of shapes (n,) and (n, n_channels), in the source's unit."""
+        """Take samples in the source's unit, of shapes (n,) and (n, n_channels)."""
         if not len(stamps):
             return []  # nothing is dropped: there is nothing
         scaled = self._source.scaled(values)
-        if self._steady is not None:
-            stamps, scaled = self._steady.take(stamps, scaled)
+        if self._even_stamps is not None:
+            stamps, scaled = self._even_stamps.take(stamps, scaled)
         return self._computed(stamps, scaled)
 
     def _computed(self, stamps: Array, scaled: Array) -> list[Event]:
@@ -125,29 +123,31 @@ class Computer:
         if self._witness is not None:
             self._witness.take(stamps, scaled)
         events = self._runs.take(stamps, scaled)
-        told = self._beside.take(events, float(stamps[-1]))
-        return [each for each in told if each.feature in self._wanted]
+        ready = self._beside.take(events, float(stamps[-1]))
+        return [each for each in ready if each.feature in self._wanted]
 
     def finish(self) -> list[Event]:
-        """Return what would have waited for more samples, or for other streams."""
-        found = self._computed(*self._steady.finish(self._channels)) if self._steady else []
+        """Return the events that still wait for more samples, or for other streams."""
+        found = (
+            self._computed(*self._even_stamps.finish(self._channels)) if self._even_stamps else []
+        )
         return [*found, *(each for each in self._beside.finish() if each.feature in self._wanted)]
 
     @property
     def left_out(self) -> int:
-        """How many samples were left out for their stamps, and how often these stepped back."""
+        """Number of samples left out for their stamps, plus the number of steps back."""
         return self._runs.left_out + self._runs.steps_back
 
     @property
     def without_value(self) -> int:
-        """How many samples were left out because a value was infinite or too large."""
+        """Number of samples left out because a value was infinite or too large."""
         return self._runs.without_value
 
     def remark(self) -> str:
-        """Say what was wrong with the stamps so far; empty if nothing was."""
+        """Return what was wrong with the stamps so far; empty if nothing was."""
         parts: list[str] = []
-        if self._steady is not None and self._steady.pace is not None:
-            rate_hz = 1 / self._steady.pace.period_s
+        if self._even_stamps is not None and self._even_stamps.pace is not None:
+            rate_hz = 1 / self._even_stamps.pace.period_s
             parts.append(f"stamped when it came, so it got even stamps, at {rate_hz:.4g} Hz")
         if count := self._runs.steps_back:
             parts.append(f"its stamps stepped back {_times(count)}, where everything began again")
@@ -158,12 +158,12 @@ class Computer:
 
 
 def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
-    """Return what can be computed of a stream; None if it is of no type that concerns us.
+    """Return the source for a stream; None if features do not need streams of its type.
 
     Raises
     ------
     FeatureError
-        ``UNIT``, ``RATE`` or ``FORMAT``, if it is of such a type and nothing can be computed.
+        ``UNIT``, ``RATE`` or ``FORMAT`` if a stream of a suitable type cannot be used.
     """
     kind = header.content_type
     if kind not in READ_TYPES or (kind == ContentType.TEMPERATURE and not _is_of_skin(header)):
@@ -182,7 +182,7 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
 
 
 def _is_of_skin(header: StreamHeader) -> bool:
-    """Whether a temperature is that of the skin below a sensor; of others nothing says whose."""
+    """Whether a temperature is that of the skin below a sensor; only our own streams declare it."""
     pairs = zip(header.labels, header.units, strict=True)
     return not header.foreign and (_SKIN, Unit.CELSIUS) in pairs
 
@@ -192,7 +192,7 @@ def _times(count: int) -> str:
 
 
 def _columns(header: StreamHeader) -> range:
-    """Return three axes, the skin, or the first channel that is no ambient light."""
+    """Return three axes, the skin temperature, or the first channel that is not ambient light."""
     if header.content_type == ContentType.ACCELEROMETER:
         return range(_AXES)
     if header.content_type == ContentType.TEMPERATURE:
@@ -243,27 +243,27 @@ def _identity(header: StreamHeader) -> DeviceIdentity:
 
 
 def _ros_name(text: str) -> str:
-    """Return a lower-case ROS name that a person recognises; others of that name have a unit."""
+    """Return a recognizable lower-case ROS name; names that are equal differ by their unit."""
     words = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
     name = words if words[:1].isalpha() else f"x{words}"
     return f"{name}_x" if name.endswith(("_chunk", "_stamped")) else name
 
 
 Taken = set[tuple[DeviceIdentity, str]]
-"""Devices, each with the data name of a feature that somebody computes."""
+"""Devices, each with the data name of a feature that is computed already."""
 
 
 def choose(sources: Iterable[Source], taken: Taken) -> list[Source]:
-    """Leave to each source what no better one of its device gives.
+    """Assign each feature of a device to its best source.
 
-    Beats of an ECG are better than those of a pulse, and these than intervals that a device
-    tells, which have no quality. The order of the sources does not matter. One that only says
-    something of others, and has no features, is left as it is.
+    Beats of an ECG are better than those of a pulse, and these are better than intervals that a
+    device reports, which have no quality. The order of the sources does not matter. A source that
+    is only a witness is returned unchanged.
 
     Parameters
     ----------
     taken
-        What is computed already; what is chosen is added.
+        Features that are computed already; the assigned ones are added.
     """
     chosen: list[Source] = []
     for source in sorted(sources, key=_rank):

@@ -1,4 +1,4 @@
-"""Joins what is known of a rate at a time: the newest value, how old it is, and how good."""
+"""Computes the state of a rate: its newest value, with age and quality."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ HR_STATE, BR_STATE = "hr_state", "br_state"
 
 
 class State:
-    """Keeps the newest value of a rate, and the quality of its signal.
+    """Stores the newest value of a rate, and the quality of its signal.
 
     Parameters
     ----------
     name
-        Of the feature that it gives.
+        Name of the state's feature.
     rate, beside
-        Features: the rate, and what says how many intervals it is of.
+        Names of the features with the rate, and with its number of intervals.
     every_s
-        How long it takes at most from one value to the next while all is well, in s.
+        Longest time between two values while nothing is wrong, in s.
     """
 
     def __init__(self, name: str, rate: str, beside: str, every_s: float) -> None:
@@ -30,7 +30,7 @@ class State:
         self._stamp = self._value = self._count = self._quality = math.nan
 
     def note(self, events: Sequence[Event]) -> None:
-        """Take note of what was told."""
+        """Note the values of events."""
         for each in events:
             if each.feature == self._rate:
                 self._stamp, self._value = each.stamp, each.values[0]
@@ -40,10 +40,9 @@ class State:
                 self._quality = each.values[0]
 
     def at(self, stamp: float) -> Event:
-        """Return value, age (s), quality, motion and count at this time.
+        """Return value, age (s), quality, motion and count at a time.
 
-        There is no value where none was told for so long that it would not be one of now. Motion is
-        told by another: it is NaN here.
+        The value is NaN when the newest one is outdated. Motion is NaN; `Beside` fills it in.
         """
         age_s = stamp - self._stamp
         if not age_s <= self._holds_s:

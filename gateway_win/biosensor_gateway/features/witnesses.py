@@ -1,7 +1,8 @@
-"""Tells what other streams of a device say of one: that somebody moves, or that it is not worn.
+"""Corrects features by other streams of the device: motion, and whether the sensor is worn.
 
-An arm that swings moves the blood under a sensor more than the heart does, as regularly: from the
-pulse alone the two cannot be told apart. Conductance alone does not tell skin from a wet sleeve.
+A swinging arm moves the blood under a sensor more than the heart does, and as regularly, so that
+the pulse alone does not show the difference. Nor does conductance alone show the difference between
+skin and a wet sleeve. The stream that shows it is called a witness here.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _PIECES = round(at.MOTION_WINDOW_S / at.MOTION_PIECE_S)
 
 
 class _Place(NamedTuple):
-    """Which channels of a feature tell quality and motion of a window of this length."""
+    """The channels of a feature with quality and motion of a window of this length."""
 
     quality: int
     motion: int
@@ -34,7 +35,7 @@ class _Place(NamedTuple):
 
 
 _HRV_CHANNELS = 4
-_TOLD = {
+_PLACES = {
     "sqi": (_Place(0, 1 + len(REASONS), at.MOTION_WINDOW_S),),
     HR_QUALITY: (_Place(3, 4, at.HR_WINDOW_S),),
     HR_STATE: (_Place(2, 3, at.HR_WINDOW_S),),
@@ -44,34 +45,34 @@ _TOLD = {
         for place, window_s in enumerate(at.HRV_WINDOWS_S, len(at.HRV_WINDOWS_S))
     ),
 }
-"""By feature."""
+"""Places by feature."""
 
 
 class Witness(Protocol):
-    """What another stream of a device says."""
+    """A stream of a device that shows when its other streams are not to be trusted."""
 
     def take(self, stamps: Array, values: Array) -> None:
-        """Take samples in; shapes (n,) and (n, n_channels)."""
+        """Take samples; shapes (n,) and (n, n_channels)."""
         ...
 
     def knows(self, end_s: float) -> bool:
-        """Whether everything up to this stamp has come."""
+        """Whether all samples up to this stamp were received."""
         ...
 
-    def told(self, event: Event, *, lowers: bool) -> Event:
-        """Return the event with what is known of its time.
+    def corrected(self, event: Event, *, lowers: bool) -> Event:
+        """Return the event with its quality or motion at its time.
 
-        `lowers` is whether what moves can be taken for what is measured.
+        `lowers` is whether motion can be mistaken for the measured signal, and lowers its quality.
         """
         ...
 
 
 Witnesses = dict[tuple[DeviceIdentity, str], Witness]
-"""By device and LSL content type."""
+"""Witnesses by device and LSL content type."""
 
 
 class _Flags:
-    """What was so when, in the order of time; it is remembered for as long as is wanted."""
+    """Stamped flags in the order of time, stored for a limited time."""
 
     def __init__(self, keep_s: float) -> None:
         self._keep_s = keep_s
@@ -85,17 +86,17 @@ class _Flags:
             self._flags.clear()
         self._stamps.append(stamp)
         self._flags.append(flag)
-        # Not with each one, for a list moves up by all that is left.
+        # Not at each call, because deleting from the front of a list moves all the rest.
         if self._stamps[0] < stamp - 2 * self._keep_s:
             old = bisect_right(self._stamps, stamp - self._keep_s)
             del self._stamps[:old], self._flags[:old]
 
     def between(self, begin_s: float, end_s: float) -> list[bool]:
-        """Return those after the begin, up to the end."""
+        """Return the flags after the begin, up to and including the end."""
         return self._flags[self._part(begin_s, end_s)]
 
     def stamps_of(self, begin_s: float, end_s: float) -> list[float]:
-        """Return when it was so in between."""
+        """Return the stamps of the flags that are set in between."""
         part = self._part(begin_s, end_s)
         pairs = zip(self._stamps[part], self._flags[part], strict=True)
         return [stamp for stamp, flag in pairs if flag]
@@ -105,16 +106,16 @@ class _Flags:
 
 
 class Motion:
-    """Takes acceleration; tells of spans of time whether there was motion.
+    """Witness for motion, from acceleration.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz; values are three axes in g.
+        Nominal rate in Hz; values are three axes in g.
     foreign
         See `Runs`.
     keep_s
-        How long it is remembered.
+        How long motion is stored.
     """
 
     def __init__(self, rate: float, *, foreign: bool, keep_s: float = at.MOTION_KEPT_S) -> None:
@@ -133,10 +134,10 @@ class Motion:
         """See `Witness`."""
         return self._latest >= end_s
 
-    def told(self, event: Event, *, lowers: bool) -> Event:
-        """See `Witness`: whether there was motion, and less quality of a pulse where there was."""
+    def corrected(self, event: Event, *, lowers: bool) -> Event:
+        """See `Witness`: sets motion, and lowers the quality of a pulse during motion."""
         values = list(event.values)
-        for place in _TOLD[event.feature]:
+        for place in _PLACES[event.feature]:
             moves = self._between(event.stamp - place.window_s, event.stamp)
             values[place.motion] = moves
             if lowers and moves == 1:
@@ -144,9 +145,9 @@ class Motion:
         return event._replace(values=tuple(values))
 
     def _between(self, begin_s: float, end_s: float) -> float:
-        """Return 1 if there was motion in any `MOTION_WINDOW_S` between them, 0 if not.
+        """Return 1 if there was motion in any `MOTION_WINDOW_S` in between, 0 if not.
 
-        NaN if nothing was measured then.
+        NaN if there are no measurements.
         """
         earliest = min(begin_s + at.MOTION_WINDOW_S, end_s - 1.5 * at.MOTION_PIECE_S)
         inside = self._is_moving.between(earliest, end_s)
@@ -159,7 +160,7 @@ class Motion:
 
 
 class _Seconds:
-    """Judges each second of a run by how far the acceleration is from its mean."""
+    """Detects motion in each second of a run, by the RMS distance of acceleration from its mean."""
 
     def __init__(self, rate: float, note: Callable[[float, bool], None]) -> None:
         self._hops = Hops(max(2, round(at.MOTION_PIECE_S * rate)))
@@ -169,18 +170,18 @@ class _Seconds:
         for times, piece in self._hops.take(stamps, values):
             spread = np.sqrt(np.square(piece - piece.mean(axis=0)).sum(axis=1).mean())
             self._note(float(times[-1]), bool(spread >= at.MOTION_LEAST_G))
-        return []  # nothing is dropped: it is kept as motion
+        return []  # nothing is dropped: it is stored as motion
 
 
 class Warmth:
-    """Takes the temperature of skin; tells where it is none of skin that a sensor is worn on.
+    """Witness for wear, from skin temperature in degrees Celsius.
 
-    Rule 3 of Kleckner 2018, and rule 4 of it: what is near is not valid either.
+    Rule 3 of Kleckner 2018, with rule 4: samples near an invalid one are invalid, too.
 
     Parameters
     ----------
     keep_s
-        How long it is remembered; values are in degrees Celsius.
+        How long temperatures are stored.
     """
 
     def __init__(self, keep_s: float = at.MOTION_KEPT_S) -> None:
@@ -199,8 +200,8 @@ class Warmth:
         """See `Witness`."""
         return self._latest >= end_s
 
-    def told(self, event: Event, *, lowers: bool) -> Event:
-        """See `Witness`: no more quality than the share of its last seconds that is valid."""
+    def corrected(self, event: Event, *, lowers: bool) -> Event:
+        """See `Witness`: limits quality to the valid share of the last seconds."""
         del lowers
         near_s, end_s = at.EDA_INVALID_NEAR_S, event.stamp
         reached = begin_s = end_s - near_s
@@ -220,22 +221,22 @@ class Warmth:
 _ASKED: dict[str, tuple[str, ...]] = {
     ContentType.GSR: (ContentType.ACCELEROMETER, ContentType.TEMPERATURE),
 }
-"""Which streams are asked of a type; of others, acceleration."""
+"""Witnesses of a type of stream; of all other types, acceleration."""
 
 
 class Beside:
-    """Has witnesses say what they know of events.
+    """Corrects the events of a stream by the witnesses of its device.
 
-    These wait until everything of their time has come, `LUMP_S` at most.
+    Events wait until the witnesses have samples of their time, at most for `LUMP_S`.
 
     Parameters
     ----------
     witnesses
         Of all devices.
     identity
-        Of the device that the events are of.
+        Of the events' device.
     content_type
-        Of the stream that they are of.
+        Of the events' stream.
     """
 
     def __init__(self, witnesses: Witnesses, identity: DeviceIdentity, content_type: str) -> None:
@@ -246,7 +247,7 @@ class Beside:
         self._waiting: deque[Event] = deque()
 
     def take(self, events: Sequence[Event], now_s: float) -> list[Event]:
-        """Take events in; return those of which it is known by now.
+        """Take events; return those that are corrected or need no correction.
 
         Parameters
         ----------
@@ -254,8 +255,8 @@ class Beside:
             The latest stamp of the source.
         """
         there = [self._witnesses[each] for each in self._keys if each in self._witnesses]
-        told = [each for each in events if each.feature not in _TOLD]
-        self._waiting.extend(each for each in events if each.feature in _TOLD)
+        ready = [each for each in events if each.feature not in _PLACES]
+        self._waiting.extend(each for each in events if each.feature in _PLACES)
         while self._waiting:
             stamp = self._waiting[0].stamp
             knowing = [each for each in there if each.knows(stamp)]
@@ -263,10 +264,10 @@ class Beside:
                 break
             event = self._waiting.popleft()
             for each in knowing:
-                event = each.told(event, lowers=self._lowers)
-            told.append(event)
-        return told
+                event = each.corrected(event, lowers=self._lowers)
+            ready.append(event)
+        return ready
 
     def finish(self) -> list[Event]:
-        """Return what waits, with what is known."""
+        """Return the waiting events, corrected as far as possible."""
         return self.take((), math.inf)
