@@ -69,7 +69,7 @@ def test_nothing_is_said_before_enough_is_known() -> None:
             clock.to_lsl(5.0)
         clock.note(browser.asked(float(count), 0.001, 0.001))
     assert clock.newest_uncertainty_s == pytest.approx(0.001)
-    clock.forget()
+    clock.reset()
     assert not clock.is_known
 
 

@@ -1,1 +1,1 @@
-"""The page: a web server of its own on this computer, which shows and steers the agent."""
+"""The page: a local web server that shows and controls the agent."""

@@ -1,4 +1,4 @@
-"""Puts the agent's status into what the page shows."""
+"""Receives the agent's feed, and converts its status to the page's models."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ _READING = (
     "biosensor_gateway.page.downsampling",
 )
 SILENT_AFTER_S = 4.0
-"""The agent tells its status every second; one that does not for so long is stuck."""
+"""The agent sends its status every second; after this time without one it is stuck."""
 
 
 class AgentLink:
-    """Follows the agent of a state folder.
+    """Receives the feed of a state folder's agent.
 
     Parameters
     ----------
     folder
         The state folder.
     on_status
-        Is given the agent's status, once a second; None when there is no agent any more.
+        Called with the agent's status, once a second, and with None when the agent is gone.
     on_samples
-        Is given what a stream has sent.
+        Called with the samples of a stream.
     on_dropped
-        Is told how many samples are missing here, because this program was too slow.
+        Called with the number of samples that this program was too slow to receive.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class AgentLink:
     async def run(self) -> None:
         """Receive until cancelled."""
         while True:
-            # The port of a killed agent may be another program's by now.
+            # Only while the lock is held: another program may use the port of a killed agent.
             if is_held(self._folder):
                 with contextlib.suppress(OSError, ValueError, EOFError, TimeoutError):
                     await self._follow()
@@ -116,30 +116,30 @@ class AgentLink:
 
 
 def _load_reading() -> bool:
-    """Load what samples need, beside the loop: devices are shown meanwhile."""
+    """Import the modules for samples, in a thread while the page shows devices already."""
     for name in _READING:
         importlib.import_module(name)
     return True
 
 
 def _warn(event: str, **facts: object) -> None:
-    # It takes a fifth of a second, and the page shows devices before.
+    # Imported late: structlog takes a fifth of a second, and the page shows devices before.
     import structlog
 
     structlog.get_logger("biosensor_gateway.page").warning(event, **facts)
 
 
 _OF_NOW = ("worn", "battery_percent", "clock")
-"""What a device that does not send has told of these is not of now."""
+"""Fields that are outdated while a device does not send."""
 
 
 class Viewer:
-    """Describes devices from one status to the next, which it takes to measure rates.
+    """Converts each status of an agent to views of its devices, with measured rates.
 
     Parameters
     ----------
     history
-        The newest values.
+        Has the newest values.
     """
 
     def __init__(self, history: History) -> None:
@@ -149,12 +149,12 @@ class Viewer:
     def devices(
         self, status: AgentStatus, features: Sequence[SeenStreamView] = ()
     ) -> list[DeviceView]:
-        """Describe the devices of an agent.
+        """Return the views of an agent's devices.
 
         Parameters
         ----------
         features
-            What is computed of streams, theirs and others.
+            Features on the network, of these and of other devices.
         """
         now = status.lsl_time or 0.0
         declared = [(_identity(each), _declared(each)) for each in status.devices]
@@ -229,10 +229,10 @@ class Viewer:
 
 
 def _named(feature: SeenStreamView, topics: Mapping[str, str], *, is_fresh: bool) -> SeenStreamView:
-    """Give a feature the ROS topic that it has among all devices; no value if that is over."""
+    """Return a feature with its ROS topic, and without values if its device does not send."""
     device_topic = topics[feature.derived_from].rpartition("/")[0]
-    told = feature if is_fresh else feature.outdated()
-    return told.model_copy(update={"topic": f"{device_topic}/{feature.data_name}"})
+    shown = feature if is_fresh else feature.outdated()
+    return shown.model_copy(update={"topic": f"{device_topic}/{feature.data_name}"})
 
 
 def _facts(device: DeviceStatus, *, sends: bool) -> dict[str, Any]:

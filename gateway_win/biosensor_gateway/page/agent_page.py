@@ -1,7 +1,7 @@
-"""The page of the agent: loads its parts while the browser opens, and runs them.
+"""The page of the agent: listens at once, and loads its parts while the browser opens.
 
-Only what it takes to listen is imported here; the rest is loaded in a thread, first what the page
-shows, then what a person can ask for.
+This module imports only what the server needs to listen. A thread loads the rest: first the live
+view, then the API.
 """
 
 from __future__ import annotations
@@ -30,24 +30,23 @@ _FIRST_S = 1.5
 
 
 class AgentPage:
-    """Serves the page until it is told to end.
+    """Serves the page of the agent.
 
     Parameters
     ----------
     folder
-        The state folder of the agent; other programs of its user find the server there.
+        The agent's state folder, where other programs of the same user find the server.
     settings
         The settings file.
     on_ready
-        Called in a thread with an address that opens the page once, as soon as it can be
-        opened. An error that it raises ends the server.
+        Called in a thread, as soon as the page can be opened, with an address that opens it once.
+        An error that it raises ends the server.
     open_log
         Called in another thread once the page has something to show.
     end_after_s
-        How long there must have been neither window nor agent nor recording for the server to
-        end by itself.
+        The server ends after so many seconds without a window, an agent and a recording.
     share_port
-        TCP port where other computers look on, 0 for any that is free; None for no other.
+        TCP port of the view for other computers, 0 for any free port; None to share nothing.
     """
 
     def __init__(
@@ -68,18 +67,18 @@ class AgentPage:
         self.share: ShareView | None = None
 
     def run(self) -> None:
-        """Serve until SIGINT or SIGTERM, or until somebody ends the page.
+        """Serve until SIGINT or SIGTERM, or until the page is ended on request.
 
         Raises
         ------
         ConfigError
             ``IN_USE`` if the state folder has a server already.
         OSError
-            There is no port on the loopback address.
+            If there is no free port on the loopback address.
         TransportError
-            Other computers were to look on, and cannot.
+            If the view for other computers cannot be served.
         GatewayError
-            Whatever `on_ready` has raised.
+            An error of `on_ready`.
         """
         with only_server(self._folder) as self._unfound:
             self._server.serve()
@@ -87,7 +86,7 @@ class AgentPage:
             raise self._unopened
 
     async def _run(self) -> None:
-        """Load the rest and run it until somebody ends the page; an error ends it, too."""
+        """Load all parts and run them until the page is ended, or one of them fails."""
         running: list[asyncio.Task[None]] = []
 
         def begin(alongside: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
@@ -101,7 +100,8 @@ class AgentPage:
             self._server.front.show(live)
             ended = begin(shutdown.run())
             begin(link.run())
-            # What follows needs the processor twice as long, and a person looks before a click.
+            # The API takes twice as long to load. The first status comes before it, because a
+            # person looks at the page before clicking.
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_FIRST_S):
                     await session.told.wait()
@@ -144,18 +144,18 @@ class AgentPage:
 
     @contextlib.asynccontextmanager
     async def _shared(self, session: Session) -> AsyncGenerator[None]:
-        """Let other computers look on, if that is wanted."""
+        """Serve the view for other computers, if it is switched on."""
         if self._share_port is None:
             yield
             return
-        # Its certificate takes a fifth of the time of a start.
+        # Imported late: the certificate's library takes a fifth of the time of a start.
         from biosensor_gateway.page.share import shared
 
         async with shared(session, self._server.pages, self._share_port) as self.share:
             yield
 
     def _reachable(self, shutdown: Shutdown) -> AbstractAsyncContextManager[None]:
-        """Let other programs of the same user ask for a window, or for the end."""
+        """Accept requests of the same user's programs for a window, or for the end."""
 
         async def new_window(_arguments: Mapping[str, Any]) -> dict[str, Any]:
             return {

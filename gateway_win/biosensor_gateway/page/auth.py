@@ -1,9 +1,8 @@
-"""Lets in nobody but the browser that the program itself has opened, and pages that may mark.
+"""Authenticates requests: from the browser that the program has opened, and from experiments.
 
-Any web page that a person visits can send requests to this computer, and any program on it can,
-too. So a request must name this server by its own address (else a foreign name that was pointed
-to it would make the server a part of that foreign page), come from a page that may ask, and
-have a secret that only the program gives away: a cookie, or the token of web experiments.
+Any web page that a person visits can send requests to this computer, and so can any program on it.
+Therefore a request must have this server's address as its Host (against DNS rebinding), an allowed
+Origin, and a secret that only the program gives away: a cookie, or the token of web experiments.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 DOOR = "/door"
 MARKERS = "/api/v1/markers"
-"""Where web experiments post markers; the socket is below it."""
+"""Path at which web experiments post markers; their WebSocket is below it."""
 MAX_BODY = 64 * 1024
 MAX_SOCKETS = 32
 """Browser windows at a time."""
@@ -32,7 +31,7 @@ OPENS_ONCE = (
     "the entry of the Start menu."
 )
 REFUSED_SOCKET = 1008
-"""The code with which a WebSocket is closed that is not wanted."""
+"""Code with which a refused WebSocket is closed."""
 _TOKENS_KEPT = 16
 _PREFLIGHT_HOLDS_S = 600
 _BEARER = "bearer "
@@ -51,30 +50,30 @@ _HEADERS = {
 
 
 class Refusal(NamedTuple):
-    """Why a request is not carried out: a code of HTTP, and a sentence for people."""
+    """Why a request is refused: an HTTP status code, and a sentence for people."""
 
     code: int
     sentence: str
 
 
 def is_same(given: str, secret: str) -> bool:
-    """Whether a secret is the right one, in a time that does not tell how much of it is."""
+    """Compare secrets in constant time."""
     return hmac.compare_digest(given.encode(errors="replace"), secret.encode())
 
 
 class Keys:
-    """Opens the page: tokens that are good once, and the cookie that they are changed for.
+    """Secrets that open the page: tokens for one use, and the cookie that replaces them.
 
     Attributes
     ----------
     same_site
-        What a browser is told of the cookie: whether it goes along with a link of another page.
+        SameSite attribute of the cookie: whether browsers send it with links on other pages.
     """
 
     same_site: Literal["lax", "strict"] = "strict"
 
     def __init__(self, port: int) -> None:
-        # Browsers send a cookie to every port of a computer.
+        # With the port in its name, because browsers send a cookie to every port of a computer.
         self.cookie_name = f"biosensor_gateway_{port}"
         self._cookie = secrets.token_urlsafe(32)
         self._tokens: list[str] = []
@@ -86,7 +85,7 @@ class Keys:
         return token
 
     def cookie_for(self, token: str) -> str | None:
-        """Take a token, and return the cookie; None for one that is wrong or used."""
+        """Use up a token, and return the cookie; None if the token is wrong or used."""
         for known in self._tokens:
             if is_same(token, known):
                 self._tokens.remove(known)
@@ -99,9 +98,9 @@ class Keys:
 
 
 class ViewKeys(Keys):
-    """Opens the view for other computers: its token is good until the server ends.
+    """Secrets of the view for other computers: its token is valid until the server ends.
 
-    Nothing can be changed there, so a link on another page, as in a mail, may lead to it.
+    The view changes nothing, so that links from other pages and from e-mails may open it.
     """
 
     same_site = "lax"
@@ -116,17 +115,17 @@ class ViewKeys(Keys):
 
 
 class BrowserRules:
-    """For the page itself, on this computer or on another one: a cookie, and its own origins.
+    """Rules for the page, on this computer or on another one: a cookie, and its own origins.
 
-    Both kinds of rules say why another page may not ask at all (`foreign`), why whoever asks is
-    not let in (`stranger`), and answer what they themselves are asked for (`answer`).
+    Both classes of rules refuse requests of other pages (`foreign`) and requests without the secret
+    (`stranger`), and answer requests for the authentication itself (`answer`).
 
     Parameters
     ----------
     origins
         Addresses of the server, such as ``http://127.0.0.1:1234``.
     refused
-        What is said to whoever comes without the cookie.
+        Sentence for requests without the cookie.
     """
 
     max_body = MAX_BODY
@@ -139,7 +138,7 @@ class BrowserRules:
         self._is_secure = all(each.startswith("https:") for each in self._origins)
 
     def foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
-        """Refuse what another web page has sent."""
+        """Refuse a request that another web page has sent."""
         origin = headers.get("origin")
         if origin not in self._origins and (needs_origin or origin is not None):
             return Refusal(403, "Another web page has sent this; only the program's own may.")
@@ -149,7 +148,7 @@ class BrowserRules:
         return None
 
     def stranger(self, headers: Headers, *, is_socket: bool) -> Refusal | None:
-        """Refuse whoever has no cookie, or a wrong one."""
+        """Refuse a request without the cookie, or with a wrong one."""
         try:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
@@ -160,7 +159,7 @@ class BrowserRules:
         return None
 
     def answer(self, request: Request) -> Response | None:
-        """Change a token for the cookie, at the door."""
+        """Exchange a token for the cookie, at the path `DOOR`."""
         if request.scope["path"] != DOOR:
             return None
         cookie = self._keys.cookie_for(request.query_params.get("token", ""))
@@ -178,7 +177,7 @@ class BrowserRules:
         return response
 
     def has_body(self, method: str) -> bool:
-        """Whether something is changed."""
+        """Whether requests with this method change something, and have a body."""
         return method not in {"GET", "HEAD"}
 
     def headers_for(self, headers: Headers) -> Mapping[str, str]:
@@ -187,17 +186,17 @@ class BrowserRules:
 
 
 class ExperimentRules:
-    """For web experiments: origins of the settings, and a token.
+    """Rules for web experiments: the origins of the settings, and a token.
 
     Parameters
     ----------
     port
-        On which the server listens, on the loopback address alone.
+        Port of the server, on the loopback address.
     token
-        What a request has to have; a WebSocket says it later, for a browser lets no script
-        choose the headers of one.
+        Needed by each request. A WebSocket sends it in its first message, because scripts cannot
+        set its headers.
     on_foreign
-        Is told the origin of a page that was refused.
+        Called with the origin of a page that was refused.
     """
 
     max_body = MAX_EXPERIMENT_BODY
@@ -212,7 +211,7 @@ class ExperimentRules:
         self._on_foreign = on_foreign
 
     def foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
-        """Refuse what comes of no web page, or of one that the settings do not name."""
+        """Refuse a request without an origin, or from one that the settings do not name."""
         origin = headers.get("origin")
         if origin in self._origins:
             return None
@@ -233,7 +232,7 @@ class ExperimentRules:
         return Refusal(401, "The token is wrong; biosensor-gateway mark --web shows the right one.")
 
     def answer(self, request: Request) -> Response | None:
-        """Tell a browser that asks first what a page may send."""
+        """Answer a browser's CORS preflight request."""
         if request.method != "OPTIONS" or request.scope["path"] != MARKERS:
             return None
         allowed: dict[str, Any] = {
@@ -241,18 +240,18 @@ class ExperimentRules:
             "Access-Control-Allow-Headers": "Authorization, Content-Type",
             "Access-Control-Max-Age": str(_PREFLIGHT_HOLDS_S),
         }
-        # Asked by browsers before a public page may reach this computer.
+        # Browsers ask for this before a public page may reach this computer.
         if request.headers.get("access-control-request-private-network") == "true":
             allowed["Access-Control-Allow-Private-Network"] = "true"
         return Response(status_code=204, headers=allowed)
 
     def has_body(self, method: str) -> bool:
-        """Whether a marker comes with it."""
+        """Whether requests with this method have a marker as body."""
         return method == "POST"
 
     def headers_for(self, headers: Headers) -> Mapping[str, str]:
-        """Let the page read the answer, also one that refuses."""
-        # Never '*', and no word of credentials: cookies have no part in this.
+        """Allow the page to read the answer, also a refusal."""
+        # Never '*', and no Allow-Credentials, because cookies are not used here.
         return {"Access-Control-Allow-Origin": headers["origin"], "Vary": "Origin"}
 
 
@@ -291,7 +290,7 @@ class Guard:
         has_body = rules.has_body(scope["method"])
         refusal = self._foreign(headers, needs_origin=has_body)
         if refusal is not None:
-            # Without a word of CORS: the browser keeps the answer from the page.
+            # Without CORS headers, so that the browser hides the answer from the page.
             await _refused(refusal)(scope, receive, with_headers(send, {}))
             return
         shown = with_headers(send, rules.headers_for(headers))
@@ -314,12 +313,12 @@ def _refused(refusal: Refusal) -> Response:
 
 
 def _body_refusal(headers: Headers, most: int) -> Refusal | None:
-    """Return why what comes with a request is not read; None if it is."""
+    """Return why the body of a request is refused; None if it is accepted."""
     kind = headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
         return Refusal(415, "What is sent here is JSON: Content-Type: application/json.")
     length = headers.get("content-length", "")
-    # The server holds a client to it.
+    # The server enforces this length.
     if not length.isdecimal():
         return Refusal(411, "The length of what is sent must be said: Content-Length.")
     if int(length) > most:
@@ -328,7 +327,7 @@ def _body_refusal(headers: Headers, most: int) -> Refusal | None:
 
 
 def with_headers(send: Send, more: Mapping[str, str]) -> Send:
-    """Add to every answer what forbids a browser whatever no page of ours needs, and some more."""
+    """Add to every answer the headers that restrict browsers to what our pages need, and *more*."""
     added = _HEADERS | dict(more)
 
     async def sent(message: Message) -> None:

@@ -1,4 +1,4 @@
-"""Reduces samples to what a screen can show."""
+"""Reduces samples to the resolution of a screen."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _HEAD = struct.Struct("<IHHI")
 
 
 class Bins(NamedTuple):
-    """Smallest and largest values of one stream by pixel.
+    """Minimum and maximum of one stream for each pixel.
 
     Attributes
     ----------
     numbers : shape (n,)
-        Of the pixels, counted from LSL time 0; only those with a sample.
+        Numbers of the pixels that have a sample, counted from LSL time 0.
     low, high : shape (n, n_channels)
-        In the units of the declaration; NaN where all are.
+        In the units of the declaration; NaN if all values of the pixel are NaN.
     """
 
     numbers: NDArray[np.int64]
@@ -31,7 +31,7 @@ class Bins(NamedTuple):
 
 
 def binned(chunks: Iterable[Samples], bin_s: float) -> Bins | None:
-    """Reduce samples to one minimum and maximum for each pixel that has one.
+    """Reduce samples to a minimum and a maximum for each pixel with samples.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ def binned(chunks: Iterable[Samples], bin_s: float) -> Bins | None:
 
 
 def packed(index: int, bins: Bins, begin: int) -> bytes:
-    """Write bins of one stream as the page reads them.
+    """Encode the bins of one stream for the page.
 
     ::
 
         n         uint32
-        index     uint16, of the stream in what the page asked for
+        index     uint16, of the stream in the page's request
         channels  uint16
         first     uint32, number of the first pixel, counted from `begin`
         numbers   n uint32, counted from the first
@@ -85,28 +85,28 @@ def packed(index: int, bins: Bins, begin: int) -> bytes:
 
 
 def newest_bins(bins: Bins, most: int) -> Bins:
-    """Return the newest bins, as many as fit the screen."""
+    """Return the newest *most* bins."""
     if len(bins.numbers) <= most:
         return bins
     return Bins(bins.numbers[-most:], bins.low[-most:], bins.high[-most:])
 
 
 DRAWN_CHANNELS = 8
-"""Of one stream at a time; which ones can be chosen."""
+"""Number of channels of a stream that are drawn together."""
 MAX_ROWS_HZ = 500.0
-"""Faster streams are kept as smallest and largest value of short spans."""
+"""Faster streams are stored as minimum and maximum of short spans."""
 _BIN_S = 2.0 / MAX_ROWS_HZ
 
 
 def key_of(number: int, first: int = 0) -> str:
-    """Return by which name a browser asks for channels of a stream, from the `first` on."""
+    """Return the key by which a browser asks for channels of a stream, from the `first` on."""
     return f"{number}:{first}" if first else str(number)
 
 
 def chosen(keys: Iterable[str]) -> dict[int, set[int]]:
-    """Return what browsers ask for: the first channels of each window, by the stream's number.
+    """Return the first channel of each window that browsers ask for, by the stream's number.
 
-    What cannot be a name of `key_of` is left out.
+    Keys that `key_of` cannot have made are left out.
     """
     found: dict[int, set[int]] = {}
     for key in keys:
@@ -119,7 +119,7 @@ def chosen(keys: Iterable[str]) -> dict[int, set[int]]:
 def window(
     key: str, times: NDArray[np.float64], samples: NDArray[Any], first: int, rate: float
 ) -> Samples:
-    """Return some channels of what came, as float32 and with NaN for whatever is not finite.
+    """Return some channels of samples as float32, with NaN for values that are not finite.
 
     Parameters
     ----------
@@ -127,9 +127,9 @@ def window(
         Local LSL time.
     samples : shape (n, n_channels)
     first
-        Number of the first channel, from 0.
+        Index of the first channel.
     rate
-        Nominal, in Hz, or what really came if that is more.
+        Nominal rate in Hz, or the measured rate if that is higher.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         values = samples[:, first : first + DRAWN_CHANNELS].astype(np.float32)
@@ -139,9 +139,9 @@ def window(
 
 
 def measured_rate(times: NDArray[np.float64]) -> float:
-    """Return the rate of samples in Hz by their own times; 0 for too few to say.
+    """Return the rate of samples in Hz by their stamps; 0 for too few samples.
 
-    How many come at once says nothing: what has waited is no faster.
+    The size of a chunk does not matter, because samples may have waited.
     """
     if len(times) < MAX_ROWS_HZ / 10:
         return 0.0

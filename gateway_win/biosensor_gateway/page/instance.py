@@ -1,8 +1,8 @@
-"""The page's server as other programs of the same user find it: one for each state folder.
+"""Finds the running page of a state folder, of which there is one, and sends it commands.
 
-It has a folder of its own in the state folder of the agent, with a lock and a control channel like
-the agent's. So a second start opens another window of the server that runs, by an address that
-is good once and never lies in a file; `reachable` is the server's end.
+The page has a folder in the agent's state folder, with a lock and a control channel like the
+agent's. So a second start opens another window of the running page. The address of that window
+is valid once, and is never in a file. The server's side is `reachable`.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ if TYPE_CHECKING:
 
 OPEN, END = "open", "end"
 ADDRESS, SETTINGS, IS_SHARED = "address", "settings", "shared"
-"""What `OPEN` answers: an address that opens the page once, the server's settings file, and
-whether other computers can look on."""
+"""Keys of the answer to `OPEN`: an address that opens the page once, the page's settings file,
+and whether the page is shared with other computers."""
 LOCK_FILE = "page.lock"
 
 _START_S = 30.0
-"""A server of a busy computer may take so long until it listens."""
+"""How long a page may take to listen on a busy computer."""
 _END_S = 10.0
 _ASK_AGAIN_S = 0.1
 
 
 def page_folder(folder: Path) -> Path:
-    """Where the server keeps lock, control channel and log, below the agent's state folder."""
+    """Return the folder of the page's lock, control channel and log."""
     return folder / "page"
 
 
 @contextlib.contextmanager
 def only_server(folder: Path) -> Generator[ConfigError | None]:
-    """Be the only server of a state folder while the context lasts.
+    """Hold the lock of the page while the context lasts.
 
     Yields
     ------
     ConfigError or None
-        Why no other server would find this one, where the folder cannot be written.
+        Why other programs cannot find this page, if the folder cannot be written.
 
     Raises
     ------
     ConfigError
-        ``IN_USE`` if there is another one.
+        ``IN_USE`` if another page holds the lock.
     """
     with contextlib.ExitStack() as stack:
         problem: ConfigError | None = None
@@ -63,23 +63,23 @@ def only_server(folder: Path) -> Generator[ConfigError | None]:
 
 
 def ask_for_window(folder: Path) -> dict[str, Any] | None:
-    """Return what `OPEN` answers of the server that runs; None if none does.
+    """Return the running page's answer to `OPEN`; None if no page runs.
 
     Raises
     ------
     GatewayError
-        There is one, and it does not answer.
+        If a page runs and does not answer.
     """
     return _ask(folder, OPEN)
 
 
 def ask_to_end(folder: Path) -> bool:
-    """End the server that runs, and wait for it; return False if none does.
+    """End the running page, and wait for its end; return False if no page runs.
 
     Raises
     ------
     GatewayError
-        It does not answer, or does not end in time.
+        If the page does not answer, or does not end in time.
     """
     if _ask(folder, END) is None:
         return False
@@ -96,7 +96,7 @@ def _ask(folder: Path, command: str) -> dict[str, Any] | None:
         except TransportError as error:
             if error.reason is TransportReason.ABSENT:
                 return None
-            # While it starts, it does not listen yet.
+            # A page that is starting holds its lock, but does not listen yet: ask again.
             if time.monotonic() >= deadline:
                 message = "the page runs already and does not answer; end its process, or wait"
                 raise TransportError(TransportReason.SILENT, message) from error
@@ -107,18 +107,18 @@ def _ask(folder: Path, command: str) -> dict[str, Any] | None:
 async def reachable(
     folder: Path, new_window: Command, end: Command, problem: ConfigError | None
 ) -> AsyncGenerator[None]:
-    """Let `ask_for_window` and `ask_to_end` reach this server while the context lasts.
+    """Answer `ask_for_window` and `ask_to_end` while the context lasts.
 
     Parameters
     ----------
     folder
         The agent's state folder.
     new_window, end
-        What the two ask for.
+        Commands for the two requests.
     problem
-        Why no other program will find it; the log says so.
+        Why other programs cannot find this page; it is logged.
     """
-    # Commands ask for the page, and serve nothing.
+    # Imported here, because the commands that only ask a page do not need it.
     import structlog
 
     from biosensor_gateway.agent.control_server import ControlServer

@@ -1,4 +1,4 @@
-"""The API `/api/v1`: what the page can ask for; see `models` for what it answers."""
+"""The API `/api/v1` of the page; its answers are in `models`."""
 
 from __future__ import annotations
 
@@ -34,13 +34,7 @@ _LOOK_S = 0.25
 
 
 class Interface:
-    """Takes what a person or a script asks for: devices, recordings, markers, checks.
-
-    Attributes
-    ----------
-    app
-        The application.
-    """
+    """The application of the API: devices, recordings, markers, checks."""
 
     def __init__(self, session: Session, shutdown: Shutdown) -> None:
         self._session = session
@@ -78,15 +72,15 @@ class Interface:
 
 
 class Features:
-    """Follows the features of the agent's streams while a browser looks.
+    """Receives the features of the agent's streams while a browser shows them.
 
-    They are some values a second, so that each may have an inlet. Raw streams come from the
-    agent's memory and not from here.
+    Features have a few values per second, so that an inlet for each costs little. Raw streams come
+    from the agent's feed instead.
 
     Parameters
     ----------
     session
-        Whose devices they are of; is given the features and their samples.
+        Has the agent's devices, and is given the features and their samples.
     """
 
     def __init__(self, session: Session) -> None:
@@ -98,11 +92,12 @@ class Features:
         loop = asyncio.get_running_loop()
 
         def hand_over(samples: list[Samples]) -> None:
-            # The loop may have ended a moment before the thread.
+            # The loop may end a moment before the thread.
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(self._take, samples)
 
-        # liblsl's settings are those of its first call: not before an agent has taken them, too.
+        # Not before an agent has come: liblsl reads its settings at its first call, and they must
+        # be those with which the agent was started.
         await self._session.came.wait()
         with contextlib.suppress(ConfigError):
             lsl = self._session.loaded().lsl

@@ -1,4 +1,4 @@
-"""The WebSocket `/live`: traces as binary pictures, everything else as JSON."""
+"""The WebSocket `/live`: sends traces as binary data, and everything else as JSON."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from biosensor_gateway.page.static_files import LIVE
 
 KEPT_S = 60.0
 HOLDS_S = 30.0
-"""How long a heart rate or another value of a body is of now that comes when it comes."""
+"""How long a value of an irregular stream about the body, such as a heart rate, is current."""
 
 
 def is_of_now(age_s: float | None, *, is_regular: bool, is_signal: bool) -> bool:
-    """Whether the newest sample of a stream that goes on is that of now.
+    """Whether the newest sample of a stream is current.
 
     Parameters
     ----------
     age_s
         Of the sample; None if there is none.
     is_regular
-        Whether the stream has a rate.
+        Whether the stream has a nominal rate.
     is_signal
-        Whether it tells of a body. What it tells of the device itself holds until it changes.
+        Whether it is about the body. A value about the device itself is current until it changes.
     """
     if age_s is None:
         return False
@@ -45,12 +45,12 @@ def is_of_now(age_s: float | None, *, is_regular: bool, is_signal: bool) -> bool
 
 
 class History:
-    """What came last, by source_id.
+    """Stores the newest samples by source_id.
 
     Parameters
     ----------
     kept_s
-        For how long it is kept.
+        How long samples are stored.
     """
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
@@ -58,7 +58,7 @@ class History:
         self._chunks: dict[str, deque[Samples]] = {}
 
     def add(self, samples: Samples) -> None:
-        """Keep what has come; forget what is too old."""
+        """Store samples, and discard those that are too old."""
         if not len(samples.stamps):
             return
         kept = self._chunks.setdefault(samples.source_id, deque())
@@ -70,12 +70,12 @@ class History:
             kept.popleft()
 
     def keep_only(self, source_ids: Collection[str]) -> None:
-        """Forget all other streams."""
+        """Discard all other streams."""
         for name in self._chunks.keys() - source_ids:
             del self._chunks[name]
 
     def forget(self, source_ids: Collection[str]) -> None:
-        """Forget these streams."""
+        """Discard these streams."""
         for name in source_ids & self._chunks.keys():
             del self._chunks[name]
 
@@ -85,31 +85,31 @@ class History:
         if not kept:
             return None
         last = kept[-1]
-        # JSON knows neither NaN nor infinity.
+        # JSON has neither NaN nor infinity.
         values = [float(each) if math.isfinite(each) else None for each in last.values[-1]]
         return float(last.stamps[-1]), values
 
     def since(self, source_id: str, begin_s: float) -> Iterator[Samples]:
-        """Yield what came after an LSL time."""
+        """Yield chunks with samples after an LSL time."""
         for each in self._chunks.get(source_id, ()):
             if each.stamps[-1] > begin_s:
                 yield each
 
 
 class Traces:
-    """Keeps samples, and gives them to the browsers; on the loop of the server alone.
+    """Stores samples, and passes them to the browsers; used only on the server's loop.
 
     Parameters
     ----------
     kept_s
-        For how long samples are kept.
+        How long samples are stored.
 
     Attributes
     ----------
     screens
-        One a browser.
+        One per browser.
     opened
-        How many there have been.
+        Number of browsers so far.
     """
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
@@ -118,7 +118,7 @@ class Traces:
         self.opened = 0
 
     def take(self, samples: Samples) -> None:
-        """Keep what came, and give it to the browsers that show it."""
+        """Store samples, and pass them to the browsers that show their stream."""
         self.history.add(samples)
         for screen in self.screens:
             screen.add(samples)
@@ -131,12 +131,12 @@ class Traces:
         return screen
 
     def close(self, screen: Screen) -> None:
-        """Forget a browser."""
+        """Remove a browser."""
         self.screens.discard(screen)
 
     @property
     def wanted(self) -> frozenset[str]:
-        """The streams that some browser shows."""
+        """The streams that any browser shows."""
         return frozenset[str]().union(*(screen.streams for screen in self.screens))
 
 
@@ -145,7 +145,7 @@ _HEAD = struct.Struct("<Idd")
 
 
 class View(BaseModel):
-    """What a browser asks for.
+    """A browser's request for traces.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class View(BaseModel):
     streams
         source_ids.
     window_s
-        Seconds from edge to edge.
+        Time span of a trace in seconds.
     pixels
         Width of a trace.
     """
@@ -173,15 +173,15 @@ class View(BaseModel):
 
 
 class Screen:
-    """Collects what the next picture of one browser needs.
+    """Collects the samples for the next picture of one browser.
 
-    What does not fit the screen any more is left out, however slow the browser is: a trace
-    never has more bins than pixels.
+    A trace never has more bins than pixels: for a slow browser, samples that have left the window
+    are discarded.
 
     Parameters
     ----------
     history
-        What came before the browser asked.
+        Samples from before the browser's request.
     """
 
     def __init__(self, history: History) -> None:
@@ -191,7 +191,7 @@ class Screen:
         self._begin_s: float | None = None
 
     def show(self, view: View, now: float) -> None:
-        """Take a new request; the next picture has what the window already covers.
+        """Take a new request; the next picture covers the whole window.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ class Screen:
             LSL time in seconds.
         """
         self._view = view
-        # The page counts pixels from here, in numbers that JavaScript has exactly.
+        # The page counts pixels from here, so that JavaScript's numbers are exact.
         self._begin_s = now - KEPT_S
         since_s = now - view.window_s
         self._waiting = {
@@ -208,16 +208,16 @@ class Screen:
 
     @property
     def is_asked(self) -> bool:
-        """Whether the browser has said what it shows."""
+        """Whether the browser has sent a request."""
         return self._view is not None
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """What it shows."""
+        """The streams that the browser shows."""
         return () if self._view is None else self._view.streams
 
     def add(self, samples: Samples) -> None:
-        """Take in what a stream has sent."""
+        """Add samples for the next picture."""
         waiting = self._waiting.get(samples.source_id)
         if waiting is None or self._view is None:
             return
@@ -227,20 +227,20 @@ class Screen:
             waiting.pop(0)
 
     def picture(self, now: float) -> bytes | None:
-        """Return what is new since the last picture; None while nothing was asked for.
+        """Return the samples since the last picture as bins; None before the first request.
 
         ::
 
             generation  uint32
             now         float64, LSL time in seconds
             bin_s       float64, width of a pixel; pixels count from LSL time `begin`
-            ...         one block for each stream that has something new, see `bins.packed`
+            ...         one block for each stream with new samples, see `downsampling.packed`
 
-        A pixel may come again, with what was measured in it since.
+        A pixel may be sent again, with the samples since.
         """
         if self._view is None or self._begin_s is None:
             return None
-        # They bring numpy, and there is something to show before.
+        # Imported late, because it needs numpy, and the page shows devices before.
         from biosensor_gateway.page.downsampling import binned, newest_bins, packed
 
         bin_s = self._view.bin_s
@@ -255,19 +255,19 @@ class Screen:
 
 
 ENDED = 4000
-"""Code with which a WebSocket is closed because somebody has ended the page."""
+"""Code with which a WebSocket is closed when the page is ended."""
 PICTURES_HZ = 20
 STATUS_EVERY = 10
-"""Pictures from one status to the next: twice a second."""
+"""Number of pictures between two statuses: two statuses per second."""
 
 
 def live(source: Source, more: Callable[[], BaseModel]) -> ASGIApp:
-    """Return the WebSocket.
+    """Return the application with the WebSocket.
 
     Parameters
     ----------
     more
-        Says what else the page shows, twice a second.
+        Returns what else the page shows; called twice a second.
     """
 
     async def show(socket: WebSocket) -> None:
@@ -286,7 +286,7 @@ def live(source: Source, more: Callable[[], BaseModel]) -> ASGIApp:
 
 async def _receive(socket: WebSocket, source: Source, screen: Screen) -> None:
     with contextlib.suppress(WebSocketDisconnect, ValidationError, KeyError):
-        # Who asks for something that cannot be shown is not the page, and is let go.
+        # A client with an invalid request is not our page, and is disconnected.
         while True:
             screen.show(View.model_validate_json(await socket.receive_text()), source.now())
     with contextlib.suppress(RuntimeError):
@@ -296,16 +296,16 @@ async def _receive(socket: WebSocket, source: Source, screen: Screen) -> None:
 async def _send(
     socket: WebSocket, source: Source, screen: Screen, more: Callable[[], BaseModel]
 ) -> None:
-    """Send pictures; a browser that is slow gets fewer of them, and nothing piles up here."""
-    count, next_s, told = 0, time.monotonic(), source.turns
+    """Send pictures and statuses; a slow browser gets fewer of them."""
+    count, next_s, sent_turns = 0, time.monotonic(), source.turns
     while not source.has_ended:
-        if count % STATUS_EVERY == 0 or source.turns != told:
-            told = source.turns
+        if count % STATUS_EVERY == 0 or source.turns != sent_turns:
+            sent_turns = source.turns
             await socket.send_text(more().model_dump_json())
         if screen.is_asked and (picture := screen.picture(source.now())) is not None:
             await socket.send_bytes(picture)
         count += 1
-        # What making and sending one takes is not on top; one that is late is not caught up.
+        # The interval includes the time for making and sending; missed pictures are skipped.
         now_s = time.monotonic()
         next_s = max(next_s + 1 / PICTURES_HZ, now_s)
         await asyncio.sleep(next_s - now_s)
@@ -313,16 +313,16 @@ async def _send(
 
 
 class Source(Protocol):
-    """Where the page has its streams from: an agent's memory, or the network.
+    """The source of the page's streams: an agent's feed, or the network.
 
     Attributes
     ----------
     traces
-        What came; the source adds to it.
+        Received samples; the source adds to them.
     has_ended
-        Whether somebody has ended the page.
+        Whether the page was ended.
     turns
-        How often all has changed, so that nobody who looks should wait for the next status.
+        Counts changes after which the status is sent at once.
     """
 
     traces: Traces

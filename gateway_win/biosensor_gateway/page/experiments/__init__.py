@@ -1,1 +1,1 @@
-"""Markers that web experiments send, by an address and a token of their own."""
+"""Receives the markers of web experiments, at a separate port and with a separate token."""

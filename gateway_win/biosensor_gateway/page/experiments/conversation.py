@@ -1,4 +1,4 @@
-"""Talks with one page of a web experiment: measures its clock, and takes its markers."""
+"""Serves one page of a web experiment: measures its clock, and receives its markers."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ MESSAGES_PER_S, MESSAGES_AT_ONCE = 200, 400
 MARKS_WAITING = 64
 _PINGS_OPEN = 16
 CLOCK_DRIFT = 1e-4
-"""By how much a browser's clock may run faster or slower than LSL's."""
+"""Largest relative drift between a browser's clock and LSL's."""
 EXCHANGES_KEPT = 32
 EXCHANGES_NEEDED = 5
-"""As many exchanges must have been made before a time is taken from them."""
+"""Number of exchanges before the clock counts as known."""
 COARSEST_CLOCK_S = 0.2
-"""A browser that protects its user from being recognised shows its time in steps of 0.1 s."""
+"""Limit of a clock's resolution; browsers that resist fingerprinting have steps of 0.1 s."""
 
 
 class Conversation:
-    """What is said on one WebSocket.
+    """The messages of one WebSocket.
 
     Parameters
     ----------
     origin
-        Of the page, which the guard has let in.
+        Origin of the page, which the guard has accepted.
     token
-        What it has to know.
+        Token that the first message must have.
     sending
-        Where its markers go.
+        Sends its markers to the agent.
     """
 
     def __init__(self, socket: WebSocket, origin: str, token: str, sending: Sending) -> None:
@@ -72,11 +72,11 @@ class Conversation:
 
     @property
     def view(self) -> ExperimentView:
-        """Who is there."""
+        """Origin of the page, and the uncertainty of its clock."""
         return ExperimentView(origin=self._origin, uncertainty_s=self._clock.newest_uncertainty_s)
 
     async def run(self) -> None:
-        """Talk until the page goes away, or says what nobody understands."""
+        """Exchange messages until the page disconnects, or sends an invalid message."""
         await self._socket.accept()
         problem = await self._hello()
         if not problem:
@@ -109,7 +109,7 @@ class Conversation:
         return ""
 
     async def _receive(self) -> str:
-        """Take messages in; return why there will be no more."""
+        """Receive messages until the end; return its reason."""
         try:
             while True:
                 text = await self._socket.receive_text()
@@ -138,7 +138,7 @@ class Conversation:
             await self._refuse(mark, "too many markers wait already", again=True)
 
     async def _measure(self) -> None:
-        """Ask for the browser's time: some times at first, and every two seconds then."""
+        """Ask for the browser's time: several times at first, then every two seconds."""
         number, is_known = 0, False
         while True:
             self._is_set_again.clear()
@@ -159,7 +159,7 @@ class Conversation:
 
     async def _ping(self, number: int) -> None:
         if len(self._asked) >= _PINGS_OPEN:
-            # A page that is busy answers all of them at once; the newest are the best.
+            # A busy page answers all pings at once, and the newest has the shortest round trip.
             del self._asked[next(iter(self._asked))]
         self._asked[number] = local_clock()
         await self._say(type="ping", n=number)
@@ -195,18 +195,18 @@ class Conversation:
 
 
 async def _quietly(talking: Coroutine[Any, Any, None]) -> None:
-    """Talk as long as somebody is there; whoever receives learns first that nobody is."""
+    """Send until the page disconnects; the receiving task reports that."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await talking
 
 
 class RefusedTimeError(Exception):
-    """The time of a marker cannot be; its text is the sentence for the page.
+    """The time of a marker is impossible; the message is the sentence for the page.
 
     Attributes
     ----------
     is_clock
-        Whether it may fit when the browser's clock has been measured again.
+        Whether the time may be possible after the browser's clock is measured again.
     """
 
     def __init__(self, sentence: str, *, is_clock: bool = False) -> None:
@@ -215,30 +215,24 @@ class RefusedTimeError(Exception):
 
 
 class MarkedTime:
-    """Turns the times of one page's markers into LSL times.
-
-    Parameters
-    ----------
-    clock
-        Of the page.
-    """
+    """Converts the times of one page's markers to LSL times."""
 
     def __init__(self, clock: BrowserClock) -> None:
         self._clock = clock
         self._doubted: int | None = None
 
     def of(self, mark: Mark, arrival: float) -> tuple[float, Timing]:
-        """Return the LSL time at which a marker happened, in seconds, and how that is known.
+        """Return the LSL time of a marker in seconds, and how it was determined.
 
         Parameters
         ----------
         arrival
-            LSL time in seconds at which it came.
+            LSL time in seconds at which the marker was received.
 
         Raises
         ------
         RefusedTimeError
-            The clock is not known yet, or the time is too far from the arrival.
+            If the clock is not known yet, or the time is too far from the arrival.
         """
         if mark.at is None:
             return arrival, Timing(TimedBy.ARRIVAL)
@@ -254,14 +248,15 @@ class MarkedTime:
             raise RefusedTimeError(message)
         self._doubted = None
         at = min(known.lsl_time, arrival + MAX_LEAD_S)
-        # In the digits that are told, and not below what it is.
+        # Rounded up to the digits of the answer.
         return at, Timing(TimedBy.CLOCK, math.ceil(1e6 * known.uncertainty_s) / 1e6)
 
     def _of_the_future(self, ref: int, ahead_s: float) -> RefusedTimeError:
-        # Either the page is wrong or its clock was set; the second time, it is the page.
+        # Either the page is wrong, or its clock was set. After another measurement of the clock,
+        # the page is wrong.
         is_clock, self._doubted = self._doubted != ref, ref
         if is_clock:
-            self._clock.forget()
+            self._clock.reset()
         return RefusedTimeError(
             f"it would happen {ahead_s:.3f} s after it came, and {MAX_LEAD_S:g} s is the limit; "
             "'at' is when it happened, as performance.now() shows it",
@@ -270,14 +265,14 @@ class MarkedTime:
 
 
 class Exchange(NamedTuple):
-    """One question and its answer.
+    """One ping and its pong.
 
     Attributes
     ----------
     sent, received
-        LSL time in seconds at which we asked and had the answer.
+        LSL times in seconds of the ping and the pong.
     at
-        The browser's time in seconds at which it answered.
+        The browser's time in seconds of the pong.
     """
 
     sent: float
@@ -286,35 +281,34 @@ class Exchange(NamedTuple):
 
     @property
     def offset(self) -> float:
-        """LSL's time minus the browser's, if both ways took equally long."""
+        """LSL's time minus the browser's, assuming equal delays of both messages."""
         return (self.sent + self.received) / 2 - self.at
 
     @property
     def half_s(self) -> float:
-        """By how much the offset may be wrong: one way may have taken the whole time."""
+        """Largest error of the offset, if one message took the whole round trip."""
         return (self.received - self.sent) / 2
 
 
 class LslTime(NamedTuple):
-    """A time of the browser on LSL's clock, and by how much it may be wrong; in seconds."""
+    """A browser's time on LSL's clock, and its uncertainty, in seconds."""
 
     lsl_time: float
     uncertainty_s: float
 
 
 class BrowserClock:
-    """The clock of one page; whatever zero it counts from.
+    """The clock of one page, with an arbitrary zero.
 
-    Between question and answer, the browser's time is known to within the round trip, whatever
-    the page was busy with. So the exchange counts that was the quickest, made wider by what the
-    clocks may have drifted since. One that contradicts it says that the clock was set: what
-    was known before is forgotten.
+    Each exchange determines the offset to within half of its round trip. The exchange with the
+    smallest error is used, where the error grows with the drift since then. An exchange that
+    contradicts it means that the clock was set, and the earlier ones are discarded.
 
     Parameters
     ----------
     resolution_s
-        Steps in which the browser shows its time, in seconds. Each time that it tells may be
-        wrong by as much, and two always stand against each other.
+        Resolution of the browser's clock in seconds. It counts twice, because each conversion
+        compares two readings.
     """
 
     def __init__(self, resolution_s: float) -> None:
@@ -323,41 +317,35 @@ class BrowserClock:
 
     @property
     def is_known(self) -> bool:
-        """Whether times can be taken from it."""
+        """Whether times can be converted."""
         return len(self._exchanges) >= EXCHANGES_NEEDED
 
     @property
     def newest_uncertainty_s(self) -> float | None:
-        """By how much a time of now may be wrong, in seconds; None while nothing is known."""
+        """Uncertainty of a current time in seconds; None while the clock is not known."""
         if not self.is_known:
             return None
         return self.to_lsl(self._exchanges[-1].at).uncertainty_s
 
     def note(self, exchange: Exchange) -> bool:
-        """Take an exchange in.
-
-        Returns
-        -------
-        bool
-            Whether it fits those before it; else it is the first one now.
-        """
+        """Add an exchange; return False if it contradicts the earlier ones, which are discarded."""
         fits = not self._exchanges or self._fits(exchange)
         if not fits:
             self._exchanges.clear()
         self._exchanges.append(exchange)
         return fits
 
-    def forget(self) -> None:
-        """Begin again."""
+    def reset(self) -> None:
+        """Discard all exchanges."""
         self._exchanges.clear()
 
     def to_lsl(self, at: float) -> LslTime:
-        """Return a time of the browser, in seconds, as an LSL time.
+        """Convert a time of the browser, in seconds, to LSL time.
 
         Raises
         ------
         ValueError
-            It is not known yet.
+            If the clock is not known yet.
         """
         if not self.is_known:
             raise ValueError("the browser's clock is not measured yet")

@@ -1,4 +1,4 @@
-"""Sends the markers of web experiments to the agent: in order, once each, not too many."""
+"""Sends the markers of web experiments to the agent: in order, each once, at a limited rate."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _STRICT = ConfigDict(extra="forbid", strict=True)
 
 
 class NewMark(BaseModel):
-    """A marker that is posted.
+    """A marker in a POST request.
 
     Attributes
     ----------
     age_ms
-        How long ago it happened, in milliseconds; None if it happens now.
+        Age of the marker in milliseconds; None if it happens now.
     """
 
     model_config = _STRICT
@@ -45,9 +45,9 @@ class Hello(BaseModel):
     Attributes
     ----------
     client
-        Which page this is, also after its connection was away.
+        Identifies the page, also after it has connected again.
     resolution_ms
-        Steps in which the browser shows its time, in milliseconds.
+        Resolution of the browser's clock in milliseconds.
     """
 
     model_config = _STRICT
@@ -74,7 +74,7 @@ class Mark(BaseModel):
     Attributes
     ----------
     ref
-        The page's own number of it; the same for one that is sent again.
+        The page's number for the marker; the same if it is sent again.
     at
         The browser's time in milliseconds at which it happened; None for when it arrives.
     """
@@ -98,7 +98,7 @@ class Sent(BaseModel):
     lsl_time
         When it happened, in seconds.
     timed_by, uncertainty_s
-        How that is known, and by how many seconds it may be wrong; None if nobody knows.
+        How the time was determined, and its uncertainty in seconds; None if unknown.
     """
 
     id: int
@@ -114,7 +114,7 @@ _REMEMBERED = 2000
 
 
 class Pace:
-    """Allows so many a second on average, and so many at once.
+    """Limits a rate (token bucket): *per_s* per second on average, and *at_once* in a burst.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class Pace:
         self._left, self._then = float(at_once), clock()
 
     def allows(self) -> bool:
-        """Whether one more is within it; if so, it is counted."""
+        """Count one more if it is within the limit; return whether it is."""
         now = self._clock()
         self._left = min(self._most, self._left + (now - self._then) * self._per_s)
         self._then = now
@@ -141,12 +141,12 @@ class Pace:
 
 
 class WebMark(NamedTuple):
-    """A marker and when it happened.
+    """A marker with its time.
 
     Attributes
     ----------
     key
-        Names it when it is sent again; None if it never is.
+        Identifies the marker if it is sent again; None if it never is.
     origin
         Of the page.
     at
@@ -162,13 +162,7 @@ class WebMark(NamedTuple):
 
 
 class Sending:
-    """Hands markers to the agent of a state folder.
-
-    Parameters
-    ----------
-    folder
-        The state folder.
-    """
+    """Sends markers to the agent of a state folder."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -177,7 +171,7 @@ class Sending:
         self._sent: OrderedDict[tuple[str, int] | None, Sent] = OrderedDict()
 
     async def send(self, mark: WebMark) -> Sent:
-        """Have the agent send a marker; one that it has sent already is not sent again.
+        """Send a marker to the agent, unless it was sent before; return the sent marker.
 
         Raises
         ------
@@ -189,7 +183,7 @@ class Sending:
         if mark.key not in self._sent and not self._pace.allows():
             message = f"more than {MARKS_PER_S} markers a second; send fewer, or later"
             raise TransportError(TransportReason.BUSY, message)
-        # A page that goes away meanwhile comes back and asks what became of it.
+        # Shielded: a page that disconnects meanwhile will send the marker again, with its key.
         return await asyncio.shield(self._send(mark))
 
     async def _send(self, mark: WebMark) -> Sent:

@@ -1,4 +1,4 @@
-"""Listens for web experiments at the port of the settings, while these name any origin."""
+"""Listens for web experiments at the port of the settings, if the settings name an origin."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class _Wanted(NamedTuple):
 
 
 class ExperimentServer:
-    """Serves web experiments on the loopback address, apart from the page's own server.
+    """Serves web experiments on the loopback address, separately from the page's server.
 
-    What any page may try at a known port costs the page nothing: connections, messages and
-    markers have limits of their own.
+    Connections, messages and markers have separate limits, because any web page can send requests
+    to this port.
 
     Parameters
     ----------
     session
-        Its settings say who may mark, also when they change; its `experiments` is kept up to date.
+        Has the settings, which may change; its `experiments` is kept up to date.
     """
 
     def __init__(self, session: Session) -> None:
@@ -54,7 +54,7 @@ class ExperimentServer:
         self._foreign = ""
 
     async def run(self) -> None:
-        """Listen as the settings want it, until cancelled."""
+        """Listen as the settings say, until cancelled."""
         while True:
             wanted = self._wanted()
             if wanted is None or not wanted.settings.origins:
@@ -72,7 +72,7 @@ class ExperimentServer:
                 await asyncio.sleep(LOOK_S)
 
     def _wanted(self) -> _Wanted | None:
-        """Return what is to be listened for; None if nothing is, or nobody can tell."""
+        """Return the settings and the token; None if they cannot be read."""
         try:
             settings = self._session.loaded().markers.web
             return _Wanted(settings, experiment_token(self._session.folder))
@@ -81,7 +81,7 @@ class ExperimentServer:
             return None
 
     async def _serve(self, wanted: _Wanted, listening: socket.socket) -> None:
-        """Serve until something else is wanted."""
+        """Serve until the settings change."""
         port = wanted.settings.port
         experiments = Experiments(wanted.token, self._sending)
         rules = ExperimentRules(port, wanted.settings.origins, wanted.token, self._note_foreign)
@@ -111,14 +111,14 @@ def _in_use(port: int, error: OSError) -> str:
 
 
 class Experiments:
-    """The web experiments that are connected.
+    """The application for web experiments, with its open connections.
 
     Parameters
     ----------
     token
-        What each has to know.
+        Token that each experiment must have.
     sending
-        Where markers go.
+        Sends the markers to the agent.
     """
 
     def __init__(self, token: str, sending: Sending) -> None:
@@ -128,11 +128,11 @@ class Experiments:
 
     @property
     def connected(self) -> list[ExperimentView]:
-        """Which pages are there."""
+        """Views of the connected pages."""
         return [each.view for each in self._talking]
 
     def app(self) -> FastAPI:
-        """Make the application; its guard has to stand before it."""
+        """Return the application, which needs a `Guard` in front."""
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
         app.post(MARKERS)(self._posted)
         app.websocket(SOCKET)(self._connected)

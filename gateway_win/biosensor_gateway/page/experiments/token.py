@@ -1,4 +1,4 @@
-"""The token by which web experiments may send markers, and nothing else."""
+"""The token with which web experiments may send markers, and nothing else."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BYTES = 24
 
 
 def experiment_token(folder: Path) -> str:
-    """Return the token, which stays the same; it is made when it is first asked for.
+    """Return the stored token, or create one.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def experiment_token(folder: Path) -> str:
     Raises
     ------
     ConfigError
-        ``UNREADABLE``: it can neither be read nor written.
+        ``UNREADABLE`` if it can neither be read nor written.
     """
     try:
         written: Any = json.loads(state_file.read(folder / KEPT_IN))
@@ -40,12 +40,12 @@ def experiment_token(folder: Path) -> str:
 
 
 def new_experiment_token(folder: Path) -> str:
-    """Make another token; the one before it is of no use from now on.
+    """Replace the token by a new one.
 
     Raises
     ------
     ConfigError
-        ``UNREADABLE``: it cannot be written.
+        ``UNREADABLE`` if it cannot be written.
     """
     token = secrets.token_urlsafe(_BYTES)
     try:
