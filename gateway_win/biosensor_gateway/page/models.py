@@ -1,6 +1,6 @@
-"""Answers of the API `/api/v1`.
+"""Models of the answers of the API `/api/v1`.
 
-What the agent says of itself has the models of ``status --json``; here is what comes on top.
+They extend the models of ``status --json`` in `biosensor_gateway.agent.status`.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from biosensor_gateway.recording.xdf.findings import Finding
 
 
 class ScreenStream(BaseModel):
-    """What a screen shows of a stream, of whichever program.
+    """A stream on the screen, of any program.
 
     Attributes
     ----------
     source_id, lsl_name, topic
-        Its names for programs, for LabRecorder, and in ROS with the usual prefix.
+        Its names for programs, in LabRecorder, and in ROS with the default prefix.
     measured_hz
-        Over the last seconds, by the samples' own times; None while nothing comes, and for
-        streams that come when they come.
+        Rate over the last seconds, by the samples' stamps; None while no samples are received, and
+        for irregular streams.
     age_s
         Of the newest sample; None before the first.
     is_fresh
-        Whether the newest values are those of now; a stale value is not shown.
+        Whether the newest values are current; outdated values are not shown.
     is_signal
         Whether it was measured on the body: not a battery, a radio or a counter.
     values
@@ -52,7 +52,7 @@ class ScreenStream(BaseModel):
 
 @unique
 class SeenState(StrEnum):
-    """How a stream or a device does, as this computer sees it."""
+    """State of a stream or a device, as this computer sees it."""
 
     READING = "reading"
     LISTED = "listed"
@@ -71,7 +71,7 @@ class TextView(BaseModel):
 
 
 class WindowView(BaseModel):
-    """Some channels of a stream that are drawn together."""
+    """Channels of a stream that are drawn together."""
 
     channels: list[str]
     units: list[str]
@@ -87,28 +87,28 @@ class SeenStreamView(ScreenStream):
     Attributes
     ----------
     nominal_hz
-        Declared; 0 for streams that come when they come.
+        Nominal rate; 0 for irregular streams.
     lost
-        None where nobody counts.
+        Number of lost samples; None if unknown.
     seen
-        How it does.
+        State of the stream.
     silent_s
-        How long nothing came, or how long it has been gone.
+        How long no samples were received, or how long the stream has been gone.
     note
         What is wrong with it; empty if nothing is.
     is_lost_estimated
-        Whether `lost` is what the stamps show, and only since it is received.
+        Whether `lost` is estimated from the stamps, since the stream is received here.
     texts
         Its newest entries, the newest first.
     channel_count
-        Of all its channels.
+        Number of all its channels.
     windows
-        Further channels that somebody looks at, by the number of the first.
+        Further channels that a browser shows, by the number of the first.
     derived_from
-        Of a feature: the `source_id` of the stream that it was computed of if that is listed, else
-        what LSL calls that; empty if it is none.
+        For a feature: the `source_id` of its source stream if that is listed, else its LSL name;
+        empty for other streams.
     bytes_per_s
-        What receiving it costs by its nominal rate; 0 if that is irregular.
+        Data rate by its nominal rate; 0 for an irregular stream.
     """
 
     nominal_hz: float
@@ -125,7 +125,7 @@ class SeenStreamView(ScreenStream):
     derived_from: str
 
     def outdated(self) -> SeenStreamView:
-        """Return the same without what is not of now."""
+        """Return a copy without values and rate."""
         windows = {n: each.model_copy(update={"values": []}) for n, each in self.windows.items()}
         over: dict[str, object] = {"is_fresh": False, "values": [], "measured_hz": None}
         over["windows"] = windows
@@ -133,20 +133,20 @@ class SeenStreamView(ScreenStream):
 
 
 class SeenDeviceView(BaseModel):
-    """One device of an agent, or what another program calls by one name on one computer.
+    """One device of an agent, or the streams of another program with one name on one computer.
 
     Attributes
     ----------
     name
-        By which the page knows it.
+        Identifies it on the page.
     section
-        Below which heading it stands.
+        Heading under which it is shown.
     replay
-        The recording that is played; empty if it is measured now.
+        The recording that is played; empty for live streams.
     is_ours
-        Whether an agent of ours says so.
+        Whether it is a device of one of our agents.
     worn
-        None where nobody knows.
+        None if unknown.
     """
 
     name: str
@@ -173,15 +173,15 @@ class NetworkView(BaseModel):
     Attributes
     ----------
     made_s
-        Local LSL time at which this was so.
+        Local LSL time of this view.
     searched_s
-        For how long it has looked.
+        How long the search for streams has lasted.
     search
-        How it looks for streams, for whoever finds none; one sentence each.
+        How streams are searched for, as help if none is found; one sentence each.
     inlets, most_inlets, not_received
-        How many streams are received now, how many at most, and how many are shown without.
+        Number of streams that are received, the limit, and the number shown without being received.
     problems
-        Streams that cannot be shown, and what else is wrong; one sentence each.
+        Streams that cannot be shown, and other problems; one sentence each.
     """
 
     made_s: float = 0.0
@@ -200,17 +200,17 @@ class MarkerView(BaseModel):
     Attributes
     ----------
     source
-        Of a web experiment, where its page comes from.
+        Origin of the page of a web experiment.
     uncertainty_s
-        By how many seconds its time may be wrong, where that was measured.
+        Uncertainty of its time in seconds, if it was measured.
     received
         Whether any program received it.
     time
         Its Unix time in s, for people.
     earlier
-        Whether it was before the recording that goes on, or that was the last here.
+        Whether it was sent before the current or last recording began.
     can_be_undone
-        Whether the agent that has sent it still runs, and it is of that recording.
+        Whether the agent that sent it still runs, and it belongs to that recording.
     """
 
     id: int
@@ -233,7 +233,7 @@ class MarkersView(BaseModel):
     Attributes
     ----------
     told
-        Whether an agent has said so; else there may be some.
+        Whether the markers were received from an agent; if not, there may be unknown ones.
     """
 
     told: bool = False
@@ -242,21 +242,21 @@ class MarkersView(BaseModel):
 
 
 class ExperimentView(BaseModel):
-    """A page that is connected: its origin, and how well its clock is known, in seconds."""
+    """A connected page: its origin, and the uncertainty of its clock in seconds."""
 
     origin: str
     uncertainty_s: float | None = None
 
 
 class ExperimentsView(BaseModel):
-    """Where web experiments can mark, and which are there.
+    """The server for web experiments, and the connected ones.
 
     Attributes
     ----------
     address
-        Of the WebSocket's server; empty if nothing listens.
+        Of the WebSocket's server; empty if it does not listen.
     problem
-        Why nothing listens, though the settings name origins.
+        Why it does not listen although the settings name origins.
     foreign
         The origin that was refused last.
     """
@@ -275,7 +275,7 @@ def _can_be_path(text: str) -> str:
     try:
         is_usable = "\0" not in str(Path(text).expanduser())
     except RuntimeError:
-        # It names the home folder of somebody whom this computer does not know.
+        # The path has the home folder of an unknown user.
         is_usable = False
     if not is_usable:
         raise ValueError("nothing on this computer can be called so")
@@ -286,14 +286,14 @@ PathText = Annotated[LongText, AfterValidator(_can_be_path)]
 
 
 class ReplayedStreamView(ScreenStream):
-    """One stream that is played.
+    """A replayed stream.
 
     Attributes
     ----------
     nominal_hz
         At the speed of the replay.
     is_empty
-        Whether the recording has no sample of it.
+        Whether the recording has no samples of it.
     """
 
     nominal_hz: float
@@ -301,14 +301,14 @@ class ReplayedStreamView(ScreenStream):
 
 
 class ReplayedDeviceView(BaseModel):
-    """Streams of a recording that belong to one device, or to one name of another program.
+    """Replayed streams of one device, or of one name of another program.
 
     Attributes
     ----------
     title
-        What people call the kind of sensor.
+        Name of the kind of sensor for people.
     battery_percent
-        As it was then; None where nothing tells it.
+        As it was recorded; None if unknown.
     streams
         By source_id.
     """
@@ -323,18 +323,18 @@ class ReplayedDeviceView(BaseModel):
 
 
 class ReplayView(BaseModel):
-    """The replay that was begun on this page.
+    """The replay that was started on this page.
 
     Attributes
     ----------
     is_running
-        From the request on.
+        True from the request on.
     is_playing
-        Whether samples are sent, so that what receivers see is no person.
+        Whether samples are sent, so that receivers do not see a live person.
     file
         Without its folder.
     lap, position_s, length_s, sent, received, stream_count, said
-        See `ReplayProgress`; the last ones stay when it has ended.
+        See `ReplayProgress`; the last values stay after the end.
     """
 
     is_running: bool = False
@@ -354,7 +354,7 @@ class ReplayView(BaseModel):
 
 @unique
 class AgentState(StrEnum):
-    """Whether there is an agent."""
+    """Whether an agent runs."""
 
     RUNNING = "running"
     STARTING = "starting"
@@ -362,26 +362,26 @@ class AgentState(StrEnum):
 
 
 class StreamView(StreamStatus, ScreenStream):
-    """One stream of the agent: what it says of it, and what a screen needs besides."""
+    """One stream of the agent: its status, and what a screen needs in addition."""
 
 
 class DeviceView(DeviceFacts):
-    """One device of the agent: what it says of it, and what a screen needs besides.
+    """One device of the agent: its status, and what a screen needs in addition.
 
     Attributes
     ----------
     name
-        What commands call it, ``sensor/unit``.
+        Name in commands, ``sensor/unit``.
     title
-        What people call the kind of sensor.
+        Name of the kind of sensor for people.
     is_sending
-        Whether it sends now; if not, nothing that it told is of now, and nothing is shown of it.
+        Whether it sends now; if not, its values are outdated and not shown.
     lost
-        Samples of all its streams; None while it does not send, so that more may be lost.
+        Lost samples of all its streams; None while it does not send, because more may be lost.
     streams
         By source_id.
     features
-        Live features of these streams that are on the network, whoever computes them.
+        Live features of these streams on the network, of any program.
     """
 
     name: str
@@ -393,7 +393,7 @@ class DeviceView(DeviceFacts):
 
 
 class ExplainedFinding(BaseModel):
-    """One thing that was found in a recording.
+    """A finding about a recording, with an explanation.
 
     Attributes
     ----------
@@ -402,7 +402,7 @@ class ExplainedFinding(BaseModel):
     about
         ``persons``, ``others`` (streams of other programs) or ``ourselves``.
     means, to_do
-        What it means for a study, and what to do; empty where nothing more is known.
+        What it means for a study, and what to do; empty without an explanation.
     """
 
     level: str
@@ -413,7 +413,7 @@ class ExplainedFinding(BaseModel):
 
 
 def explained(finding: Finding) -> ExplainedFinding:
-    """Return a finding with what it means for a study and what to do."""
+    """Return a finding with its explanation."""
     known = EXPLANATIONS.get(finding.code)
     return ExplainedFinding(
         level=finding.level.value,
@@ -425,7 +425,7 @@ def explained(finding: Finding) -> ExplainedFinding:
 
 
 class VerdictView(BaseModel):
-    """How good a recording is that was ended.
+    """Verdict on a recording that was ended.
 
     Attributes
     ----------
@@ -436,9 +436,9 @@ class VerdictView(BaseModel):
     explained
         The same by what they are about, with what each means and what to do.
     can_be_salvaged
-        Whether it is cut or damaged, and samples can be read nevertheless.
+        Whether it is truncated or damaged, but some samples can be read.
     salvaged
-        Where they were written to; empty before that.
+        File with the salvaged samples; empty before that.
     """
 
     colour: str
@@ -451,29 +451,29 @@ class VerdictView(BaseModel):
 
 
 class RecordingView(BaseModel):
-    """The recording that is made here.
+    """The recording of this computer.
 
     Attributes
     ----------
     busy
-        What is being done just now, ``starting`` or ``ending``; empty otherwise.
+        ``starting`` or ``ending``; empty otherwise.
     folder
-        Where recordings go if nothing else is said.
+        Default folder of recordings.
     elapsed_s, bytes, streams
-        Of the recording that goes on.
+        Of the current recording.
     started
         Unix time in s at which the recording began; 0 without one.
     colour
-        ``red`` if something is wrong, ``amber`` if not all is recorded that could be, or something
-        has happened that its analysis must know; else ``green``.
+        ``red`` if something is wrong; ``amber`` if something that could be recorded is not, or
+        something has happened that matters for the analysis; else ``green``.
     problems
-        What is wrong with it.
+        Errors of the recording.
     notes
-        What is not as it should be, or was not for a while.
+        Present or past deviations, such as a sensor that was away.
     remarks
-        What else is good to know of it.
+        Other information, about which nothing is wrong.
     verdict
-        Of the last one that was ended on this page.
+        Of the last recording that was ended on this page.
     """
 
     is_running: bool = False
@@ -492,14 +492,14 @@ class RecordingView(BaseModel):
 
 
 class ShareView(BaseModel):
-    """How other computers look on.
+    """The view for other computers.
 
     Attributes
     ----------
     addresses
         One for each network of this computer, with the token.
     fingerprint
-        SHA-256 of the certificate, which a browser asks about the first time.
+        SHA-256 of the certificate, about which a browser asks the first time.
     """
 
     addresses: list[str]
@@ -512,17 +512,17 @@ class StatusView(AgentFacts):
     Attributes
     ----------
     problem
-        What is wrong with the settings, one sentence for each line; empty if nothing is.
+        Problems of the settings, one per line; empty if there is none.
     configured
-        How many devices the settings name.
+        Number of devices in the settings.
     one_wearer
-        Whether one person can wear all that are enabled, and be told apart by sensor and label.
+        Whether one person can wear all enabled devices, which then differ by sensor or label.
     skipped
-        Samples that this page was too slow to show; nothing of a recording.
+        Samples that this page was too slow to show; recordings have them.
     share
-        None while no other computer can look on.
+        None while the page is not shared with other computers.
     experiments
-        None if no web page may mark.
+        None if the settings allow no web page to send markers.
     """
 
     agent: AgentState
@@ -540,7 +540,7 @@ class StatusView(AgentFacts):
 
 
 class Outcome(BaseModel):
-    """What came of a request, in one sentence for people."""
+    """Outcome of a request, in one sentence for people."""
 
     sentence: str
 
@@ -551,9 +551,9 @@ class Choice(BaseModel):
     Attributes
     ----------
     words
-        For a button.
+        Text of a button.
     more
-        What the same request has then besides.
+        Fields to add to the same request.
     """
 
     words: str

@@ -1,7 +1,7 @@
-"""The page of the network: shows which LSL streams arrive here, and changes nothing.
+"""The page of the network: shows the LSL streams that this computer receives.
 
-It listens before most of the program is loaded, as `agent_page` does; only what is wrong in the
-settings file is found before a browser opens.
+It listens before most of the program is loaded, as `agent_page` does. Only the settings are read
+before a browser opens, so that their problems are reported in the terminal.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ if TYPE_CHECKING:
 
 
 class NetworkPage:
-    """Serves the page until it is told to end.
+    """Serves the page of the network.
 
     Parameters
     ----------
     settings
-        A settings file, of which the LSL section counts; it need not exist.
+        A settings file, which need not exist; only its LSL section is used.
     on_ready
-        Called in a thread with an address that opens the page once, as soon as it can be
-        opened.
+        Called in a thread, as soon as the page can be opened, with an address that opens it once.
     """
 
     def __init__(self, settings: Path, on_ready: Callable[[str], None]) -> None:
@@ -42,11 +41,11 @@ class NetworkPage:
         Raises
         ------
         ConfigError
-            The settings are wrong, or LSL's own are.
+            If our settings or LSL's own settings are wrong.
         OSError
-            There is no port on the loopback address.
+            If there is no free port on the loopback address.
         GatewayError
-            Whatever `on_ready` has raised.
+            An error of `on_ready`.
         """
         self._server.serve()
 
@@ -82,7 +81,7 @@ class NetworkPage:
 
 
 def interface(source: NetworkSource) -> ASGIApp:
-    """Return what can be asked for: the streams that this computer sees."""
+    """Return the API's application, which lists the streams that this computer sees."""
     with responsive():
         from biosensor_gateway.page.models import NetworkView
         from biosensor_gateway.page.routes.api import new_app
@@ -93,7 +92,7 @@ def interface(source: NetworkSource) -> ASGIApp:
         # Named here: annotations are looked up at the top of the module, which is light.
         @app.get(f"{PREFIX}/streams", response_model=NetworkView)
         async def streams() -> NetworkView:  # pyright: ignore[reportUnusedFunction]
-            """Say which streams this computer sees, and how they are."""
+            """List the streams that this computer sees, with their states."""
             return source.status()
 
         return app

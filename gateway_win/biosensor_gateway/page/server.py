@@ -1,4 +1,4 @@
-"""Serves an application at a socket: the page for the browser of this computer, and beside it."""
+"""Runs the servers: the page for the browser of this computer, and others in the same process."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from biosensor_gateway.page.static_files import Front
 
 HOST = "127.0.0.1"
 _ENDS_WITHIN_S = 10.0
-"""Windows hear of the end, and a replay has its own time to end."""
+"""Limit for the whole end: windows are notified, and a replay has its own limit."""
 _SWITCH_S = 0.0005
 _SIGNALS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM]
 
 
 class Role(NamedTuple):
-    """Whom a server serves, which decides how much it takes at a time.
+    """Limits of a server, by its kind of clients.
 
     Attributes
     ----------
     max_message
         Bytes of a message from a browser.
     ends_within_s
-        How long what is being answered may take when the server ends.
+        Limit for requests that are being answered when the server ends.
     """
 
     max_connections: int
@@ -69,21 +69,21 @@ def _config(
 
 
 class PageServer:
-    """Serves a page to the browser of this computer until it is told to end.
+    """Serves a page to the browser of this computer.
 
     It listens before most of the program is loaded, so that a browser has something to show.
 
     Parameters
     ----------
     document
-        The file in `static` that is the page.
+        The page's HTML file in `static`.
     run
-        Loads the rest and runs it; when it returns, the server ends.
+        Loads the other parts and runs them; when it returns, the server ends.
 
     Attributes
     ----------
     front
-        Takes what is loaded later.
+        Receives the applications that are loaded later.
     pages
         The folder of the page's files.
     """
@@ -101,7 +101,7 @@ class PageServer:
         Raises
         ------
         OSError
-            There is no port on the loopback address.
+            If there is no free port on the loopback address.
         """
         with (
             listening_at(HOST, 0) as listening,
@@ -112,7 +112,7 @@ class PageServer:
             self.front = Front(self.pages, self._document, self._serving)
             origins = [f"http://{name}:{self._port}" for name in (HOST, "localhost")]
             guard = Guard(self.front, BrowserRules(origins, self._keys, OPENS_ONCE))
-            # When it has ended by a signal, uvicorn raises that signal again.
+            # Ignored here, because uvicorn raises a signal again after it has ended by it.
             for number in _SIGNALS:
                 signal.signal(number, _ignore)
             self._server = _Server(_config(guard, PEOPLE, "on"))
@@ -126,7 +126,7 @@ class PageServer:
         return f"http://{HOST}:{self._port}{DOOR}?token={self._keys.new_token()}"
 
     def end(self) -> None:
-        """End soon; what is being answered is answered first."""
+        """End soon, after the requests that are being answered."""
         self._server.should_exit = True
 
     @contextlib.asynccontextmanager
@@ -145,7 +145,7 @@ class PageServer:
 
 
 class _Server(uvicorn.Server):
-    """Ends in time, whatever its threads wait for."""
+    """Ends within a limit, even if its threads are blocked."""
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """Note the signal; see uvicorn."""
@@ -159,7 +159,7 @@ class _ServerAlongside(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Generator[None]:
-        """Capture none."""
+        """Capture no signals."""
         yield
 
 
@@ -184,26 +184,24 @@ async def served_alongside(
 
 
 def listening_at(host: str, port: int) -> socket.socket:
-    """Open a TCP socket whose connections send at once what they are given; port 0 for any.
-
-    asyncio asks for that only where a socket names its protocol, which those of
-    `socket.create_server` do not. Else the second part of each answer waits for the browser to
-    acknowledge the first, which it puts off by 40 ms (RFC 896 beside RFC 1122, 4.2.3.2).
+    """Open a listening TCP socket with TCP_NODELAY; port 0 for any free port.
 
     Raises
     ------
     OSError
-        The port is taken, or there is none.
+        If the port is taken, or there is none.
     """
     listening = socket.create_server((host, port))
-    # Accepted connections inherit it.
+    # asyncio sets TCP_NODELAY only if the socket has a protocol number, which those of
+    # `create_server` lack. Without it, the second part of each answer waits 40 ms for a delayed
+    # acknowledgement (RFC 896 and RFC 1122, 4.2.3.2). Accepted connections inherit the option.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listening
 
 
 @contextlib.contextmanager
 def responsive() -> Generator[None]:
-    """Have a thread that loads give way to the one that serves, ten times as often as usual."""
+    """Switch threads ten times as often, so that importing does not block the server."""
     usual_s = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     try:

@@ -1,4 +1,4 @@
-"""Keeps what the server knows while it runs: the agent, its devices, the settings."""
+"""The state of the page's server: the agent, its devices, the settings; and its shutdown."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STARTING_S = 15.0
 
 
 class Session:
-    """The state that all requests share; on the loop of the server alone.
+    """The state that all requests share; used only on the server's loop.
 
     Parameters
     ----------
@@ -48,17 +48,17 @@ class Session:
     Attributes
     ----------
     has_ended
-        Whether the server is about to end; its windows are told so.
+        Whether the server is about to end, of which its windows are notified.
     turns
         How often an agent has come or gone.
     came
         Set once there was an agent.
     replay_view
-        Describes the replay; whoever plays replaces it.
+        Returns the view of the replay; `Replaying` replaces it.
     features
-        Live features that are on the network.
+        Live features on the network.
     told
-        Set once it was described to somebody whether there is an agent, and how it is.
+        Set once a status was returned in which the agent is not starting.
     """
 
     def __init__(self, folder: Path, settings: Path) -> None:
@@ -82,7 +82,7 @@ class Session:
         self._loaded: tuple[object, GatewaySettings | ConfigError] = None, GatewaySettings()
 
     def take_status(self, status: AgentStatus | None) -> None:
-        """Note how the agent is; None if there is none."""
+        """Note the agent's status; None if there is no agent."""
         if (status is None) is not (self._status is None):
             self.turns += 1
         self._status = status
@@ -90,7 +90,7 @@ class Session:
             self.came.set()
 
     def take_dropped(self, count: int) -> None:
-        """Count what the agent has left out because this server was too slow."""
+        """Count samples that the agent has left out because this server was too slow."""
         self._skipped += count
 
     def note_start(self) -> None:
@@ -100,13 +100,13 @@ class Session:
     @staticmethod
     def now() -> float:
         """Return the LSL time in seconds."""
-        # It brings numpy, and there is something to show before.
+        # Imported late, because pylsl needs numpy, and the page shows devices before.
         from pylsl import local_clock
 
         return local_clock()
 
     def configured(self) -> Sequence[DeviceSettings]:
-        """Return the devices of the settings; none if there is no file, or it is wrong."""
+        """Return the devices of the settings; empty if there is no file, or it is wrong."""
         try:
             return self._load().devices
         except ConfigError:
@@ -119,7 +119,7 @@ class Session:
 
     @property
     def has_agent(self) -> bool:
-        """Whether an agent tells how it is."""
+        """Whether an agent sends its status."""
         return self._status is not None
 
     def streamed(self) -> tuple[tuple[str, str], ...]:
@@ -140,7 +140,7 @@ class Session:
 
     @property
     def is_virtual(self) -> bool:
-        """Whether the agent's devices are virtual, and stand in no settings."""
+        """Whether the agent's devices are virtual, and not in the settings."""
         return self._status is not None and self._status.virtual
 
     def sources(self) -> frozenset[str]:
@@ -158,16 +158,16 @@ class Session:
 
     @property
     def can_be_one_persons(self) -> bool:
-        """Whether one person can wear all devices of the settings that are enabled."""
+        """Whether one person can wear all enabled devices of the settings."""
         return not self.is_virtual and _can_be_one_persons(self.configured())
 
     def loaded(self) -> GatewaySettings:
-        """Return the settings; the usual ones if there is no file.
+        """Return the settings; the defaults if there is no file.
 
         Raises
         ------
         ConfigError
-            The file is wrong.
+            If the file is wrong.
         """
         try:
             return self._load()
@@ -177,7 +177,7 @@ class Session:
             return GatewaySettings()
 
     def status(self) -> StatusView:
-        """Describe everything."""
+        """Return the status of the agent, its devices, the recording and the replay."""
         status = self._status
         if self.agent is not AgentState.STARTING:
             self.told.set()
@@ -216,7 +216,7 @@ class Session:
         }
 
     def _load(self) -> GatewaySettings:
-        """Read the settings, unless they are those of the last time."""
+        """Read the settings if the file has changed since the last time."""
         version = _version(self.settings)
         if self._loaded[0] != version:
             outcome: GatewaySettings | ConfigError
@@ -226,7 +226,7 @@ class Session:
                 outcome = error
             self._loaded = version, outcome
         if isinstance(self._loaded[1], ConfigError):
-            # Else it keeps what was on the stack each time that it was raised.
+            # Otherwise the traceback would grow each time that the error is raised.
             raise self._loaded[1].with_traceback(None)
         return self._loaded[1]
 
@@ -246,21 +246,21 @@ def _version(path: Path) -> tuple[int, int, int] | str:
 
 _LOOK_S = 0.5
 _FIRST_WINDOW_S = 60.0
-"""How much longer the first one may take: a browser that has just been installed asks things."""
+"""Additional time for the first window: a browser that was just installed asks questions first."""
 _GOODBYE_S, _HEARD_S = 1.0, 0.05
-"""How long windows have to hear of the end, and how often it is asked whether they have."""
+"""How long to wait until windows are notified of the end, and how often to check."""
 
 
 class Shutdown:
-    """Ends the server when it is asked to, or when nobody has needed it for a while.
+    """Ends the server on request, or when it was not needed for a while.
 
     Parameters
     ----------
     session
-        Its windows are told of the end.
+        Its windows are notified of the end.
     after_s
-        How long there must have been neither window nor agent, recording or replay; infinite for a
-        server that stays.
+        The server ends after so many seconds without a window, an agent, a recording and a replay;
+        infinite for never.
     """
 
     def __init__(self, session: Session, after_s: float = math.inf) -> None:
@@ -269,11 +269,11 @@ class Shutdown:
         self._asked = asyncio.Event()
 
     def request(self) -> None:
-        """End the server soon; what is being answered is answered first."""
+        """End the server soon, after the requests that are being answered."""
         self._asked.set()
 
     async def run(self) -> None:
-        """Wait until the time has come and all windows have heard of it."""
+        """Wait until the server is to end and all windows are notified."""
         await self._until_asked_or_not_needed()
         self._session.has_ended = True
         with contextlib.suppress(TimeoutError):

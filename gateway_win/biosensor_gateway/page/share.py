@@ -1,4 +1,4 @@
-"""Lets other computers look on: over TLS, with a token of its own, and nothing can be changed."""
+"""Serves a read-only view to other computers: over TLS, with a separate token."""
 
 from __future__ import annotations
 
@@ -42,22 +42,22 @@ _ISSUER = "Biosensor Gateway"
 
 @contextlib.asynccontextmanager
 async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[ShareView]:
-    """Serve the page once more, for other computers, while the context lasts.
+    """Serve the view for other computers while the context lasts.
 
     Parameters
     ----------
     session
-        What is shown; its `share` says where.
+        State to show; its `share` is set.
     pages
         The folder of the page's files.
     port
-        On every network of this computer; 0 for any that is free.
+        Port on every network of this computer; 0 for any free port.
 
     Raises
     ------
     TransportError
         ``BUSY`` if the port is taken; ``ABSENT`` if there is no network, or the
-        certificate cannot be kept.
+        certificate cannot be stored.
     """
     with _listening(port) as listening:
         number: int = listening.getsockname()[1]
@@ -76,7 +76,7 @@ async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[Sha
 
 
 def view_of(session: Session, pages: Path) -> Front:
-    """Return an application that tells how all is, and takes nothing."""
+    """Return the read-only application."""
 
     async def status(_request: Request) -> Response:
         return Response(_status(session).model_dump_json(), media_type="application/json")
@@ -88,7 +88,7 @@ def view_of(session: Session, pages: Path) -> Front:
 
 
 def _status(session: Session) -> StatusView:
-    """Describe everything but where this computer keeps its files."""
+    """Return the status without paths of this computer."""
     status = session.status()
     recording = status.recording
     verdict = recording.verdict
@@ -146,12 +146,12 @@ def _addresses() -> Sequence[str]:
 
 
 class Certificate(NamedTuple):
-    """A certificate that nobody has vouched for.
+    """A self-signed certificate.
 
     Attributes
     ----------
     file
-        Certificate and private key, as PEM, for this user alone.
+        Certificate and private key, as PEM, readable only by this user.
     fingerprint
         SHA-256, as browsers show it.
     """
@@ -161,9 +161,9 @@ class Certificate(NamedTuple):
 
 
 def own_certificate(folder: Path, names: Sequence[str]) -> Certificate:
-    """Return the certificate that is kept in a folder; make it where it does not serve.
+    """Return the certificate in a folder; create it if it is missing, expiring or for other names.
 
-    The same one is used for as long as possible, because a browser asks about each new one.
+    The same certificate is used as long as possible, because a browser asks about each new one.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def own_certificate(folder: Path, names: Sequence[str]) -> Certificate:
     Raises
     ------
     OSError
-        The folder cannot be written.
+        If the folder cannot be written.
     """
     file = folder / CERTIFICATE_FILE
     kept = _kept(file)
@@ -210,7 +210,7 @@ def _made(file: Path, names: Sequence[str]) -> x509.Certificate:
         .issuer_name(title)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        # Clocks of two computers differ.
+        # A day in the past, because the clocks of two computers differ.
         .not_valid_before(now - datetime.timedelta(days=1))
         .not_valid_after(now + _CERTIFICATE_HOLDS)
         .add_extension(x509.SubjectAlternativeName(_alternatives(names)), critical=False)

@@ -1,7 +1,7 @@
-"""Serves the page's files at once, and the rest of the page as soon as that is loaded.
+"""Serves the page's files at once, and the other applications as soon as they are loaded.
 
-The libraries of the interface take longer to import than a person likes to wait. A browser that
-opens meanwhile gets the page and its scripts, and what these ask for waits here.
+The libraries of the API take a while to import. A browser that opens meanwhile gets the page and
+its scripts, and their requests wait here.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 
 
 class Front:
-    """The application of a server whose larger part comes later.
+    """The application of a server whose API and WebSocket are loaded later.
 
     Parameters
     ----------
     pages
         The folder of the files.
     document
-        The file there that is the page.
+        Name of the page's HTML file.
     lifespan
-        What goes on beside the requests.
+        Runs alongside the requests.
     """
 
     def __init__(self, pages: Path, document: str, lifespan: Lifespan | None = None) -> None:
-        # Windows asks its registry, where any program may have said otherwise.
+        # On Windows the type comes from the registry, which any program may have changed.
         mimetypes.add_type("text/javascript", ".js")
         routes = [_file("/", pages / document)]
         routes += [
@@ -51,15 +51,15 @@ class Front:
         self._live, self._rest = _Later(), _Later()
 
     def show(self, live: ASGIApp) -> None:
-        """Have an application answer the WebSocket from now on."""
+        """Set the application of the WebSocket."""
         self._live.take(live)
 
     def complete(self, rest: ASGIApp) -> None:
-        """Have an application answer everything else that is no file."""
+        """Set the application of the API."""
         self._rest.take(rest)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer with a file, or have an application answer, once there is one."""
+        """Answer with a file, or pass the request to an application once it is loaded."""
         await self._app(scope)(scope, receive, send)
 
     def _app(self, scope: Scope) -> ASGIApp:
@@ -71,11 +71,8 @@ class Front:
 
 
 def _file(path: str, file: Path) -> Route:
-    """Return how a file is served: from memory, and on the loop.
-
-    A thread that reads a file would wait for the one that imports the rest of the page, several
-    times for each of some thirty files.
-    """
+    """Return the route of a file, which is served from memory."""
+    # Not read in a thread, which would wait several times per file for the thread that imports.
     content, kind = file.read_bytes(), mimetypes.guess_type(file.name)[0]
 
     async def answer(_request: Request) -> Response:
@@ -85,7 +82,7 @@ def _file(path: str, file: Path) -> Route:
 
 
 class _Later:
-    """Passes requests on to an application that may not be there yet; they wait for it."""
+    """Passes requests to an application; they wait until it is loaded."""
 
     def __init__(self) -> None:
         self._app: ASGIApp | None = None

@@ -1,1 +1,1 @@
-"""The streams of the network as the source of the page: ours and other programs'."""
+"""The LSL streams of the network, ours and other programs', as the source of the page."""

@@ -1,4 +1,4 @@
-"""The network as the source of a page: one thread looks for streams and reads those looked at."""
+"""Finds the streams of the network on one thread, and receives those that a browser shows."""
 
 from __future__ import annotations
 
@@ -39,19 +39,20 @@ _STOPPED = "the streams are not looked at any more; end this program and start i
 
 
 class NetworkSource:
-    """Shows the LSL streams that arrive at this computer; see `Source`.
+    """Shows the LSL streams that this computer receives; see `Source`.
 
-    Configures LSL for this process, so there is one, made before any other call of LSL.
+    It configures LSL for this process, so that there can be only one, made before any other call
+    of LSL.
 
     Parameters
     ----------
     lsl, settings
-        How LSL is configured, and in which file that stands; it need not exist.
+        LSL configuration, and the file that has it, which need not exist.
 
     Raises
     ------
     ConfigError
-        LSL's own settings are wrong.
+        If LSL's own settings are wrong.
     """
 
     def __init__(self, lsl: LslSettings, settings: Path) -> None:
@@ -68,7 +69,7 @@ class NetworkSource:
         return local_clock()
 
     def status(self) -> NetworkView:
-        """Describe all streams; none if what is known of them is old."""
+        """Return the view of all streams; without streams if the reader has stopped."""
         view = NetworkView() if self._reader is None else self._reader.view
         if view.made_s and local_clock() - view.made_s > _STOPPED_AFTER_S:
             return NetworkView(problems=[_STOPPED], search=self._search)
@@ -113,9 +114,9 @@ def _search(lsl: LslSettings, settings: Path, own: Path | None) -> list[str]:
 
 READ_S = 0.05
 LOOK_EVERY = 10
-"""Readings from one look at the network to the next: twice a second."""
+"""Number of readings between two looks at the network, which makes two looks per second."""
 CLOCKS_S = 30.0
-"""Clocks drift by some milliseconds meanwhile; a pixel has eleven."""
+"""Interval of clock measurements: clocks drift by a few ms meanwhile, and a pixel has 11 ms."""
 _THREADS = 8
 _STOP_S = 2.0
 
@@ -126,21 +127,21 @@ _MOST_TRIES = 3
 
 
 class Reader:
-    """Follows the streams of the network.
+    """Finds streams on the network, and receives the wanted ones.
 
     Parameters
     ----------
     on_samples
-        Is given what was read, in the reader's thread.
+        Called with samples, in the reader's thread.
     wanted_streams
-        Which streams are looked for; all by default.
+        Selects the streams to find; all by default.
 
     Attributes
     ----------
     wanted
-        What the browsers show, see `key_of`; set by whoever knows.
+        Keys of the channels that browsers show, see `key_of`; set by the owner.
     view
-        What there is to say of all streams, made twice a second.
+        View of all streams, updated twice a second.
     """
 
     def __init__(
@@ -164,9 +165,9 @@ class Reader:
         self._thread.start()
 
     def stop(self) -> None:
-        """End all reading; inlets are closed on the way out."""
+        """Stop receiving, and close the inlets."""
         self._stopping.set()
-        # liblsl may hold it; the process ends in spite of it.
+        # With a limit: liblsl may block the thread, which does not keep the process from ending.
         self._thread.join(_STOP_S)
         self._clocks.stop()
         self._pool.shutdown(wait=False, cancel_futures=True)
@@ -227,7 +228,7 @@ class Reader:
         ]
 
     def _close(self, receiver: Receiver) -> None:
-        # liblsl waits for its own threads.
+        # In another thread, because liblsl waits for its own threads.
         self._pool.submit(receiver.close)
 
 
@@ -239,12 +240,12 @@ class _Reading:
 
 
 class Descriptions:
-    """Reads the header of each outlet once; it needs a connection for a moment, and no data.
+    """Reads the full header of each outlet once, over a short connection without data.
 
     Parameters
     ----------
     pool
-        Whose threads read.
+        Runs the readings.
     """
 
     def __init__(self, pool: Executor) -> None:
@@ -252,7 +253,7 @@ class Descriptions:
         self._readings: dict[str, _Reading] = {}
 
     def update(self, streams: Iterable[NetworkStream], now: float) -> None:
-        """Begin to read what is new, and hand over what was read."""
+        """Start reading the headers of new outlets, and assign those that were read."""
         unread = {each.uid: each for each in streams if not each.has_description}
         for uid, stream in unread.items():
             reading = self._readings.setdefault(uid, _Reading())
@@ -286,7 +287,7 @@ def _read(info: pylsl.StreamInfo, core: CoreFields) -> tuple[StreamHeader, str]:
     Raises
     ------
     RuntimeError
-        It does not come in time, or the stream is lost.
+        If it is not received in time, or the stream is lost.
     """
     header, why = header_or_foreign(fetch_description(info, TIMEOUT_S), core)
     # nothing is dropped: it is shown as a stream of another program, with this note

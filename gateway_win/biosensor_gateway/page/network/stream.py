@@ -1,4 +1,4 @@
-"""One stream of the network as this computer knows it."""
+"""One stream of the network: its outlet, its receiver, and its newest samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from biosensor_common.stream_header import CoreFields, StreamHeader
 from biosensor_gateway.agent.rate_meter import RateMeter
 
 CLOCK_WITHIN_S = 3.0
-"""So long samples wait in liblsl for the first measurement of the sender's clock."""
+"""How long samples wait in liblsl for the first measurement of the sender's clock."""
 _OPEN_S = 5.0
 _BUFFER_S, _BUFFER_SAMPLES = 10, 200_000
 _MOST_SAMPLES, _MOST_VALUES = 8192, 1_000_000
@@ -28,16 +28,16 @@ _MOST_TEXTS = 16
 
 
 class Receiver:
-    """Receives one stream, for as long as somebody looks at it.
+    """Receives one stream while a browser shows it.
 
     Parameters
     ----------
     info
-        As a resolver gave it.
+        From a resolver.
     core
-        What that says.
+        The core fields of *info*.
     pool
-        Opens it; a sender that does not answer keeps the thread for some seconds.
+        Opens the inlet; a sender that does not answer blocks the thread for some seconds.
     """
 
     def __init__(self, info: pylsl.StreamInfo, core: CoreFields, pool: Executor) -> None:
@@ -49,7 +49,7 @@ class Receiver:
 
     @property
     def age_s(self) -> float:
-        """How long it has been open."""
+        """How long the receiver has been open."""
         return monotonic() - self._opened_s
 
     @property
@@ -58,31 +58,31 @@ class Receiver:
         return self.connection.correction
 
     def pull(self) -> Block | None:
-        """Return what has come, without waiting; None if nothing has.
+        """Return the samples that have arrived, without blocking; None if there are none.
 
         Raises
         ------
         RuntimeError
-            The stream is lost, or was not opened.
+            If the stream is lost, or was not opened.
         """
         lsl = self.connection.inlet
         if lsl is None:
             return None  # nothing is dropped: it is being opened
         if self.correction is None and self.age_s < CLOCK_WITHIN_S:
             return None  # nothing is dropped: they wait in liblsl
-        # Only a pull finds out about a loss, so at least one sample is asked for.
+        # At least one sample is requested, because only a pull detects a lost stream.
         most = _MOST_TEXTS if self._is_text else min(max(1, lsl.samples_available()), self._most)
         samples, stamps = lsl.pull_chunk(0.0, most)
         return Block(samples, stamps) if len(stamps) else None
 
     def close(self) -> None:
-        """End it; waits for liblsl's own threads."""
+        """Close the inlet; waits for liblsl's threads."""
         self.connection.close()
 
 
 TEXTS_KEPT = 8
 MAX_TEXT = 4000
-"""More than is shown: an agent's entries are JSON."""
+"""Longer than the text that is shown, because an agent's entries are JSON."""
 MAX_COUNTERS = 1_000_000
 _TEXT_CHANNELS = 8
 _GAP_PERIODS = 1.5
@@ -90,9 +90,9 @@ _GAP_PERIODS = 1.5
 _JITTER_S = 0.1
 _MOST_MISSING = 1_000_000_000
 LATEST_S, EARLIEST_S = 1.0, 60.0
-"""A stamp so far ahead of the arrival, or so far behind it, is of another clock.
+"""A stamp that is more than this later or earlier than its arrival is another clock's.
 
-Not one of ours: a battery's level waits for its first receiver, with its own stamp.
+Our own streams have no limit for early stamps: a battery level waits for its first receiver.
 """
 _DRIFT_S = 2.0
 
@@ -108,23 +108,23 @@ class Entry:
 
 
 class Received:
-    """Counts samples, and keeps the newest.
+    """Counts received samples, and stores the newest.
 
     Parameters
     ----------
     core
-        What the stream announces of itself.
+        Core fields of the stream.
 
     Attributes
     ----------
     count
-        Samples that came.
+        Number of received samples.
     missing
-        Samples that the stamps show as missing between those; an estimate.
+        Estimated number of missing samples, from the stamps.
     newest_s
         Local LSL time of the newest sample of this inlet; None before the first.
     heard_s
-        Local LSL time at which that came; None before the first.
+        Local LSL time at which it was received; None before the first.
     values : shape (n_channels,)
         The newest sample; empty for text.
     texts
@@ -140,7 +140,7 @@ class Received:
         self.begin(core)
 
     def begin(self, core: CoreFields, *, is_ours: bool = False) -> None:
-        """Take note that another inlet follows: what came between is unknown."""
+        """Begin again with another inlet; samples in between are unknown."""
         self.newest_s: float | None = None
         self.heard_s: float | None = None
         self.values: NDArray[np.float64] = np.empty(0)
@@ -156,7 +156,7 @@ class Received:
         return None if self.newest_s is None else max(0.0, now - self.newest_s)
 
     def take(self, block: Block, now: float) -> NDArray[np.float64]:
-        """Take in samples; return their local LSL times.
+        """Take samples; return their local LSL times.
 
         Parameters
         ----------
@@ -194,16 +194,16 @@ def _text(row: NDArray[Any]) -> str:
 
 
 class Placer:
-    """Places the samples of one stream in time.
+    """Computes the local times of the samples of one stream.
 
     Parameters
     ----------
     is_ours
         Whether an agent of ours stamps them.
 
-    Stamps are those of the sender's LSL clock, corrected by what was measured of that. Without a
-    measurement, or where a program stamps by another clock (Unix time for instance), the
-    earliest arrival tells where they belong.
+    Stamps are of the sender's LSL clock, and the measured clock offset is added. Without a
+    measurement, or if a program stamps with another clock (such as Unix time), the times are
+    computed from the earliest arrival.
 
     Attributes
     ----------
@@ -221,12 +221,12 @@ class Placer:
         self._last_s = -np.inf
 
     def place(self, stamps: Times, now: float) -> Times:
-        """Return when samples were measured, in local LSL time; it never runs back.
+        """Return the local LSL times of samples; they never decrease.
 
         Parameters
         ----------
         stamps : shape (n,)
-            As they came, anything; n > 0.
+            As they were received, with any values; n > 0.
         now
             Local LSL time.
         """
@@ -256,37 +256,37 @@ class Placer:
 
 
 UNSEEN_S = 1.5
-"""A resolver that has not reported a stream for so long has forgotten it."""
+"""Time after which a stream that the resolver does not report is gone."""
 _DEAF_S = 2.0
 
 
 def claim_of(core: CoreFields) -> tuple[str, str, str, str]:
-    """Return what a stream is called by; one that has no source_id, on its computer alone."""
+    """Return the identity that a stream claims; without a source_id, it includes the computer."""
     return core.source_id, core.name, core.content_type, core.source_id or core.hostname
 
 
 @dataclass(slots=True, eq=False)
 class NetworkStream:
-    """A stream, over all outlets that it had one after the other.
+    """A stream, over successive outlets.
 
     Attributes
     ----------
     number
-        By which the page knows it.
+        Identifies the stream on the page.
     info, core, uid
-        What the newest outlet announces.
+        Of the newest outlet.
     seen_s
-        Local LSL time at which a resolver reported that outlet last.
+        Local LSL time at which a resolver last reported that outlet.
     header
-        None while it is read for the first time.
+        None until it is read for the first time.
     namesake
-        Its number among live senders that claim to be one stream, from 1.
+        Its number among live senders that claim to be the same stream, from 1.
     note
         What is wrong with it, one sentence.
     has_description
         Whether the header of this outlet was read.
     lost_s
-        Local LSL time at which its connection ended, while none is there again.
+        Local LSL time at which its connection ended; None while it is connected.
     """
 
     number: int
@@ -316,10 +316,8 @@ class NetworkStream:
         return claim_of(self.core)
 
     def continues_as(self, core: CoreFields) -> bool:
-        """Whether that announces this stream, come back.
-
-        Our source_ids are unique. Other programs give one to several streams, or none.
-        """
+        """Whether an outlet with these core fields is this stream again."""
+        # Our source_ids are unique. Other programs use one for several streams, or none.
         own = self.core
         if (own.source_id, own.channel_count, own.format) != (
             core.source_id,
@@ -333,7 +331,7 @@ class NetworkStream:
         return is_same and bool(core.source_id or own.hostname == core.hostname)
 
     def is_gone(self, now: float) -> bool:
-        """Whether neither the resolver nor an inlet has it any more."""
+        """Whether neither the resolver nor an inlet has the stream any more."""
         if self.lost_s is not None:
             return True
         heard_s = self.received.heard_s
@@ -341,7 +339,7 @@ class NetworkStream:
         return now - self.seen_s > UNSEEN_S and not is_heard
 
     def follow(self, info: pylsl.StreamInfo, core: CoreFields, now: float) -> Receiver | None:
-        """Go on with another outlet; return the inlet of the one before, to be closed."""
+        """Go on with another outlet; return the receiver of the previous one, to be closed."""
         self.info, self.core, self.uid, self.seen_s = info, core, info.uid(), now
         self.has_description, self.lost_s = False, None
         before, self.receiver = self.receiver, None

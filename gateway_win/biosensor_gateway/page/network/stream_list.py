@@ -1,4 +1,4 @@
-"""Keeps the list of streams: who is new, who has come back, who is gone."""
+"""Lists the streams of the network, and opens and closes their inlets."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from biosensor_gateway.page.network.stream import (
 
 
 def is_counters(stream: NetworkStream) -> bool:
-    """Whether an agent of ours tells its counts in it."""
+    """Whether this is the stream of counters of one of our agents."""
     return stream.is_ours and stream.core.content_type == ContentType.COUNTERS
 
 
 class Counted(NamedTuple):
-    """What an agent tells of one of its streams.
+    """Counters that an agent reports of one of its streams.
 
     Attributes
     ----------
     lost
-        How many samples never reached it; None if it does not say.
+        Number of samples that never reached the agent; None if it does not report it.
     refused
-        What is not passed on as it came now, one sentence each.
+        What is currently not passed on unchanged, one sentence each.
     """
 
     lost: int | None
@@ -49,10 +49,10 @@ class Counted(NamedTuple):
 
 
 def counted_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict[str, Counted]:
-    """Return what agents tell of their streams, by source_id."""
+    """Return the counters that agents report of their streams, by source_id."""
     found: dict[str, Counted] = {}
     for stream in streams:
-        # What an agent counted in a recording is of another day.
+        # Replayed counters are outdated.
         if is_counters(stream) and not (stream.header and stream.header.replay):
             found.update(_counted(stream, refusals))
     return found
@@ -89,12 +89,12 @@ _BOTH_ALIVE_S = 7.0
 
 
 class StreamList:
-    """All streams that were seen in the last minutes, by their numbers.
+    """All streams of the last minutes, by their numbers.
 
     Attributes
     ----------
     refusals
-        What is not listed, and why.
+        Streams that are not listed, and why.
     """
 
     def __init__(self) -> None:
@@ -107,7 +107,7 @@ class StreamList:
         self._namesakes = Namesakes()
 
     def update(self, infos: Iterable[pylsl.StreamInfo], now: float) -> list[Receiver]:
-        """Take in what a resolver reports; return the inlets that are of no more use.
+        """Update the list from a resolver; return the receivers that are to be closed.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class StreamList:
         now
             Local LSL time.
         """
-        # As a node does, whichever was found first.
+        # In the order of their start, as the node sorts them, and not in the order of discovery.
         found = {info.uid(): info for info in sorted(infos, key=by_start)}
         known = {stream.uid for stream in self.streams.values()}
         for stream in self.streams.values():
@@ -155,7 +155,7 @@ class StreamList:
         return None  # nothing is dropped: it is listed, or waits for the end of another one
 
     def _namesake(self, info: pylsl.StreamInfo, now: float) -> int:
-        """Return a sender's number; of ours a node takes one only, which is no other stream."""
+        """Return a sender's number among those with the same claim, without our own streams."""
         claim = claim_of(read_core(info))
         live = {
             each.uid
@@ -178,7 +178,7 @@ class StreamList:
         )
 
     def _drop_one(self, now: float) -> bool:
-        """Make room by forgetting what has been gone the longest."""
+        """Make room by removing the stream that has been gone the longest."""
         gone = [each for each in self.streams.values() if each.is_gone(now)]
         if gone:
             del self.streams[min(gone, key=lambda each: each.seen_s).number]
@@ -199,12 +199,12 @@ def _is_unseen(stream: NetworkStream, now: float) -> bool:
 
 
 MAX_INLETS = 64
-"""Each costs its sender as much as one more recorder."""
+"""Limit of inlets, each of which costs its sender as much as another recorder."""
 LINGER_S = 5.0
-"""Whoever scrolls comes back; opening again takes longer."""
+"""How long an inlet stays open unused: a person who scrolls comes back, and opening is slow."""
 _RETRY_S = 2.0
 _UNSEEN_S = 2.0
-# Until samples are pulled, nothing tells that the outlet is dead.
+# Only pulling samples detects that an outlet has ended.
 _SETTLED_S = CLOCK_WITHIN_S + 1.0
 
 
@@ -214,14 +214,14 @@ class Inlets:
     Parameters
     ----------
     close
-        Closes one, somewhere where it may take its time.
+        Closes a receiver in another thread.
     pool
-        Opens them.
+        Opens the inlets.
 
     Attributes
     ----------
     refused
-        How many streams are looked at and not received, because there are too many.
+        Number of streams that browsers show and that are not received, because of the limit.
     """
 
     def __init__(self, close: Callable[[Receiver], object], pool: Executor) -> None:
@@ -232,7 +232,7 @@ class Inlets:
     def update(
         self, streams: Mapping[int, NetworkStream], numbers: Iterable[int], now: float
     ) -> None:
-        """Receive the streams of these numbers, and what their agents count."""
+        """Receive the streams with these numbers, and the counters of their agents."""
         wanted = [streams[number] for number in numbers if number in streams]
         if any(stream.is_ours for stream in wanted):
             wanted += [stream for stream in streams.values() if is_counters(stream)]
@@ -251,7 +251,7 @@ class Inlets:
                 stream.lost_s = None
 
     def drop(self, stream: NetworkStream, now: float, error: RuntimeError) -> None:
-        """Take note that a stream is lost, or that liblsl cannot open it."""
+        """Note that a stream is lost, or that liblsl cannot open it."""
         if not isinstance(error, util.LostError | util.TimeoutError):
             stream.note = f"LSL cannot open it ({error})"
         stream.lost_s = now
@@ -268,7 +268,7 @@ class Inlets:
                     stream.receiver = None
 
     def _has_to_wait(self, stream: NetworkStream, now: float) -> bool:
-        """Whether opening it is of no use yet: it is gone, or was lost a moment ago."""
+        """Whether it is too early to open a stream: it is gone, or was lost a moment ago."""
         is_lost = stream.lost_s is not None and now - stream.lost_s < _RETRY_S
         is_unseen = now - stream.seen_s > _UNSEEN_S
         return stream.header is None or is_lost or is_unseen

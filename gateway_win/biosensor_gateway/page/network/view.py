@@ -1,4 +1,4 @@
-"""Puts what was seen of the network into what the page shows."""
+"""Converts the streams of the network to the page's models."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _STAMP_BYTES = 8
 _MOST_PROBLEMS = 20
 _AGENT = "Capture agent"
 _REPLAY = "↻ Replay"
-# The first of these that one of its streams has is how the device does.
+# A device has the first of these states that any of its streams has.
 _ORDER = (
     SeenState.STREAMING,
     SeenState.SILENT,
@@ -61,11 +61,11 @@ _CONTENT_HALF = 0.5
 MAX_NAME = 120
 MAX_LABEL = 40
 MAX_ENTRY = 200
-_TOLD = ("event", "marker", "note", "device", "state", "stream", "reason")
+_SHOWN_KEYS = ("event", "marker", "note", "device", "state", "stream", "reason")
 
 
 class Viewer:
-    """Describes streams from one look to the next."""
+    """Converts successive states of the network to views."""
 
     def __init__(self) -> None:
         self._begun_s: float | None = None
@@ -76,14 +76,14 @@ class Viewer:
     def view(
         self, listing: StreamList, not_received: int, wanted: Collection[str], now: float
     ) -> NetworkView:
-        """Describe everything.
+        """Return the view of all streams.
 
         Parameters
         ----------
         not_received
-            How many streams are looked at and not received.
+            Number of streams that browsers show and that are not received.
         wanted
-            What browsers show, see `key_of`.
+            Keys of the channels that browsers show, see `key_of`.
         now
             Local LSL time.
         """
@@ -113,7 +113,7 @@ class Viewer:
         )
 
     def _name(self, streams: Sequence[NetworkStream]) -> None:
-        """Resolve ROS topics as a node does that sees the same streams."""
+        """Resolve ROS topics as a node with the same streams would."""
         named = frozenset((each.number, each.header) for each in streams if each.header)
         if named != self._named:
             self._named = named
@@ -166,7 +166,7 @@ class Viewer:
 
 
 def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
-    """Return how a stream does, and for how long nothing has come of it."""
+    """Return the state of a stream, and how long it has sent nothing."""
     heard_s, core, receiver = stream.received.heard_s, stream.core, stream.receiver
     if stream.is_gone(now):
         return SeenState.GONE, now - (stream.seen_s if heard_s is None else heard_s)
@@ -181,7 +181,7 @@ def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
 
 
 def _is_over(stream: NetworkStream, now: float) -> bool:
-    """Whether the newest value is not that of now any more, though the stream is there."""
+    """Whether the newest value is outdated although the stream is present."""
     core, age_s = stream.core, stream.received.age_s(now)
     derived = stream.header.derived if stream.header else None
     if derived is not None:
@@ -193,7 +193,7 @@ def _is_over(stream: NetworkStream, now: float) -> bool:
 def _forget_values_of_silent(
     streams: Sequence[NetworkStream], views: dict[int, SeenStreamView]
 ) -> None:
-    """Show no value of a device of ours whose streams at a rate have all fallen silent."""
+    """Remove the values of our devices whose regular streams are all silent."""
     rated = {views[each.number].seen for each in streams if each.core.rate}
     if streams[0].is_ours and rated and rated <= {SeenState.SILENT, SeenState.GONE}:
         for each in streams:
@@ -216,13 +216,13 @@ def _window(stream: NetworkStream, first: int, *, is_fresh: bool) -> WindowView:
     return WindowView(
         channels=[name or str(number) for name, number in zip(names, numbers, strict=True)],
         units=[readable(each, MAX_LABEL) or "none" for each in units] or ["none"] * len(numbers),
-        # JSON knows neither NaN nor infinity.
+        # JSON has neither NaN nor infinity.
         values=[float(each) if np.isfinite(each) else None for each in newest],
     )
 
 
 def _lost(stream: NetworkStream, counted: dict[str, Counted]) -> tuple[int | None, bool]:
-    """Return how many samples are lost, and whether only the stamps say so."""
+    """Return the number of lost samples, and whether it is estimated from the stamps."""
     if stream.is_ours:
         known = counted.get(stream.core.source_id)
         return (known.lost if known else None), False
@@ -240,10 +240,11 @@ def _texts(stream: NetworkStream, now: float) -> list[TextView]:
 
 
 def _note(stream: NetworkStream, counted: dict[str, Counted]) -> str:
-    """Say what is wrong with a stream, by itself or by what its agent tells of it."""
-    told = counted.get(stream.core.source_id) if stream.is_ours else None
+    """Return what is wrong with a stream, as seen here and as reported by its agent."""
+    counts = counted.get(stream.core.source_id) if stream.is_ours else None
     own = stream.note or _clock_note(stream)
-    return readable("; ".join(each for each in (own, *(told.refused if told else ())) if each), 400)
+    refused = counts.refused if counts else ()
+    return readable("; ".join(each for each in (own, *refused) if each), 400)
 
 
 def _clock_note(stream: NetworkStream) -> str:
@@ -258,7 +259,7 @@ def _problems(listing: StreamList) -> list[str]:
 
 
 def group_of(stream: NetworkStream) -> tuple[str, ...]:
-    """Return what streams of one device have in common; it sorts devices before programs."""
+    """Return a key that is equal for streams of one device, and sorts devices before programs."""
     header = stream.header
     if header is None or header.foreign:
         return ("other", _played(stream), stream.core.hostname, stream.core.name)
@@ -270,7 +271,7 @@ def group_of(stream: NetworkStream) -> tuple[str, ...]:
 def device_view(
     streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], lost: Mapping[str, int]
 ) -> SeenDeviceView:
-    """Describe one device by its streams, of which there is at least one."""
+    """Return the view of one device from its streams, of which there is at least one."""
     shown = sorted((views[each.number] for each in streams), key=_rank)
     first = streams[0]
     identity = first.header.identity if first.is_ours and first.header else None
@@ -302,12 +303,12 @@ def device_view(
 
 
 def _rank(stream: SeenStreamView) -> tuple[object, ...]:
-    """Order: what was measured on the body, the fastest first; then the rest, text last."""
+    """Return a sort key: signals of the body, the fastest first; then the rest, text last."""
     return (stream.is_text, not stream.is_signal, -stream.nominal_hz, stream.data_name)
 
 
 def _played(stream: NetworkStream) -> str:
-    """Return what it is a replay of; empty if it is measured now."""
+    """Return the recording that a stream is replayed from; empty for a live stream."""
     replay = stream.header.replay if stream.header else None
     return replay.title if replay else ""
 
@@ -334,7 +335,7 @@ def _title(sensor: str) -> str:
 def _newest(
     streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], role: ChannelRole
 ) -> float | None:
-    """Return the newest value of the channel with that role, unless it is stale or unknown."""
+    """Return the newest value of the channel with a role; None if outdated or unknown."""
     for stream in streams:
         roles = stream.header.roles if stream.header else ()
         values = stream.received.values
@@ -346,23 +347,23 @@ def _newest(
 
 
 def readable(text: str, most: int = MAX_NAME) -> str:
-    r"""Return text without control characters and others that change how the rest is shown.
+    r"""Escape characters that are not printable, and shorten a text that is too long.
 
-    They are written as ``\x0a`` or ``\u202e``, so that a name that is copied into a terminal
-    does nothing there; what is too long ends in dots.
+    They are written as ``\x0a`` or ``\u202e``, so that a name is harmless when it is copied into
+    a terminal.
     """
     shown = "".join(each if each.isprintable() else _escaped(each) for each in text[: most + 1])
     return shown if len(shown) <= most else f"{shown[: most - 1]}…"
 
 
 def entry_of(text: str, *, is_ours: bool) -> str:
-    """Return an entry of a stream of text; of an agent's JSON what a person wants to know."""
+    """Return the text of an entry of a text stream; for an agent's JSON, the values for people."""
     if is_ours:
         with contextlib.suppress(ValueError, RecursionError):
             content = json.loads(text)
             if isinstance(content, dict):
-                told = cast("dict[str, Any]", content)
-                parts = [told[key] for key in _TOLD if isinstance(told.get(key), str)]
+                entry = cast("dict[str, Any]", content)
+                parts = [entry[key] for key in _SHOWN_KEYS if isinstance(entry.get(key), str)]
                 text = ": ".join(parts) or text
     return readable(text, MAX_ENTRY)
 

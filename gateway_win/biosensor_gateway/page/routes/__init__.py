@@ -1,1 +1,1 @@
-"""All that can be asked of the page, a module for each feature: models, handlers and state."""
+"""The routes of the page's API, a module for each feature: models, handlers and state."""

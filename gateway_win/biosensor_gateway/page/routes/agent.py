@@ -1,6 +1,6 @@
-"""Starts and ends the agent, gives it its secrets, and quits the page.
+"""Starts and ends the agent, stores its secrets, and quits the page.
 
-Secrets for vendors' services go into the keyring; nothing here reads one.
+Secrets for vendors' services are written to the keyring, and never read here.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from biosensor_gateway.settings.secrets import SecretName
 
 
 def add_agent(router: APIRouter, session: Session) -> None:
-    """Add how the agent is, begins and ends."""
+    """Add the routes of the agent's status, start and end."""
 
     @router.get("/status")
     async def status() -> StatusView:
-        """Say how the agent and its devices are."""
+        """Return the status of the agent and its devices."""
         return session.status()
 
     @router.post("/agent/start")
@@ -66,7 +66,7 @@ _LOOK_S = 0.2
 
 
 class Quitting(BaseModel):
-    """What becomes of the agent, and of a recording: they end, too, or go on."""
+    """Whether the agent and a recording end with the page, or go on."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -78,19 +78,19 @@ def add_quit(router: APIRouter, session: Session, recorder: Recorder, shutdown: 
 
     @router.post("/quit")
     async def leave(quitting: Quitting) -> Outcome:
-        """End the page; first the recording and the agent, if they are to end."""
+        """End the page; before it the recording and the agent, if requested."""
         said = await _end_the_rest(session, recorder) if quitting.rest == "end" else _left(session)
         shutdown.request()
         return Outcome(sentence=" ".join(said))
 
 
 async def _end_the_rest(session: Session, recorder: Recorder) -> list[str]:
-    """End first what must not lose its streams; return what came of each."""
+    """End the recording, then the agent whose streams it records; return their outcomes."""
     said: list[str] = []
     if session.recording.is_running:
         said.append((await recorder.stop()).sentence)
     while session.agent is AgentState.STARTING and not is_held(session.folder):  # noqa: ASYNC110 - of another process
-        # It cannot be told to end before it is there.
+        # An agent that is starting cannot be asked to end yet.
         await asyncio.sleep(_LOOK_S)
     try:
         await asyncio.to_thread(stop_agent, session.folder)
@@ -117,13 +117,13 @@ class SecretView(BaseModel):
     Attributes
     ----------
     sensor, name
-        Which one.
+        Identify the secret.
     title
-        What people call it.
+        Name of the secret for people.
     where
-        Where it is found; empty if it is nowhere.
+        Where it is found; empty if it is not found.
     problem
-        Why it is not found; empty if it is.
+        Why it is not found; empty if it is found.
     """
 
     sensor: str
@@ -135,7 +135,7 @@ class SecretView(BaseModel):
 
 
 class NewSecret(BaseModel):
-    """A secret to keep. Its text is in no answer, log or error."""
+    """A secret to store. Its text is in no answer, log or error."""
 
     model_config = ConfigDict(extra="forbid", strict=True, hide_input_in_errors=True)
 
@@ -145,19 +145,19 @@ class NewSecret(BaseModel):
 
 
 class Access:
-    """The secrets of the devices in the settings.
+    """The secrets that the devices in the settings need.
 
     Parameters
     ----------
     configured
-        Tells the devices of the settings.
+        Returns the devices of the settings.
     """
 
     def __init__(self, configured: Callable[[], Sequence[DeviceSettings]]) -> None:
         self._configured = configured
 
     async def view(self) -> list[SecretView]:
-        """Say which secrets are needed and where each is found."""
+        """Return the secrets that are needed, and where each is found."""
         needed = self._needed().values()
         return await asyncio.to_thread(lambda: [_view(each) for each in needed])
 
@@ -169,7 +169,7 @@ class Access:
         ConfigError
             ``NOT_FOUND`` if no device of the settings needs it.
         CredentialError
-            It is empty, or there is no keyring.
+            If the text is empty, or there is no keyring.
         """
         name = self._needed().get((secret.sensor, secret.name))
         if name is None:
@@ -184,16 +184,16 @@ class Access:
 
 
 def add_secrets(router: APIRouter, access: Access) -> None:
-    """Add what is asked of secrets; there is no way to read one."""
+    """Add the routes of secrets, none of which returns a secret's text."""
 
     @router.get("/secrets")
     async def view() -> list[SecretView]:
-        """Say which secrets the devices of the settings need, and which are missing."""
+        """List the secrets that the devices of the settings need, and which are missing."""
         return await access.view()
 
     @router.put("/secrets")
     async def keep(secret: NewSecret) -> Outcome:
-        """Keep a secret in the keyring of the system."""
+        """Store a secret in the keyring of the system."""
         await access.keep(secret)
         return Outcome(sentence="It is in the keyring. The agent tries again within 30 s.")
 

@@ -1,4 +1,4 @@
-"""The application of an interface of the page, and how it refuses a request."""
+"""Makes the applications of the API, which refuse requests with a sentence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason
 
 
 class QuestionError(ConfigError):
-    """Somebody has to say first whether this is meant."""
+    """A person has to confirm the request first."""
 
     def __init__(self, title: str, sentence: str, choices: Sequence[Choice]) -> None:
         super().__init__(ConfigReason.IN_USE, sentence)
@@ -25,7 +25,7 @@ class QuestionError(ConfigError):
 
 
 class OneAtATime:
-    """Work of which one goes on at a time; whoever comes meanwhile is refused with a sentence."""
+    """Allows one run of a task at a time; further requests are refused with a sentence."""
 
     def __init__(self, refused: str) -> None:
         self._refused = refused
@@ -33,12 +33,12 @@ class OneAtATime:
 
     @contextmanager
     def turn(self) -> Generator[None]:
-        """Do it in the block.
+        """Run the task in the block.
 
         Raises
         ------
         ConfigError
-            ``IN_USE`` if it goes on already.
+            ``IN_USE`` if it is running already.
         """
         if self._goes_on:
             raise ConfigError(ConfigReason.IN_USE, self._refused)
@@ -50,7 +50,10 @@ class OneAtATime:
 
 
 def new_app() -> FastAPI:
-    """Return an application that refuses with a sentence, and loads no script of other servers."""
+    """Return an application without pages for its documentation.
+
+    FastAPI's would load scripts of other servers.
+    """
     app = FastAPI(
         title="Biosensor Gateway",
         version="1",
@@ -64,7 +67,7 @@ def new_app() -> FastAPI:
 
 
 async def misformed(_request: Request, error: Exception) -> JSONResponse:
-    """Answer with the place and the first thing that is wrong there."""
+    """Answer an invalid request with its first error."""
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"][1:])

@@ -32,16 +32,16 @@ from biosensor_gateway.system.cloud_folders import usual_recordings_folder
 
 
 class NewCapture(BaseModel):
-    """Which device to capture: one of the settings by its unit, or one that was found by its own.
+    """The device to capture: by its unit in the settings, or by new settings for a found device.
 
     Attributes
     ----------
     unit
-        Empty for one that is in no settings.
+        Empty for a device that is not in the settings.
     settings
-        What its table in the settings would have, if it is in none.
+        Fields of such a device, as its table in the settings would have them.
     end_agent
-        Whether the agent may be ended for it if it has the device; afterwards it is started again.
+        Whether the agent may be ended if it has the device; it is started again afterwards.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -54,14 +54,14 @@ class NewCapture(BaseModel):
 
 
 class Agreement(BaseModel):
-    """Whoever wore the device has agreed to what `CaptureView.consent` says.
+    """The wearer's consent to what `CaptureView.consent` says.
 
     Attributes
     ----------
     folder
-        Where the file goes.
+        Folder of the file.
     note
-        What was seen, without names.
+        Observations, without names.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -80,26 +80,26 @@ class ConfiguredDevice(BaseModel):
 
 
 class CaptureView(BaseModel):
-    """How far a capture is, and what the file would hold.
+    """Progress of a capture, and the contents of its file.
 
     Attributes
     ----------
     title
-        Of the sensor, for people; empty without a capture.
+        Name of the sensor for people; empty without a capture.
     elapsed_s, seconds
-        Since the device was connected, and how long it takes from then on.
+        Time since the device was connected, and total time from then on.
     packets
-        How many have come from the device.
+        Number of packets from the device.
     problem
-        Why it failed: a sentence.
+        Why the capture failed: a sentence.
     lines
-        What would leave this computer, and what was replaced in it; some are indented.
+        Summary of the file and of what was replaced in it; some are indented.
     problems
-        What the driver found wrong with the device.
+        Problems of the device that the driver found.
     consent, agreed
-        What whoever wore the device must know, and what they say.
+        Information for the wearer, and the text of their consent.
     folder
-        Where the file goes if no other is named.
+        Default folder of the file.
     """
 
     phase: Phase
@@ -117,12 +117,12 @@ class CaptureView(BaseModel):
 
 
 class Capturing:
-    """Captures one device at a time, with the agent out of the way if it has the device.
+    """Captures one device at a time, and ends the agent meanwhile if it has the device.
 
     Parameters
     ----------
     session
-        Whose devices they are.
+        Has the devices.
     """
 
     def __init__(self, session: Session) -> None:
@@ -139,7 +139,7 @@ class Capturing:
             await self.discard()
 
     def view(self) -> CaptureView:
-        """Say how far it is."""
+        """Return the progress, and the contents of the file."""
         progress, draft = self._desk.progress, self._desk.draft
         configured = self._session.configured()
         return CaptureView(
@@ -166,7 +166,7 @@ class Capturing:
         Raises
         ------
         ConfigError
-            ``NOT_FOUND``: nothing was captured.
+            ``NOT_FOUND`` if nothing was captured.
         """
         if self._desk.draft is None:
             raise ConfigError(ConfigReason.NOT_FOUND, "there is no capture to show; begin one")
@@ -181,7 +181,7 @@ class Capturing:
             ``WRONG_VALUE`` or ``NOT_FOUND``: there is no such device; ``IN_USE``: another is being
             captured, or a recording needs the agent; a `QuestionError` if it must end first.
         SpecError
-            No sensor is called so.
+            If the sensor is unknown.
         """
         if self._desk.progress.phase in {Phase.CONNECTING, Phase.CAPTURING}:
             message = "a device is being captured; wait for its end, or end it"
@@ -200,7 +200,7 @@ class Capturing:
         Raises
         ------
         ConfigError
-            There is nothing to save, or the file cannot be written.
+            If there is nothing to save, or the file cannot be written.
         """
         folder = whole_path(agreement.folder)
         try:
@@ -215,7 +215,7 @@ class Capturing:
         return Outcome(sentence=said)
 
     async def discard(self) -> None:
-        """Throw away what was captured, also in the midst of it."""
+        """End a running capture, and discard its data."""
         await self._desk.discard()
         if self._returning is not None:
             await asyncio.wait([self._returning])
@@ -231,7 +231,7 @@ class Capturing:
         raise ConfigError(ConfigReason.NOT_FOUND, message)
 
     async def _take_from_agent(self, settings: DeviceSettings, wanted: NewCapture) -> bool:
-        """End the agent if it has the device, for most devices have one connection."""
+        """End the agent if it has the device, because most devices accept one connection only."""
         if (settings.sensor_name, settings.unit) not in self._session.streamed():
             return False
         if file_going_on(self._session.folder) is not None:
@@ -257,22 +257,22 @@ class Capturing:
         try:
             started(self._session, virtual=False)
         except TransportError as error:
-            # Somebody has started it meanwhile.
+            # Another person or program has started it meanwhile.
             if error.reason is not TransportReason.BUSY:
                 raise
 
 
 def add_capture(router: APIRouter, capturing: Capturing) -> None:
-    """Add how a device is captured."""
+    """Add the routes of captures."""
 
     @router.get("/capture")
     async def state() -> CaptureView:
-        """Say how far the capture of a device is, and what the file would hold."""
+        """Return the progress of the capture, and the contents of its file."""
         return capturing.view()
 
     @router.post("/capture")
     async def start(wanted: NewCapture) -> Outcome:
-        """Keep for a while what passes between a device and its driver; nothing is saved yet."""
+        """Capture the traffic between a device and its driver; nothing is saved yet."""
         return await capturing.start(wanted)
 
     @router.get("/capture/whole")
@@ -282,11 +282,11 @@ def add_capture(router: APIRouter, capturing: Capturing) -> None:
 
     @router.post("/capture/save")
     async def save(agreement: Agreement) -> Outcome:
-        """Write the file, for whoever wore the device has agreed; nothing is sent."""
+        """Write the file, with the wearer's consent; nothing is sent."""
         return await asyncio.to_thread(capturing.save, agreement)
 
     @router.delete("/capture")
     async def discard() -> Outcome:
-        """Throw away what was captured, also in the midst of it."""
+        """End a running capture, and discard its data."""
         await capturing.discard()
         return Outcome(sentence="Nothing was saved.")

@@ -1,4 +1,4 @@
-"""Changes the devices of the settings, and has the agent take them over."""
+"""Changes the devices of the settings, applies them to the agent, and shows devices' logs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SettingsChange(BaseModel):
     Attributes
     ----------
     while_recording
-        Whether it is wanted although a recording goes on.
+        Whether to make the change during a recording.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -57,7 +57,7 @@ class NewDevice(SettingsChange):
 
 
 class DeviceName(BaseModel):
-    """Which device."""
+    """Identifies a device."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -66,11 +66,11 @@ class DeviceName(BaseModel):
 
 
 class DeviceRemoval(SettingsChange, DeviceName):
-    """Which device to take out of the settings."""
+    """A device to remove from the settings."""
 
 
 class DeviceChange(SettingsChange, DeviceName):
-    """What a device of the settings is to have; None leaves it as it is."""
+    """New values for a device of the settings; None leaves a value unchanged."""
 
     participant: ShortText | None = None
     label: ShortText | None = None
@@ -78,7 +78,7 @@ class DeviceChange(SettingsChange, DeviceName):
 
 
 class ParticipantNow(SettingsChange):
-    """Who is to wear all sensors of the settings."""
+    """The participant who is to wear all sensors of the settings."""
 
     participant: str
 
@@ -86,12 +86,12 @@ class ParticipantNow(SettingsChange):
 def _add_pauses(router: APIRouter, session: Session) -> None:
     @router.post("/devices/pause")
     async def pause(device: DeviceName) -> Outcome:
-        """Send nothing of a device from now on, until it is resumed."""
+        """Pause a device: nothing of it is sent until it is resumed."""
         return await _switched(session, "pause", device)
 
     @router.post("/devices/resume")
     async def resume(device: DeviceName) -> Outcome:
-        """Send again what a device measures from now on."""
+        """Resume a paused device."""
         return await _switched(session, "resume", device)
 
 
@@ -99,19 +99,19 @@ async def _switched(session: Session, command: str, device: DeviceName) -> Outco
     answer = await asked(session, command, {"device": f"{device.sensor}/{device.unit}"})
     problem = answer.get("problem")
     if problem and not answer.get("pending"):
-        # It is done; only the next start of the agent does not know.
+        # The running agent has done it; only an agent that is started later would not know.
         return Outcome(sentence=f"Done, but it is not kept for the next start: {problem}.")
     return Outcome(sentence=f"The device is {command}d.")
 
 
 BACK_WITHIN_S = 30.0
-"""A sensor that was renamed is connected again, which by Bluetooth takes some seconds."""
+"""How long to wait for renamed sensors to stream again; Bluetooth takes some seconds."""
 _POLL_S = 0.1
 ALL_VIRTUAL = "all"
 
 
 def add_devices(router: APIRouter, session: Session) -> None:
-    """Add how devices come, change and go, and who wears them."""
+    """Add the routes that add, change and remove devices, and set who wears them."""
 
     @router.post("/devices")
     async def add(device: NewDevice) -> Outcome:
@@ -129,14 +129,14 @@ def add_devices(router: APIRouter, session: Session) -> None:
 
     @router.patch("/devices")
     async def change(device: DeviceChange) -> Outcome:
-        """Change a device of the settings; it starts again, the others stream on."""
+        """Change a device of the settings; it is restarted, and the others go on streaming."""
         fields = _changed(session, device)
         if fields.get("participant"):
             require_participant(str(fields["participant"]))
         if fields:
             lost = "The sensor gets new streams, and from then on nothing of it is in the file."
             _ask_while_recording(session, device, lost)
-        # Empty is the same as not there, and shorter.
+        # An empty value is the default, so that its key is removed.
         wanted = {key: None if value == "" else value for key, value in fields.items()}
         models = settings_models()
         editor.change_device(session.settings, models, device.sensor, device.unit, wanted)
@@ -144,7 +144,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
 
     @router.delete("/devices")
     async def remove(device: DeviceRemoval) -> Outcome:
-        """Take a device out of the settings; its streams end, the others go on."""
+        """Remove a device from the settings; its streams end, and the others go on."""
         _ask_while_recording(session, device, "From then on nothing of the sensor is in the file.")
         models = settings_models()
         editor.remove_device(session.settings, models, device.sensor, device.unit)
@@ -152,7 +152,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
 
     @router.get("/devices/log")
     async def device_log(sensor: str, unit: str) -> LogView:
-        """Say what the log says last of a device."""
+        """Return the newest lines of the log about a device."""
         return await asyncio.to_thread(last_lines, session.folder, sensor, unit)
 
     _add_pauses(router, session)
@@ -162,7 +162,7 @@ def add_devices(router: APIRouter, session: Session) -> None:
 def _add_participant(router: APIRouter, session: Session) -> None:
     @router.put("/participant")
     async def set_participant(wanted: ParticipantNow) -> Outcome:
-        """Have one person wear all sensors of the settings; wait until they stream again."""
+        """Set the participant of all sensors of the settings; wait until they stream again."""
         lost = "All sensors get new streams, and from then on nothing of them is in the file."
         _ask_while_recording(session, wanted, lost)
         waited_for = await worn_by(session, wanted.participant)
@@ -175,17 +175,17 @@ def _add_participant(router: APIRouter, session: Session) -> None:
 
 
 async def worn_by(session: Session, participant: str) -> list[str]:
-    """Have a participant wear all sensors of the settings, and wait until they stream again.
+    """Set the participant of all sensors of the settings, and wait until they stream again.
 
     Returns
     -------
     list of str
-        Those that streamed before and do not after `BACK_WITHIN_S`, as ``sensor/unit``.
+        Sensors that streamed before and do not after `BACK_WITHIN_S`, as ``sensor/unit``.
 
     Raises
     ------
     ConfigError
-        The name or the settings do not allow it.
+        If the name or the settings do not allow it.
     """
     require_participant(participant)
     if session.is_virtual:
@@ -210,7 +210,7 @@ def _streaming_for(session: Session, participant: str) -> frozenset[tuple[str, s
 
 
 def _changed(session: Session, wanted: DeviceChange) -> dict[str, str | bool]:
-    """Return what is to be other than the settings have it."""
+    """Return the fields that differ from the settings."""
     which = wanted.sensor, wanted.unit
     found = [each for each in session.configured() if (each.sensor, each.unit) == which]
     fields = wanted.model_dump(include={"participant", "label", "enabled"}, exclude_none=True)
@@ -220,12 +220,12 @@ def _changed(session: Session, wanted: DeviceChange) -> dict[str, str | bool]:
 
 
 def _ask_while_recording(session: Session, change: SettingsChange, lost: str) -> None:
-    """Ask whether a change is meant that costs a recording something.
+    """Ask for confirmation of a change during a recording.
 
     Raises
     ------
     QuestionError
-        Unless nothing is recorded, or it is confirmed.
+        If a recording is running and the change is not confirmed.
     """
     file = file_going_on(session.folder)
     if file is not None and not change.while_recording:
@@ -241,7 +241,7 @@ def started(session: Session, *, virtual: bool) -> Outcome:
 
 
 async def _applied(session: Session, what: str) -> Outcome:
-    """Have the agent take the settings over; start it if none runs."""
+    """Apply the settings to the agent, or start it if none runs."""
     if is_held(session.folder):
         await asked(session, "reload", {})
     elif any(each.enabled for each in session.configured()):
@@ -250,12 +250,12 @@ async def _applied(session: Session, what: str) -> Outcome:
 
 
 async def asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Have the agent do something, and return its answer."""
+    """Send a command to the agent, and return its answer."""
     return await asyncio.to_thread(control.ask, session.folder, command, arguments)
 
 
 def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
-    """Start an agent that is started again whenever it dies.
+    """Start an agent with a supervisor that restarts it after a crash.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
     settings
         Its settings file.
     virtual
-        Stream virtual devices of every kind in place of those of the settings.
+        Stream virtual devices of every kind instead of the settings' devices.
 
     Raises
     ------
@@ -275,7 +275,7 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
         raise TransportError(TransportReason.BUSY, "an agent runs already; end it first")
     what = ["--simulate", ALL_VIRTUAL] if virtual else ["--settings", str(settings)]
     try:
-        # Named by an option, it must be there; virtual devices do without.
+        # By a variable for virtual devices, because a file that an option names must exist.
         start_beside(["run", "--keep-alive", "--no-ask", *what], {SETTINGS_VARIABLE: str(settings)})
     except OSError as error:
         message = f"the agent could not be started: {error.strerror or error}"
@@ -284,9 +284,9 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
 
 MOST_LINES = 20
 MOST_BYTES = 256 * 1024
-"""That is read of a file, from its end."""
+"""Number of bytes that are read from the end of a file."""
 _MOST_LETTERS = 400
-# When a file is full, the next one begins empty.
+# The previous file as well, because a new one begins empty.
 _FILES = (LOG_FILE_NAME, f"{LOG_FILE_NAME}.1")
 
 
@@ -309,22 +309,20 @@ class LogLine(BaseModel):
 
 
 class LogView(BaseModel):
-    """What the log says last of a device, the newest first; nothing if there is no log."""
+    """The newest lines of the log about a device, the newest first; empty without a log."""
 
     lines: list[LogLine] = Field(default_factory=list[LogLine])
 
 
 def last_lines(folder: Path, sensor: str, unit: str) -> LogView:
-    """Return the newest lines about a device, `MOST_LINES` at most.
-
-    Of each file the last `MOST_BYTES` are read; what is no line of the log is passed over.
+    """Return the newest lines about a device, at most `MOST_LINES`.
 
     Parameters
     ----------
     folder
         The state folder of the agent.
     sensor, unit
-        Which device.
+        Identify the device.
     """
     lines: list[LogLine] = []
     for name in _FILES:
@@ -341,7 +339,7 @@ def _newest_first(path: Path) -> Iterator[dict[str, Any]]:
         try:
             record = json.loads(text)
         except (ValueError, RecursionError):
-            # It begins within a line, and the last one may be half written.
+            # The first line may be cut, and the last one may be incomplete.
             continue
         if isinstance(record, dict):
             yield record

@@ -30,17 +30,17 @@ from biosensor_gateway.page.session import Session
 
 
 class FindingView(BaseModel):
-    """One thing that was looked at.
+    """One finding of a check.
 
     Attributes
     ----------
     category
-        What it is about, in words for people.
+        Its subject, for people.
     level
         ``ok``, ``note``, ``warning`` or ``error``.
     what, why, fix
-        What is the case, why it matters, and the exact command or click; the last two are
-        empty if all is well.
+        The observation, why it matters, and the exact command or click to fix it; the last two
+        are empty if nothing is wrong.
     """
 
     check: str
@@ -52,18 +52,18 @@ class FindingView(BaseModel):
 
 
 class Examination(BaseModel):
-    """What ``doctor --json`` says; see `biosensor_common.doctor.report`.
+    """The outcome of ``doctor --json``; see `biosensor_common.doctor.report`.
 
     Attributes
     ----------
     good
-        There are no errors.
+        Whether there are no errors.
     seconds
-        How long it took.
+        Duration of the checks.
     checks
-        What was to be looked at.
+        Names of the checks.
     counts
-        How many findings there are of each level.
+        Number of findings of each level.
     """
 
     version: int
@@ -75,12 +75,12 @@ class Examination(BaseModel):
 
 
 class Doctor:
-    """Runs the checks of ``biosensor-gateway doctor``, once at a time.
+    """Runs the checks of ``biosensor-gateway doctor``, one run at a time.
 
     Parameters
     ----------
     settings
-        The settings file, whether it is there or not.
+        The settings file, which need not exist.
     folder
         The state folder of the agent.
     """
@@ -95,7 +95,7 @@ class Doctor:
         Raises
         ------
         ConfigError
-            ``IN_USE`` if an examination goes on.
+            ``IN_USE`` if the checks are running already.
         """
         with self._once.turn():
             return Examination.model_validate(content(await asyncio.to_thread(self._run)))
@@ -109,7 +109,7 @@ CodeText = Annotated[str, StringConstraints(min_length=1, max_length=16)]
 
 
 class OtherComputer(BaseModel):
-    """Which computer is to be asked, and the code that it shows."""
+    """The other computer, and the code that it shows."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -119,14 +119,14 @@ class OtherComputer(BaseModel):
 
 
 class NetworkView(Examination):
-    """What both computers have found out; of the findings, the cause before what follows from it.
+    """Outcome of the network check; findings are sorted with causes before consequences.
 
     Attributes
     ----------
     sides
-        A line about each computer; none if there was no conversation.
+        A line about each computer; empty if they did not connect.
     rows
-        What, from there to here, from here to there; the first one has the headings.
+        Test, result from there to here, and from here to there; the first row has the headings.
     """
 
     sides: list[str] = Field(default_factory=list[str])
@@ -134,19 +134,19 @@ class NetworkView(Examination):
 
 
 class NetworkCheck:
-    """Runs ``biosensor-gateway doctor --with``, once at a time; parameters as of `Doctor`."""
+    """Runs ``biosensor-gateway doctor --with``, one run at a time; parameters as for `Doctor`."""
 
     def __init__(self, settings: Path, folder: Path) -> None:
         self._settings, self._folder = settings, folder
         self._once = OneAtATime("the network is being tried already; wait for the outcome")
 
     async def check(self, other: OtherComputer) -> NetworkView:
-        """Try it, which takes a quarter of a minute.
+        """Run the check, which takes a quarter of a minute.
 
         Raises
         ------
         ConfigError
-            ``IN_USE`` if it is being tried.
+            ``IN_USE`` if the check is running already.
         """
         with self._once.turn():
             return network_view(await asyncio.to_thread(self._run, other))
@@ -157,7 +157,7 @@ class NetworkCheck:
 
 
 def network_view(outcome: Outcome) -> NetworkView:
-    """Return an outcome as the page shows it."""
+    """Return the page's view of an outcome."""
     ends = outcome.ends
     return NetworkView(
         **content(outcome.report),
@@ -168,35 +168,35 @@ def network_view(outcome: Outcome) -> NetworkView:
 
 @unique
 class AnswerState(StrEnum):
-    """How far it is."""
+    """State of the answering side of the network check."""
 
     IDLE = "idle"
-    """Nobody has asked for it yet."""
+    """Not started yet."""
     WAITING = "waiting"
     TRYING = "trying"
-    """Another computer is there, and both try the network."""
+    """Another computer has connected, and both test the network."""
     DONE = "done"
     ENDED = "ended"
-    """Nobody has come, it was cancelled, or it did not work."""
+    """No computer has connected, the answer was cancelled, or it failed."""
 
 
 class AnswerView(BaseModel):
-    """What a person at the other computer needs, and what has come of it.
+    """What a person has to type at the other computer, and the outcome.
 
     Attributes
     ----------
     code, address, port
-        What is typed there.
+        To type there.
     others
         Network adapters with further addresses, in words.
     opening
-        The command that opens the port here, if it is said there that nothing comes back.
+        The command that opens the port here, in case the other computer gets no answer.
     said
-        A sentence about each who came and did not get to the end.
+        A sentence about each connection that was not completed.
     problem
-        Why nobody is answered any more.
+        Why no more computers are answered.
     outcome
-        None until both have tried the network.
+        None until both computers have tested the network.
     """
 
     state: AnswerState = AnswerState.IDLE
@@ -211,16 +211,16 @@ class AnswerView(BaseModel):
 
 
 class NetworkAnswer:
-    """Answers one computer at a time, to whom knows the code.
+    """Answers the network check of one other computer, if it has the code.
 
     Parameters
     ----------
     settings
-        The settings file, whether it is there or not.
+        The settings file, which need not exist.
     folder
         The state folder of the agent.
     port
-        TCP port at which it answers; 0 for any that is free.
+        TCP port at which it answers; 0 for any free port.
     """
 
     def __init__(self, settings: Path, folder: Path, port: int = ANSWER_PORT) -> None:
@@ -230,18 +230,18 @@ class NetworkAnswer:
         self._view = AnswerView()
 
     def view(self) -> AnswerView:
-        """Say how far it is."""
+        """Return the state of the answer."""
         if self._answerer is not None and self._answerer.is_busy:
             return self._view.model_copy(update={"state": AnswerState.TRYING})
         return self._view
 
     async def start(self) -> AnswerView:
-        """Begin to answer, for ten minutes at most.
+        """Begin to answer, for at most ten minutes.
 
         Raises
         ------
         ConfigError
-            ``IN_USE`` if it goes on.
+            ``IN_USE`` if it answers already.
         TransportError
             ``BUSY`` if another program has the port.
         """
@@ -254,7 +254,7 @@ class NetworkAnswer:
         return self.view()
 
     async def cancel(self) -> AnswerView:
-        """Answer nobody any more; a conversation that goes on comes to its end first."""
+        """Stop answering, after a check that is running."""
         if self._answerer is not None:
             self._answerer.give_up()
             if self._task is not None and not self._answerer.is_busy:
@@ -262,7 +262,7 @@ class NetworkAnswer:
         return self.view()
 
     async def run(self) -> None:
-        """Give up when this is cancelled, so that no thread goes on waiting."""
+        """Wait until cancelled, then end the thread that waits for another computer."""
         try:
             await asyncio.Event().wait()
         finally:
@@ -309,23 +309,23 @@ def _waiting(answerer: Answerer, way: WayHere) -> AnswerView:
 
 
 def add_doctor(router: APIRouter, session: Session, answer: NetworkAnswer) -> None:
-    """Add what the page asks of this computer, and of the network between two."""
+    """Add the routes of the checks of this computer and of the network."""
     doctor = Doctor(session.settings, session.folder)
     check = NetworkCheck(session.settings, session.folder)
 
     @router.post("/doctor")
     async def examine() -> Examination:
-        """Say what is wrong on this computer, and how to fix it."""
+        """Check this computer; return what is wrong, and how to fix it."""
         return await doctor.examine()
 
     @router.post("/network-check")
     async def try_network(other: OtherComputer) -> NetworkView:
-        """Say which of two computers blocks the other's streams, and what opens the way."""
+        """Check which of two computers blocks the other's streams, and how to open the way."""
         return await check.check(other)
 
     @router.get("/network-check/answer")
     async def state() -> AnswerView:
-        """Say how far the answer is."""
+        """Return the state of the answer to another computer."""
         return answer.view()
 
     @router.post("/network-check/answer")
@@ -335,5 +335,5 @@ def add_doctor(router: APIRouter, session: Session, answer: NetworkAnswer) -> No
 
     @router.delete("/network-check/answer")
     async def cancel() -> AnswerView:
-        """Answer nobody any more."""
+        """Stop answering other computers."""
         return await answer.cancel()

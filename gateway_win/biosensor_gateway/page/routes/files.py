@@ -1,4 +1,4 @@
-"""Recordings on the disk: judges, salvages and exports them, and opens the folder they are in."""
+"""Checks, salvages and exports recordings on the disk, and opens their folders."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Judged(BaseModel):
     markers
         The first `MOST_MARKERS`.
     marker_count
-        Of all of them.
+        Number of all markers.
     unread
-        Why the markers cannot be told; empty if they are.
+        Why the markers cannot be read; empty if they can.
     """
 
     colour: str
@@ -70,21 +70,21 @@ class Judged(BaseModel):
 
 
 class Salvaged(BaseModel):
-    """What became of a damaged recording, in sentences; `written` is empty if it was whole."""
+    """Outcome of salvaging a recording, in sentences; `written` is empty if it was undamaged."""
 
     written: str
     said: list[str]
 
 
 class NewExport(RecordingPath):
-    """What to export: a recording, or all in a folder; to which formats; empty: beside them."""
+    """A recording to export, or a folder of recordings; without `output`, next to them."""
 
     formats: Annotated[list[str], Field(min_length=1, max_length=len(FORMATS))]
     output: PathText = ""
 
 
 class ExportedView(BaseModel):
-    """What became of one recording; `is_certain`: all of it is written."""
+    """Outcome of one recording's export; `is_certain` if all of it is written."""
 
     recording: str
     is_certain: bool
@@ -92,20 +92,20 @@ class ExportedView(BaseModel):
 
 
 class ExportView(BaseModel):
-    """How an export goes on.
+    """Progress of an export.
 
     Attributes
     ----------
     recording, format
         What is being written.
     part
-        Of that, how much is done, from 0 to 1.
+        Progress of that, from 0 to 1.
     count, done
-        Recordings in all, and those that are finished.
+        Number of recordings, and those that are finished.
     said
-        What is to be said of all of them.
+        Sentences about the export as a whole.
     problem
-        Why it has ended before its time; empty if it has not.
+        Why it ended early; empty if it did not.
     """
 
     is_running: bool = False
@@ -132,8 +132,8 @@ class Exports:
         Raises
         ------
         ConfigError
-            ``IN_USE`` while one goes on; ``WRONG_VALUE`` for a format or path that is none;
-            ``NOT_FOUND`` if there is no recording.
+            ``IN_USE`` while an export is running; ``WRONG_VALUE`` for an unknown format or a
+            relative path; ``NOT_FOUND`` if there is no recording.
         """
         if self.view.is_running:
             raise ConfigError(ConfigReason.IN_USE, "an export goes on; wait for its end")
@@ -154,7 +154,7 @@ class Exports:
         self._task.add_done_callback(self._note_end)
 
     def end(self) -> None:
-        """Write no further recording after the one that is being written."""
+        """End after the recording that is being written."""
         self._is_unwanted = True
 
     async def _run(self, recordings: list[Path], task: Task) -> None:
@@ -164,7 +164,7 @@ class Exports:
             self.view.problem = str(error)
 
     def _note_end(self, task: asyncio.Task[None]) -> None:
-        """Say so if it has ended as nobody foresaw: it must not look as if all were done."""
+        """Report an unexpected failure, so that the export does not look complete."""
         if not task.cancelled() and (error := task.exception()) is not None:
             _log.error("an export has failed", exc_info=error)
             self.view.problem = (
@@ -195,17 +195,17 @@ class Exports:
 
 
 def add_files(router: APIRouter, session: Session) -> None:
-    """Add what is done with recordings that are on the disk."""
+    """Add the routes of recordings on the disk."""
     exports = Exports()
 
     @router.post("/recordings/check")
     async def check(recording: RecordingPath) -> Judged:
-        """Say whether a recording can be trusted, and which markers are in it."""
+        """Check whether a recording can be trusted, and list its markers."""
         return await asyncio.to_thread(_judged, whole_path(recording.path), session)
 
     @router.post("/recordings/salvage")
     async def salvage_it(recording: RecordingPath) -> Salvaged:
-        """Write what can be read of a damaged recording to a file beside it."""
+        """Write the readable part of a damaged recording to a file next to it."""
         return await asyncio.to_thread(_salvaged, whole_path(recording.path))
 
     @router.post("/recordings/open-folder")
@@ -218,7 +218,7 @@ def add_files(router: APIRouter, session: Session) -> None:
 
     @router.get("/recordings/export")
     async def state() -> ExportView:
-        """Say how far the export is."""
+        """Return the progress of the export."""
         return exports.view
 
     @router.post("/recordings/export")
@@ -262,7 +262,7 @@ def open_folder(folder: Path) -> None:
 
 def _judged(path: Path, session: Session) -> Judged:
     recording = read_recording(path)
-    # Today's settings say nothing of another day, on which others wore the sensors.
+    # The recording's events come first: today's settings may name other devices and wearers.
     expected = () if tells_devices(recording) else by_devices(session.configured())
     found = judging.verdict(judge(recording, expected))
     judged = Judged(

@@ -43,7 +43,7 @@ class MarkerButtons(BaseModel):
 
 
 class MarkerNumber(BaseModel):
-    """Which marker; without a number the last that is not undone."""
+    """Identifies a marker; without a number, the last that is not undone."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -51,11 +51,11 @@ class MarkerNumber(BaseModel):
 
 
 def add_markers(router: APIRouter, marking: Marking) -> None:
-    """Add how markers are sent and named."""
+    """Add the routes that send, undo and name markers."""
 
     @router.post("/markers")
     async def mark(marker: NewMarker) -> Outcome:
-        """Send a marker, stamped with now."""
+        """Send a marker, stamped with the current time."""
         return Outcome(sentence=await marking.mark(marker))
 
     @router.put("/markers/buttons")
@@ -65,7 +65,7 @@ def add_markers(router: APIRouter, marking: Marking) -> None:
 
     @router.post("/markers/undo")
     async def undo(which: MarkerNumber) -> Outcome:
-        """Say that a marker was a mistake; nothing is deleted."""
+        """Undo a marker: it is marked as a mistake, and not deleted."""
         await marking.undo(which.id)
         return Outcome(sentence="The marker is marked as a mistake; it stays in the recording.")
 
@@ -74,7 +74,7 @@ LOOK_S = 1.0
 
 
 class Marking:
-    """Sends markers, and keeps the newest of them for the page.
+    """Sends markers, and stores the newest for the page.
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ class Marking:
             await asyncio.sleep(LOOK_S)
 
     async def mark(self, marker: NewMarker) -> str:
-        """Send a marker, stamped with now; say what has become of it.
+        """Send a marker, stamped with the current time; return the outcome.
 
         Raises
         ------
         GatewayError
-            There is no agent, or it refused.
+            If there is no agent, or it refuses.
         """
-        # A thread may begin late.
+        # Taken here, because the thread that sends it may start late.
         at = self._session.now()
         sent = await self._ask("mark", {**marker.model_dump(), "source": "page", "at": at})
         await self._look()
@@ -114,23 +114,23 @@ class Marking:
         return said if self._session.recording.is_running else f"{said}; this page records nothing."
 
     async def undo(self, number: int | None) -> None:
-        """Say that a marker was a mistake; nothing is deleted.
+        """Undo a marker, which is not deleted.
 
         Raises
         ------
         GatewayError
-            There is no agent, or it refused.
+            If there is no agent, or it refuses.
         """
         await self._ask("undo-marker", {} if number is None else {"id": number})
         await self._look()
 
     async def name_buttons(self, wanted: MarkerButtons) -> str:
-        """Write the names of the buttons into the settings, and have the agent take them over.
+        """Write the names of the buttons to the settings, and apply them to the agent.
 
         Raises
         ------
         GatewayError
-            The settings or the agent refuse them.
+            If the settings or the agent refuse them.
         """
         editor.set_marker_buttons(self._session.settings, settings_models(), wanted.buttons)
         if self._session.has_agent:
@@ -144,7 +144,7 @@ class Marking:
         for each in view.markers:
             each.time = each.lsl_time + to_unix_s
         if self._turns != self._session.turns:
-            # Another agent knows nothing of them, and counts again.
+            # A new agent does not have the old markers, and numbers its own from the start.
             self._turns = self._session.turns
             known = {(each.id, each.lsl_time) for each in view.markers}
             before = self._session.markers.markers

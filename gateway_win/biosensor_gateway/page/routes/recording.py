@@ -1,4 +1,4 @@
-"""Records by a button, and looks at the growing file meanwhile."""
+"""Starts and stops a recording, and watches its growing file."""
 
 from __future__ import annotations
 
@@ -46,22 +46,22 @@ from biosensor_gateway.system.cloud_folders import usual_recordings_folder, warn
 
 
 class NewRecording(BaseModel):
-    """What a recording is to be called, in the words of BIDS, and where it goes.
+    """Name of a new recording, by BIDS entities, with its folder and options.
 
     Attributes
     ----------
     folder
-        Empty for the usual one.
+        Empty for the default folder.
     only_ours
-        Leave out streams of other programs, live features included.
+        Leave out streams of other programs, including live features.
     allow_missing
-        Record although streams of the agent's devices are not there.
+        Record even if streams of the agent's devices are missing.
     set_sensors
-        Have the participant wear all sensors first.
+        Set the participant of all sensors first.
     other_participants
-        Record although others than the participant wear the sensors.
+        Record even if other people than the participant wear the sensors.
     without_away
-        Record although sensors are paused or do not stream.
+        Record even if sensors are paused or do not stream.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -78,7 +78,7 @@ class NewRecording(BaseModel):
 
 
 def add_recording(router: APIRouter, recorder: Recorder) -> None:
-    """Add how a recording begins and ends, and how one that was cut off is salvaged."""
+    """Add the routes that start and stop a recording, and salvage a truncated one."""
 
     @router.post("/recording/start")
     async def start(recording: NewRecording) -> Outcome:
@@ -87,29 +87,29 @@ def add_recording(router: APIRouter, recorder: Recorder) -> None:
 
     @router.post("/recording/stop")
     async def stop() -> Outcome:
-        """End the recording, and judge it."""
+        """End the recording, and check it."""
         return await recorder.stop()
 
     @router.post("/recording/salvage")
     async def salvage() -> Outcome:
-        """Write what can be read of a recording that was cut off to a file beside it."""
+        """Write the readable part of a truncated recording to a file next to it."""
         return await recorder.salvage()
 
 
 LOOK_S = 1.0
 _MOST_TOLD_OF = 20
-"""Of a sensor that comes and goes, the newest are enough."""
+"""Number of absences of sensors that are listed, the newest."""
 
 
 class Recorder:
-    """The recording of this computer, as the page shows and steers it.
+    """Controls the recording of this computer, and keeps its view up to date.
 
     Parameters
     ----------
     session
         Its `recording` is kept up to date.
     set_participant
-        Has somebody wear all sensors.
+        Sets the participant of all sensors.
     """
 
     def __init__(
@@ -133,13 +133,13 @@ class Recorder:
 
     @property
     def folders(self) -> set[Path]:
-        """Where recordings are that were made here."""
+        """The folders of recordings that were made here."""
         file = self._recording.file
         return {self._folder, *self._used, *((file.parent,) if file else ())}
 
     @property
     def file_going_on(self) -> str:
-        """The one that is being recorded; empty if none is."""
+        """Path of the file that is being recorded; empty if there is none."""
         return str(self._recording.file_going_on or "")
 
     async def start(self, wanted: NewRecording) -> Outcome:
@@ -148,7 +148,7 @@ class Recorder:
         Raises
         ------
         ConfigError, RecorderError
-            Why nothing is recorded; a `QuestionError` if others wear the sensors.
+            If nothing can be recorded; a `QuestionError` if other people wear the sensors.
         """
         labels = BidsLabels(wanted.participant, wanted.session, wanted.task)
         mismatch = compare(wanted.participant, self._session.worn())
@@ -173,12 +173,12 @@ class Recorder:
         return Outcome(sentence=f"{begun.file} is being recorded.{notes}")
 
     async def stop(self) -> Outcome:
-        """End the recording and judge it.
+        """End the recording and check it.
 
         Raises
         ------
         RecorderError
-            It could not be ended, or there is none.
+            If it could not be ended, or there is none.
         """
         file = self._recording.file
         with self._doing("ending"):
@@ -190,12 +190,12 @@ class Recorder:
         return Outcome(sentence=self._verdict.sentence)
 
     async def salvage(self) -> Outcome:
-        """Write what can be read of the last recording to a file beside it.
+        """Write the readable part of the last recording to a file next to it.
 
         Raises
         ------
         ConfigError, RecordingError
-            There is nothing to salvage, or it cannot be written.
+            If there is nothing to salvage, or the file cannot be written.
         """
         verdict = self._verdict
         if verdict is None or not verdict.can_be_salvaged or verdict.salvaged:
@@ -209,8 +209,8 @@ class Recorder:
         return Outcome(sentence=f"All that can be read of it is in {salvaged}.")
 
     async def _show(self) -> None:
-        """Say how the recording stands; not while it begins, because streams are missing then."""
-        # What was read of the growing file is kept by one reader.
+        """Update the view, except while a recording starts, when streams are still missing."""
+        # One look at a time, because they share the reader of the growing file.
         async with self._looking:
             if self._busy:
                 return
@@ -224,16 +224,16 @@ class Recorder:
             message = f"the recording is {self._busy} already; wait a moment"
             raise ConfigError(ConfigReason.IN_USE, message)
         self._busy = what
-        self._tell_busy(what)
+        self._show_busy(what)
         with ExitStack() as failed:
-            failed.callback(self._tell_busy, "")
+            failed.callback(self._show_busy, "")
             try:
                 yield
             finally:
                 self._busy = ""
             failed.pop_all()
 
-    def _tell_busy(self, what: str) -> None:
+    def _show_busy(self, what: str) -> None:
         self._session.recording = self._session.recording.model_copy(update={"busy": what})
 
     def _start(self, wanted: NewRecording, labels: BidsLabels) -> LocalStarted:
@@ -250,7 +250,7 @@ class Recorder:
         request = RecordingRequest(
             folder,
             labels=labels,
-            # Those of others are named as long as it goes on.
+            # No warning of other programs' streams, because the page names them all the time.
             all_streams=not wanted.only_ours,
             only_ours=wanted.only_ours,
             allow_missing=wanted.allow_missing,
@@ -314,7 +314,7 @@ def _view(ended: LocalStopped) -> VerdictView:
 
 
 def _unclosed(file: str, error: NotClosedError) -> VerdictView:
-    """Say of a recording that broke off, as on a full disk, what is in its file."""
+    """Return the verdict on a recording that was not closed, as on a full disk."""
     verdict = error.verdict
     findings = [*_told(Level.ERROR, error.why), *(verdict.findings if verdict else ())]
     return VerdictView(
@@ -336,7 +336,7 @@ def _said(finding: Finding) -> str:
 
 
 def _require_sensors(devices: Sequence[Mapping[str, Any]]) -> None:
-    """Ask at once, and not only when all streams were looked for."""
+    """Ask about missing sensors at once, before the search for streams, which takes seconds."""
     away = [each.sentence for each in absences(devices) if not each.is_partial]
     if away:
         raise _away_question(away)
@@ -345,7 +345,7 @@ def _require_sensors(devices: Sequence[Mapping[str, Any]]) -> None:
 def _away_question(sentences: Sequence[str]) -> QuestionError:
     one = len(sentences) == 1
     words = f"Record without {'it' if one else 'them'}"
-    # As they are: they begin with a participant's name.
+    # Without a capital letter, because they begin with a participant's name.
     said = [f"{each.rstrip('.')}." for each in sentences]
     return QuestionError(
         "A sensor does not stream" if one else f"{len(sentences)} sensors do not stream",
@@ -355,17 +355,17 @@ def _away_question(sentences: Sequence[str]) -> QuestionError:
 
 
 class Story:
-    """What there is to say of one recording besides how it stands now.
+    """Notes about one recording that its status does not have.
 
     Parameters
     ----------
     begun
-        How it began, if that was here.
+        Its start, if it was started here.
 
     Attributes
     ----------
     remarks
-        What is good to know, and nothing is wrong with it.
+        Information about which nothing is wrong.
     """
 
     def __init__(self, begun: LocalStarted | None = None) -> None:
@@ -380,11 +380,11 @@ class Story:
 
     @property
     def notes(self) -> list[str]:
-        """What is not as it should be, or was not for a while."""
+        """Present and past deviations."""
         return [*self._warnings, *self._over]
 
     def is_of(self, standing: LocalStatus) -> bool:
-        """Whether it is that of this recording."""
+        """Whether these are the notes of this recording."""
         if self._started is None:
             return self._file in (None, standing.file)
         return (self._file, self._started) == (standing.file, standing.started)
@@ -397,13 +397,13 @@ class Story:
         for device, before in self._away.items():
             if device in here and device not in now:
                 self._over = [*self._over[1 - _MOST_TOLD_OF :], _was_away(before, time.time())]
-        # While the agent is away, nobody knows of its sensors.
+        # While the agent is away, the state of its sensors is unknown.
         kept = {device: each for device, each in self._away.items() if device not in here}
         self._away = kept | now
 
 
 def _others_streams(begun: LocalStarted) -> Iterator[str]:
-    """Name what is recorded besides the agent's streams; of live features only how many."""
+    """Yield sentences about recorded streams that are not the agent's; features are counted."""
     own = {_sender(each) for each in begun.streams if each not in begun.foreign}
     features = [each for each in begun.foreign if _sender(each) in own]
     if features:
@@ -419,7 +419,7 @@ def _others_streams(begun: LocalStarted) -> Iterator[str]:
 
 
 def _sender(stream: VisibleStream) -> str:
-    """Return what a device's streams and their features have in common; no other has this sign."""
+    """Return the part of the source_id that a device's streams and their features share."""
     return stream.source_id.rpartition("-")[0] or stream.source_id
 
 

@@ -1,4 +1,4 @@
-"""Plays a recording by a button, in a process of its own that ends with the page."""
+"""Plays recordings in a separate process that ends with the page."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class RecordingFile(BaseModel):
 
 
 class RecordedStream(BaseModel):
-    """A stream of a recording; `wearer` is empty if nobody is named."""
+    """A stream of a recording; `wearer` is empty if the recording names nobody."""
 
     name: str
     wearer: str
@@ -74,14 +74,14 @@ class RecordedStream(BaseModel):
 
 
 class RecordingContents(BaseModel):
-    """What is in a recording.
+    """Contents of a recording.
 
     Attributes
     ----------
     length_s
         From the first sample to the last.
     problems
-        What cannot be read, one sentence each.
+        Parts that cannot be read, one sentence each.
     """
 
     length_s: float
@@ -90,7 +90,7 @@ class RecordingContents(BaseModel):
 
 
 class RecordingPath(BaseModel):
-    """Which recording."""
+    """Identifies a recording."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -109,9 +109,9 @@ class NewReplay(RecordingPath):
 
 
 PLAYER = "play-recording"
-"""First argument of the command line that is a player."""
+"""First argument of the player's command line."""
 END_S = 10.0
-"""Its last samples are still sent, and a large bag is given back."""
+"""Limit for the player's end, in which it sends its last samples and closes a large bag."""
 _DIED = "the program that plays has ended unexpectedly; play the recording again"
 
 
@@ -121,7 +121,7 @@ class Replaying:
     Parameters
     ----------
     session
-        Its `replay_view` is that of this replay.
+        Its `replay_view` is set to this replay's.
     """
 
     def __init__(self, session: Session) -> None:
@@ -134,7 +134,7 @@ class Replaying:
         self._last = ReplayProgress()
 
     async def run(self) -> None:
-        """Wait until cancelled, and then end what is played."""
+        """Wait until cancelled, then end the replay."""
         try:
             await asyncio.Event().wait()
         finally:
@@ -146,11 +146,11 @@ class Replaying:
         Raises
         ------
         ConfigError
-            ``IN_USE`` if one is played; ``WRONG_VALUE`` if the file is no whole path.
+            ``IN_USE`` if a recording is being played; ``WRONG_VALUE`` if the path is relative.
         ReplayError
-            ``REFUSED``, with the reason why it is not played.
+            ``REFUSED``, with the reason.
         TransportError
-            ``ABSENT`` if the system cannot start what plays it.
+            ``ABSENT`` if the system cannot start the player.
         """
         if self._replayed.is_running:
             message = "a recording is being played already; end that replay first"
@@ -203,7 +203,7 @@ class Replaying:
         self._last = ReplayProgress(phase=Phase.REFUSED, said=[_DIED])
 
         def on_loop(function: Callable[[], None]) -> None:
-            # The loop may have ended a moment before the thread.
+            # The loop may end a moment before the thread.
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(function)
 
@@ -223,15 +223,15 @@ class Replaying:
         if kind == FrameKind.SAMPLES:
             self._replayed.take(read_samples(content))
         elif kind == FrameKind.STATUS:
-            told = Told.model_validate_json(content)
-            self._last = told.progress
-            if told.streams is not None:
-                self._replayed.show(told.streams)
+            message = Told.model_validate_json(content)
+            self._last = message.progress
+            if message.streams is not None:
+                self._replayed.show(message.streams)
                 self._begun.set()
-            # Why it was refused is the answer of the request.
-            if told.progress.phase is not Phase.REFUSED:
-                is_playing = told.progress.phase is Phase.PLAYING
-                self._replayed.note(told.progress, is_playing=is_playing)
+            # The reason of a refusal is in the answer to the request instead.
+            if message.progress.phase is not Phase.REFUSED:
+                is_playing = message.progress.phase is Phase.PLAYING
+                self._replayed.note(message.progress, is_playing=is_playing)
 
     def _end(self) -> None:
         if self._last.phase is not Phase.REFUSED and self._last.phase is not Phase.ENDED:
@@ -244,12 +244,12 @@ class Replaying:
 
 
 def whole_path(text: str) -> Path:
-    """Return the path of a recording.
+    """Return an absolute path.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE`` if it is relative: to what, nobody who looks at a page knows.
+        ``WRONG_VALUE`` if it is relative, because a page has no current folder.
     """
     path = Path(text).expanduser()
     if not path.is_absolute():
@@ -270,12 +270,12 @@ def _read_frame(output: IO[bytes]) -> tuple[int, bytes]:
 
 
 class Replayed:
-    """Describes the replay, and keeps its newest samples; on the loop of the server alone.
+    """The view of the replay and its newest samples; used only on the server's loop.
 
     Parameters
     ----------
     traces
-        Where its samples go, to be drawn like all others.
+        Receives its samples, which are drawn like all others.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -287,7 +287,7 @@ class Replayed:
 
     @property
     def is_running(self) -> bool:
-        """Whether there is one, or will be in a moment."""
+        """Whether a replay is running or being opened."""
         return self._view.is_running
 
     def begin(self, file: str, speed: float, *, loop: bool) -> None:
@@ -295,13 +295,13 @@ class Replayed:
         self._view = ReplayView(is_running=True, file=file, speed=speed, loop=loop)
 
     def show(self, streams: Sequence[PlayedStream]) -> None:
-        """Take in what is played."""
+        """Set the streams that are played."""
         self._streams = streams
         self._meters = {each.source_id: RateMeter() for each in streams}
         self._counts = dict.fromkeys(self._meters, 0)
 
     def take(self, samples: Samples) -> None:
-        """Keep what was sent."""
+        """Take samples that were sent."""
         source_id = samples.source_id
         if source_id in self._counts and len(samples.stamps):
             self._counts[source_id] += len(samples.stamps)
@@ -309,7 +309,7 @@ class Replayed:
             self._traces.take(samples)
 
     def note(self, progress: ReplayProgress, *, is_playing: bool) -> None:
-        """Take in how far it is."""
+        """Update the progress."""
         self._view = self._view.model_copy(
             update={
                 "is_playing": is_playing,
@@ -324,13 +324,13 @@ class Replayed:
         )
 
     def end(self) -> None:
-        """Show it as ended; nothing that it has sent is shown any more."""
+        """Show the replay as ended, without its samples."""
         self._traces.history.forget(self._counts)
         self._streams, self._meters, self._counts = (), {}, {}
         self._view = self._view.model_copy(update={"is_running": False, "is_playing": False})
 
     def view(self) -> ReplayView:
-        """Describe it as it is now."""
+        """Return the current view."""
         if not self._streams:
             return self._view
         now = local_clock()
@@ -342,7 +342,7 @@ class Replayed:
         return self._view.model_copy(update={"devices": devices})
 
     def _topics(self) -> dict[str, str]:
-        """Resolve ROS topics as a node does that sees these streams alone."""
+        """Resolve ROS topics as a node with only these streams would."""
         claims = {
             each.source_id: (
                 DeviceIdentity(each.sensor, each.unit, each.participant, each.label),
@@ -404,7 +404,7 @@ class Replayed:
 
 
 def _rank(stream: PlayedStream) -> tuple[object, ...]:
-    """Order: what was measured on the body, the fastest first; then the rest."""
+    """Return a sort key: signals of the body, the fastest first; then the rest."""
     return (stream.content_type in TYPES_OF_DEVICE, -stream.nominal_hz, stream.data_name)
 
 
@@ -418,7 +418,7 @@ _SUFFIXES = (".xdf", ".xdfz")
 
 
 def add_replay(router: APIRouter, recorder: Recorder, replaying: Replaying) -> None:
-    """Add how recordings are found and played."""
+    """Add the routes that find and play recordings."""
 
     @router.get("/recordings")
     async def known() -> list[RecordingFile]:
@@ -429,7 +429,7 @@ def add_replay(router: APIRouter, recorder: Recorder, replaying: Replaying) -> N
 
     @router.post("/recordings/contents")
     async def contents(recording: RecordingPath) -> RecordingContents:
-        """Say what is in a recording; a long one takes some seconds."""
+        """List the contents of a recording; a long one takes some seconds."""
         return await asyncio.to_thread(_contents, whole_path(recording.path))
 
     @router.post("/replay/start")
@@ -444,7 +444,7 @@ def add_replay(router: APIRouter, recorder: Recorder, replaying: Replaying) -> N
 
 
 def recordings(folders: Iterable[Path]) -> list[RecordingFile]:
-    """Find recordings below some folders, the newest first, `MOST_LISTED` at most."""
+    """Find recordings below some folders, the newest first, at most `MOST_LISTED`."""
     paths = {path for folder in folders for path in islice(_below(folder), _MOST_LOOKED_AT)}
     found = [_described(path) for path in paths if path.suffix.lower() in _SUFFIXES]
     known = sorted((each for each in found if each), key=lambda each: -each.modified)
@@ -460,7 +460,7 @@ def _described(path: Path) -> RecordingFile | None:
     try:
         stat = path.stat()
     except OSError:
-        # It was there a moment ago.
+        # Removed since it was found.
         return None
     return RecordingFile(path=str(path), name=path.name, bytes=stat.st_size, modified=stat.st_mtime)
 

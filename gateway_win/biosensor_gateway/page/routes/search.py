@@ -1,4 +1,4 @@
-"""Searches for devices, and connects to one for some seconds to see what it sends."""
+"""Searches for devices, and tests a device by connecting to it for some seconds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 
 
 class SearchView(BaseModel):
-    """How a search goes on; what it finds is that of ``scan --json``."""
+    """Progress of a search; the places are those of ``scan --json``."""
 
     running: bool = False
     seconds: float = 0.0
@@ -30,13 +30,13 @@ class SearchView(BaseModel):
 
 
 def add_search(router: APIRouter, session: Session) -> None:
-    """Add how devices are found, and tried before a study relies on them."""
+    """Add the routes that find and test devices."""
     search = Search(session.configured)
     tester = DeviceTester(session.streamed)
 
     @router.get("/search")
     async def found() -> SearchView:
-        """Say how far the search for devices is."""
+        """Return the progress of the search for devices."""
         return search.view()
 
     @router.post("/search")
@@ -55,12 +55,12 @@ SEARCH_S = 6.0
 
 
 class Search:
-    """One search at a time.
+    """Runs one search at a time.
 
     Parameters
     ----------
     configured
-        Tells the devices of the settings.
+        Returns the devices of the settings.
     """
 
     def __init__(self, configured: Callable[[], Sequence[DeviceSettings]]) -> None:
@@ -84,7 +84,7 @@ class Search:
         self._task = asyncio.create_task(self._run())
 
     def view(self) -> SearchView:
-        """Say how far it is."""
+        """Return the progress of the search."""
         if self._task is None:
             return SearchView(seconds=SEARCH_S)
         return SearchView(
@@ -107,7 +107,7 @@ TRIAL_S = 5.0
 
 
 class Candidate(BaseModel):
-    """A device that may not be in the settings yet: what its table there would have."""
+    """A device to test, with the fields that its table in the settings would have."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -116,12 +116,12 @@ class Candidate(BaseModel):
 
 
 class DeviceTester:
-    """Tests one device at a time, beside an agent that streams others.
+    """Tests one device at a time, while an agent may stream others.
 
     Parameters
     ----------
     streamed
-        Tells the devices that the agent is connected to, as sensor and unit.
+        Returns the devices of the agent, as sensor and unit.
     """
 
     def __init__(self, streamed: Callable[[], Sequence[tuple[str, str]]]) -> None:
@@ -134,11 +134,11 @@ class DeviceTester:
         Raises
         ------
         ConfigError
-            ``WRONG_VALUE`` if no device can be made of this; ``IN_USE`` while another is tested.
+            ``WRONG_VALUE`` if the settings are invalid; ``IN_USE`` while another is tested.
         TransportError
             ``BUSY`` if the agent has the device.
         SpecError
-            No sensor is called so.
+            If the sensor is unknown.
         """
         settings = settings_of(candidate.sensor, candidate.settings)
         if (settings.sensor_name, settings.unit) in self._streamed():
@@ -154,9 +154,9 @@ def settings_of(sensor: str, given: Mapping[str, object]) -> DeviceSettings:
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``: no device can be made of this.
+        ``WRONG_VALUE`` if the settings are invalid.
     SpecError
-        No sensor is called so.
+        If the sensor is unknown.
     """
     fields: Mapping[str, object] = {"unit": "trial", **given}
     try:
