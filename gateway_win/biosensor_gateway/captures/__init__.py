@@ -1,1 +1,1 @@
-"""Captures: what passed between a driver and a real device, to be sent in and replayed."""
+"""Captures: recorded traffic between a driver and a real device, to be sent in and replayed."""

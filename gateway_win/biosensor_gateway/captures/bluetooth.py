@@ -1,6 +1,6 @@
 """A platform backend of bleak that plays a capture of a Bluetooth LE device.
 
-All that is above it runs unchanged: the shared scan, the choice of the device, the link.
+Everything above it runs unchanged: the shared scan, the choice of the device, the link.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bleak.exc import BleakError, BleakGATTProtocolError
 
 from biosensor_common.errors import TransportError
 from biosensor_gateway.captures.file import Advertised, Event, Row
-from biosensor_gateway.captures.player import Deck, Player
+from biosensor_gateway.captures.player import LinkPlayer, Player
 from biosensor_gateway.simulation.bleak_pickers import Backends
 from biosensor_gateway.transports.deadlines import in_background
 from biosensor_gateway.transports.tap import What
@@ -41,7 +41,7 @@ _NEVER_S = 3600.0
 
 
 def backends(player: Player, seen: Advertised) -> Backends:
-    """Return what stands for scanner, client and adapter while a capture is played."""
+    """Return scanner, client and adapter that play a capture."""
     return (
         partial(ReplayedScanner, player, seen),
         partial(ReplayedClient, player),
@@ -50,15 +50,14 @@ def backends(player: Player, seen: Advertised) -> Backends:
 
 
 class ReplayedScanner(BaseBleakScanner):
-    """Hears the device of a capture while it is not connected.
+    """Reports the advertisements of a capture's device while it is not connected.
 
     Parameters
     ----------
-    player
     seen
-        What the device said of itself.
+        The captured advertisement.
     detection_callback, service_uuids
-        As ``BleakScanner`` hands them on.
+        As ``BleakScanner`` passes them.
     """
 
     def __init__(
@@ -108,13 +107,12 @@ class ReplayedScanner(BaseBleakScanner):
 
 
 class ReplayedClient(BaseBleakClient):
-    """A connection of a capture.
+    """Plays the connections of a capture.
 
     Parameters
     ----------
-    player
     address_or_ble_device, services, disconnected_callback, timeout
-        As ``BleakClient`` hands them on.
+        As ``BleakClient`` passes them.
     """
 
     def __init__(
@@ -132,13 +130,13 @@ class ReplayedClient(BaseBleakClient):
             address_or_ble_device, disconnected_callback=disconnected_callback, timeout=timeout
         )
         self._player = player
-        self._deck: Deck | None = None
+        self._link: LinkPlayer | None = None
         self._listeners: dict[str, NotifyCallback] = {}
         self._connected = False
 
     @property
     def name(self) -> str:
-        """The address; nobody asks for more."""
+        """The device's address, because its name is not needed here."""
         return self.address
 
     @property
@@ -148,7 +146,7 @@ class ReplayedClient(BaseBleakClient):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link stands."""
+        """Whether the link is connected."""
         return self._connected
 
     async def connect(self, pair: bool, **kwargs: object) -> None:
@@ -156,7 +154,7 @@ class ReplayedClient(BaseBleakClient):
         del pair, kwargs
         opening = self._player.next_opening
         try:
-            self._deck = await self._player.open(self._deliver)
+            self._link = await self._player.open(self._deliver)
         except TransportError as error:
             raise BleakError(str(error)) from error
         self.services = _services(opening.table)
@@ -164,16 +162,16 @@ class ReplayedClient(BaseBleakClient):
 
     async def disconnect(self) -> None:
         """End the connection; without effect if there is none."""
-        if self._deck is not None:
-            self._deck.stop()
+        if self._link is not None:
+            self._link.stop()
         self._end()
 
     async def pair(self, *_args: object, **_kwargs: object) -> None:
-        """Pair, as it went then."""
+        """Pair with the captured outcome."""
         await self._ask(What.PAIRED)
 
     async def unpair(self) -> None:
-        """Forget the bond; nothing to do."""
+        """Do nothing: a capture has no bond."""
 
     async def read_gatt_char(
         self,
@@ -182,7 +180,7 @@ class ReplayedClient(BaseBleakClient):
         use_cached: bool = False,
         **kwargs: object,
     ) -> bytearray:
-        """Read a characteristic; what was not read then is refused."""
+        """Read a characteristic; refuse one that was not read in the capture."""
         del use_cached, kwargs
         event = await self._ask(What.READ, characteristic.uuid)
         if event is None:
@@ -216,7 +214,7 @@ class ReplayedClient(BaseBleakClient):
     ) -> None:
         """Subscribe."""
         del kwargs
-        # Before it is confirmed, as the device does not wait for that.
+        # Before the confirmation, because the device may send notifications before it.
         self._listeners[characteristic.uuid] = callback
         await self._ask(What.SUBSCRIBED, characteristic.uuid)
 
@@ -226,9 +224,9 @@ class ReplayedClient(BaseBleakClient):
         self._listeners.pop(characteristic.uuid, None)
 
     async def _ask(self, what: What, at: str = "", data: bytes = b"") -> Event | None:
-        if self._deck is None or not self._connected:
+        if self._link is None or not self._connected:
             raise BleakError("Not connected")
-        event = await self._deck.ask(what, at, data)
+        event = await self._link.ask(what, at, data)
         if event is None or not event.error:
             return event
         kind, _, code = event.error.partition(":")

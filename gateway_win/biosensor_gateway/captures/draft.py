@@ -1,10 +1,9 @@
-"""A capture that nobody has agreed to yet: what it holds is shown, then it is saved or thrown away.
+"""A capture before consent: its contents are shown, then it is saved or discarded.
 
 The command line makes one with :func:`~biosensor_gateway.captures.recorder.take`. A page has a
-:class:`CaptureDesk`: it calls ``start``, shows ``progress`` as often as it likes, and once that is
-``READY`` shows ``draft.lines``, ``draft.problems`` and `CONSENT`, with ``draft.whole`` for whoever
-wants to see everything. Then it calls ``save`` or ``discard``. Nothing is written before, and
-nothing is ever sent.
+:class:`CaptureDesk`: it calls ``start`` and shows ``progress``. Once that is ``READY``, it shows
+``draft.lines``, ``draft.problems`` and `CONSENT`, and ``draft.whole`` on request. Then it calls
+``save`` or ``discard``. Nothing is written before, and nothing is ever sent.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 SECONDS = 60.0
-"""So long is listened, unless somebody wants it otherwise."""
+"""Default length of a capture."""
 CONSENT = (
     "An electrocardiogram, a pulse wave, an EEG and the way a person moves can identify this "
     "person, as a fingerprint can, without any name. The file will be public, for anybody and for "
@@ -37,20 +36,19 @@ CONSENT = (
 AGREED = "Whoever wore the device has agreed that it is public under CC0-1.0."
 HOW_TO_SEND = 'To send it, open an issue of the kind "A capture of a device" and attach the file.'
 MOST_NOTE = 300
-"""Characters of what somebody adds."""
+"""Longest note, in characters."""
 _SHOWN_BYTES = 24
 _SHOWN_CHARACTERS = 40
 _UNFIT = re.compile(r"[^A-Za-z0-9.]+")
 
 
 class Draft:
-    """A capture before its consent.
+    """A capture before consent.
 
     Parameters
     ----------
-    taken
     source
-        Where the bytes come from, if not from a real device.
+        Source of the bytes, if not a real device.
     """
 
     def __init__(self, taken: Taken, source: str = "") -> None:
@@ -58,12 +56,12 @@ class Draft:
 
     @property
     def problems(self) -> list[str]:
-        """What the driver found wrong with the device, one sentence each."""
+        """Problems of the device that the driver found, one sentence each."""
         return self._taken.test.problems
 
     @property
     def lines(self) -> list[str]:
-        """What would leave this computer, and what was replaced in it; some are indented."""
+        """Summary of the file and of what was replaced in it; some lines are indented."""
         return [*_contents(self._taken.capture), *_replaced(self._taken)]
 
     def whole(self) -> Iterator[str]:
@@ -73,19 +71,19 @@ class Draft:
             yield event.model_dump_json(exclude_defaults=True)
 
     def save(self, path: Path, note: str = "") -> Path:
-        """Write the file, with the consent in it; only for what somebody has agreed to.
+        """Write the file with the consent in it; to be called only after consent.
 
         Parameters
         ----------
         path
-            Of a file that is not there yet, or a folder that is.
+            A new file, or an existing folder.
         note
-            What whoever recorded it adds, without names; cut after `MOST_NOTE`.
+            Observations, without names; cut after `MOST_NOTE`.
 
         Raises
         ------
         ConfigError
-            ``EXISTS``: there is such a file; ``UNREADABLE``: it cannot be written.
+            ``EXISTS`` if the file exists; ``UNREADABLE`` if it cannot be written.
         """
         update = {"consent": AGREED, "note": note[:MOST_NOTE], "source": self._source}
         capture = self._taken.capture
@@ -105,7 +103,7 @@ class Draft:
 
 
 def file_name(capture: Capture) -> str:
-    """Return a name for the file that tells what it is of, and not whose."""
+    """Return a file name with the kind of device, and nothing about its owner."""
     header = capture.header
     parts = (header.sensor, header.model, header.firmware, token_hex(2))
     return "-".join(_UNFIT.sub("_", each) for each in parts if each) + ENDING
@@ -159,7 +157,7 @@ def _short(text: str) -> str:
 
 
 class Phase(StrEnum):
-    """How far a capture is."""
+    """Phases of a capture."""
 
     NONE = "none"
     CONNECTING = "connecting"
@@ -169,18 +167,18 @@ class Phase(StrEnum):
 
 
 class Progress(NamedTuple):
-    """What a page shows of a capture.
+    """Progress of a capture.
 
     Attributes
     ----------
     sensor
-        Whose; empty if there is none.
+        Name of the sensor; empty without a capture.
     elapsed_s, seconds
-        Since the device was connected, and how long it takes from then on.
+        Time since the device was connected, and total time from then on.
     packets
-        How many have come from the device.
+        Number of packets from the device.
     problem
-        Why it failed: a sentence.
+        Why the capture failed: a sentence.
     """
 
     phase: Phase = Phase.NONE
@@ -192,10 +190,9 @@ class Progress(NamedTuple):
 
 
 class CaptureDesk:
-    """One capture at a time: started, watched, shown, then saved or thrown away.
+    """Runs one capture at a time, in the background of an event loop.
 
-    Used in one event loop, which goes on meanwhile. The agent must not be connected to the device:
-    who calls sees to that, as for the test of a device.
+    The caller has to ensure that the agent is not connected to the device.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
@@ -204,11 +201,11 @@ class CaptureDesk:
         self._recorder = Recorder()
         self._begun = Progress()
         self.draft: Draft | None = None
-        """What was captured; None before `Phase.READY`."""
+        """The capture; None before `Phase.READY`."""
 
     @property
     def progress(self) -> Progress:
-        """How far it is now."""
+        """The current progress."""
         if self._begun.phase is not Phase.CONNECTING or self._recorder.opened_s is None:
             return self._begun
         elapsed_s = min(self._clock() - self._recorder.opened_s, self._begun.seconds)
@@ -217,17 +214,17 @@ class CaptureDesk:
         )
 
     def start(self, settings: DeviceSettings, seconds: float = SECONDS, source: str = "") -> None:
-        """Begin to capture a device; what was captured before is thrown away.
+        """Begin to capture a device; an earlier capture is discarded.
 
         Parameters
         ----------
         source
-            ``a virtual device``, if it is none that is real.
+            ``a virtual device`` if the device is not real.
 
         Raises
         ------
         ConfigError
-            ``IN_USE``: another one goes on.
+            ``IN_USE`` if a capture is running.
         """
         if self._task is not None and not self._task.done():
             message = "a device is being captured; wait for its end, or end it"
@@ -237,12 +234,12 @@ class CaptureDesk:
         self._task = asyncio.create_task(self._take(settings, seconds, source))
 
     async def ended(self) -> None:
-        """Wait until nothing is being captured any more."""
+        """Wait until no capture is running."""
         if self._task is not None:
             await asyncio.wait([self._task])
 
     async def discard(self) -> None:
-        """Throw away what was captured, also in the midst of it; without effect if nothing was."""
+        """End a running capture, and discard its data."""
         if self._task is not None:
             self._task.cancel()
             # nothing is dropped: who captured throws it away
@@ -251,12 +248,12 @@ class CaptureDesk:
         self.draft, self._begun = None, Progress()
 
     def save(self, path: Path, note: str = "") -> Path:
-        """Save what was shown, and be ready for another; see `Draft.save`.
+        """Save the capture; see `Draft.save`.
 
         Raises
         ------
         ConfigError
-            ``NOT_FOUND``: there is nothing to save; others as for `Draft.save`.
+            ``NOT_FOUND`` if there is nothing to save; others as for `Draft.save`.
         """
         if self.draft is None:
             message = "there is no capture to save; begin one"

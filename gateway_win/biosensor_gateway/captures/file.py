@@ -1,6 +1,6 @@
-"""The file of a capture: compressed lines of JSON, a header and then what passed.
+"""The file of a capture: compressed lines of JSON, a header and then events.
 
-Captures come from strangers. A file is read whole, up to `MAX_BYTES`, and each line is checked.
+Captures come from strangers, so that the size is limited to `MAX_BYTES` and each line is validated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from biosensor_gateway.transports.tap import CANCELLED, What
 ENDING = ".capture.gz"
 LICENCE = "CC0-1.0"
 MAX_BYTES = 256 * 2**20
-"""Unpacked: several hours of the busiest sensor."""
+"""Limit of the uncompressed size: several hours of the busiest sensor."""
 
 Text = Annotated[str, StringConstraints(max_length=500)]
 Hex = Annotated[str, StringConstraints(pattern=r"^(?:[0-9a-f]{2})*$", max_length=2**23)]
@@ -31,12 +31,12 @@ Uuid = Annotated[str, StringConstraints(pattern=r"^[0-9a-f-]{0,36}$")]
 Place = Annotated[
     str, StringConstraints(pattern=rf"^(?:[0-9a-f-]{{0,36}}|{ASKING}|{CONTROL}|{DATA})$")
 ]
-"""A characteristic, or which port of a device that is reached by several."""
+"""A characteristic, or a port of a device that has several."""
 _STRICT = ConfigDict(extra="forbid", frozen=True)
 
 
 class Advertised(BaseModel):
-    """What a Bluetooth LE device said of itself before it was connected."""
+    """The advertisement of a Bluetooth LE device."""
 
     model_config = _STRICT
 
@@ -48,7 +48,7 @@ class Advertised(BaseModel):
 
 
 class Row(BaseModel):
-    """One characteristic of its GATT table."""
+    """One characteristic of a GATT table."""
 
     model_config = _STRICT
 
@@ -58,14 +58,14 @@ class Row(BaseModel):
 
 
 class Event(BaseModel):
-    """Something that passed.
+    """One event on a link.
 
     Attributes
     ----------
     t
         Seconds since the first link was opened.
     link
-        Which connection, counted from 0.
+        Number of the connection, from 0.
     took
         How long an answer took [s].
     """
@@ -84,7 +84,7 @@ class Event(BaseModel):
 
     @property
     def bytes(self) -> bytes:
-        """Its data."""
+        """The data as bytes."""
         return bytes.fromhex(self.data)
 
     @property
@@ -102,26 +102,26 @@ class Arrivals(StrEnum):
 
 
 class Header(BaseModel):
-    """What a capture is of.
+    """Description of a capture.
 
     Attributes
     ----------
     settings
-        Of the device, where they are not the usual ones.
+        Settings of the device that differ from the defaults.
     left_out
-        Names of settings that are free texts: they may tell whose the device is, or where.
+        Names of settings with free text, which may identify the owner or the place.
     system, radio
         Of the computer that recorded it.
     recorded
         Year and month.
     seconds
-        From first to last.
+        From the first event to the last.
     failed
         How often a link could not be opened, by reason.
     source
-        Where bytes come from that another program recorded; empty for this one.
+        Source of the bytes if another program recorded them; empty for this one.
     note
-        What whoever recorded it adds.
+        Observations of the person who recorded it.
     """
 
     model_config = _STRICT
@@ -147,7 +147,7 @@ class Header(BaseModel):
 
 
 class Capture(BaseModel):
-    """A header, and what passed in the order of its times."""
+    """A header, and events in the order of their times."""
 
     model_config = _STRICT
 
@@ -182,7 +182,7 @@ def read(path: Path) -> Capture:
     Raises
     ------
     ConfigError
-        ``NOT_FOUND``; ``UNREADABLE``, if it is no capture or damaged.
+        ``NOT_FOUND``; ``UNREADABLE`` if the file is damaged or not a capture.
     """
     try:
         with gzip.open(path) as packed_file:

@@ -1,9 +1,9 @@
-"""Plays what passed over a device's links, in step with the driver that asks.
+"""Plays the captured links of a device, in step with the requests of a driver.
 
-What came from the device comes again at the same time after the connection as then, but not
-before the driver has asked for what it was asked for by then: an answer never comes before its
-question. A driver that asks in another way than the one that recorded gets what fits best, and
-what it asks besides is counted.
+The device's data are played at their captured times after the connection, but not before the driver
+has made the requests that preceded them in the capture: an answer never comes before its request. A
+driver whose requests differ from the captured ones gets the answers that fit best, and requests
+without an answer are counted.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from biosensor_gateway.transports.link import Received
 from biosensor_gateway.transports.tap import ASKED, What
 
 HOLD_S = 5.0
-"""So long the device waits for something that it was asked for then, and is not asked for now."""
+"""How long the player waits for a captured request that the driver does not make."""
 EARLY_S = 4.0
-"""So long an answer waits for its time; less than drivers wait for it."""
+"""How long an answer is delayed at most to its captured time; less than drivers wait for it."""
 OPEN_LIMIT_S = 15.0
 _BY_DRIVER = ASKED | {What.SENT}
 _FREE = frozenset({What.READ, What.UNSUBSCRIBED, What.PAIRED})
-"""Nothing that the device sends by itself depends on them."""
+"""Requests on which no data of the device depend."""
 
 
-class Asked:
-    """Something that the device was asked for then."""
+class CapturedRequest:
+    """A request in the capture."""
 
     def __init__(self, event: Event) -> None:
         self.event = event
@@ -43,27 +43,26 @@ class Asked:
         self.is_reached = asyncio.Event()
 
 
-class Deck:
-    """Plays one connection, from its making on.
+class LinkPlayer:
+    """Plays one connection, which begins when this is made.
 
     Parameters
     ----------
     events
-        Its own, the first one its opening.
-    clock
+        Events of the connection; the first is its opening.
     shift_s
-        From the capture's time to the clock's.
+        Offset from the capture's time to the clock.
     deliver
-        Gets what comes from the device, and the loss of the link.
+        Called with the device's data, and with the loss of the link.
 
     Attributes
     ----------
     shift_s
-        It has grown by what the driver took longer than then.
+        Grows while the driver is slower than the captured one.
     unknown
-        How often it was asked for what it was not asked for then, by kind and characteristic.
+        Number of requests that are not in the capture, by kind and characteristic.
     unasked
-        How often it was not asked for what it was asked for then.
+        Number of captured requests that the driver did not make, by the same.
     """
 
     def __init__(
@@ -77,23 +76,23 @@ class Deck:
         self.shift_s = shift_s
         self.unknown: Counter[tuple[str, str]] = Counter()
         self.unasked: Counter[tuple[str, str]] = Counter()
-        self._items: list[Event | Asked] = []
-        # A driver that does without keeping the device awake is waited for once, not each time.
+        self._items: list[Event | CapturedRequest] = []
+        # A repeated request that the driver does not make, such as a keep-alive, delays only once.
         self._given_up: set[tuple[What, str, str]] = set()
         for event in events:
             if event.what in _BY_DRIVER and not event.is_cancelled:
-                self._items.append(Asked(event))
+                self._items.append(CapturedRequest(event))
             elif event.what in (What.CAME, What.LOST):
                 self._items.append(event)
-        self._open = [each for each in self._items if isinstance(each, Asked)]
-        # Requests of JSON-RPC, by their numbers then.
+        self._open = [each for each in self._items if isinstance(each, CapturedRequest)]
+        # Numbers of the driver's JSON-RPC requests, by the captured numbers.
         self._numbers: dict[object, object] = {}
         self._news = asyncio.Event()
         self.is_over = asyncio.Event()
         self._playing = in_background(self._play())
 
     async def ask(self, what: What, at: str = "", data: bytes = b"") -> Event | None:
-        """Do what a driver asks for; return how it went then, None if it was not asked then."""
+        """Answer a driver's request with the captured event; None if there is none."""
         asked = self._take(what, at, data)
         if asked is None:
             return None  # nothing is dropped: it is counted in `unknown`
@@ -104,21 +103,21 @@ class Deck:
         await asyncio.sleep(asked.event.took)
         return asked.event
 
-    def tell(self, data: bytes, at: str = "") -> None:
-        """Take what a driver sends without waiting."""
+    def send(self, data: bytes, at: str = "") -> None:
+        """Take data that a driver sends without waiting for an answer."""
         self._take(What.SENT, at, data)
 
     def stop(self) -> None:
-        """Play no more."""
+        """Stop playing."""
         self._playing.cancel()
         self.is_over.set()
 
-    def _take(self, what: What, at: str, data: bytes) -> Asked | None:
+    def _take(self, what: What, at: str, data: bytes) -> CapturedRequest | None:
         fitting = [each for each in self._open if (each.event.what, each.event.at) == (what, at)]
         exact = [each for each in fitting if what is What.READ or each.event.bytes == data]
         request = parsed(data) if what is What.SENT else {}
         if "method" in request:
-            # By its number alone it is another one each time; none answers another's question.
+            # Compared by method, because the number in a request differs each time.
             fitting = [
                 each
                 for each in fitting
@@ -126,7 +125,7 @@ class Deck:
             ]
         found = next(iter(exact or fitting), None)
         if found is None:
-            # What is asked behind the end, nobody can have asked then.
+            # Requests after the end of the capture cannot be in it, and are not counted.
             self.unknown[what.value, at] += not self.is_over.is_set()
             return None  # nothing is dropped: it is counted in `unknown`
         self._open.remove(found)
@@ -138,9 +137,9 @@ class Deck:
 
     async def _play(self) -> None:
         for item in self._items:
-            event = item.event if isinstance(item, Asked) else item
+            event = item.event if isinstance(item, CapturedRequest) else item
             await asyncio.sleep(max(0.0, event.t + self.shift_s - self._clock()))
-            if isinstance(item, Asked):
+            if isinstance(item, CapturedRequest):
                 await self._hold(item)
                 item.is_reached.set()
             else:
@@ -148,7 +147,7 @@ class Deck:
         self.is_over.set()
 
     def _answering(self, event: Event) -> Event:
-        """Give an answer the number of the request that was made now."""
+        """Replace the captured number in an answer by that of the driver's request."""
         if not self._numbers or not event.bytes.startswith(b"{"):
             return event
         message = parsed(event.bytes)
@@ -158,8 +157,8 @@ class Deck:
         data = json.dumps(message | {"id": self._numbers[number]}).encode()
         return event.model_copy(update={"data": data.hex()})
 
-    async def _hold(self, asked: Asked) -> None:
-        """Stop until it is asked for; not for what nothing depends on, nor if others are."""
+    async def _hold(self, asked: CapturedRequest) -> None:
+        """Wait for a request on which data depend, unless the driver makes later ones first."""
         if asked.is_asked or not self._holds(asked):
             return  # nothing is dropped: nothing waits for it
         begun_s = self._clock()
@@ -173,18 +172,20 @@ class Deck:
             self._given_up.add(asked.key)
             self.unasked[asked.event.what.value, asked.event.at] += 1
 
-    def _holds(self, asked: Asked) -> bool:
+    def _holds(self, asked: CapturedRequest) -> bool:
         return asked.event.what not in _FREE and asked.key not in self._given_up
 
-    def _is_passed_over(self, asked: Asked) -> bool:
-        """Whether the driver waits for something else that comes later."""
+    def _is_passed_over(self, asked: CapturedRequest) -> bool:
+        """Whether the driver has made a request that comes later in the capture."""
         behind = self._items[self._items.index(asked) + 1 :]
-        questions = [each for each in behind if isinstance(each, Asked) and self._holds(each)]
+        questions = [
+            each for each in behind if isinstance(each, CapturedRequest) and self._holds(each)
+        ]
         return any(each.is_asked for each in questions)
 
 
 def parsed(data: bytes) -> dict[str, Any]:
-    """Return a message of JSON-RPC, empty if it is something else."""
+    """Return a JSON-RPC message; empty if the data are something else."""
     try:
         message: object = json.loads(data)
     except (ValueError, RecursionError):  # nothing is dropped: it is no message of JSON-RPC
@@ -198,79 +199,79 @@ def _number(message: dict[str, Any]) -> object:
 
 
 class Player:
-    """The connections of a capture, one after the other.
+    """Plays the connections of a capture, one after the other.
 
     Attributes
     ----------
-    decks
-        Those that were opened.
+    links
+        The connections that were opened.
     unheard
-        How much came that the driver had not subscribed to.
+        Number of packets to which the driver had not subscribed.
     """
 
     def __init__(self, capture: Capture, clock: Clock) -> None:
-        self._links = capture.of_links()
+        self._captured = capture.of_links()
         self._clock = clock
-        self.decks: list[Deck] = []
+        self.links: list[LinkPlayer] = []
         self._is_opened = asyncio.Event()
         self.unheard = 0
 
     @property
     def next_opening(self) -> Event:
-        """The next connection's, of the last one where there is no other."""
-        return self._links[min(len(self.decks), len(self._links) - 1)][0]
+        """Opening of the next connection, or of the last one if there is no next."""
+        return self._captured[min(len(self.links), len(self._captured) - 1)][0]
 
     @property
     def rest_s(self) -> float:
-        """How long it takes until the next connection can be made [s]; inf after the last one."""
-        number = len(self.decks)
-        if number >= len(self._links):
+        """Time until the next connection can be made [s]; inf after the last one."""
+        number = len(self.links)
+        if number >= len(self._captured):
             return math.inf
         if not number:
             return 0.0
-        due_s = self._links[number][0].t + self.decks[-1].shift_s
-        return max(0.0, due_s - self._clock())
+        opening_s = self._captured[number][0].t + self.links[-1].shift_s
+        return max(0.0, opening_s - self._clock())
 
-    async def open(self, deliver: Callable[[Event], None]) -> Deck:
-        """Make the next connection, when its time has come.
+    async def open(self, deliver: Callable[[Event], None]) -> LinkPlayer:
+        """Make the next connection, at its captured time.
 
         Raises
         ------
         TransportError
-            ``ABSENT``: that takes too long, or there is none.
+            ``ABSENT`` if that takes too long, or there is no next connection.
         """
         if self.rest_s > OPEN_LIMIT_S:
             message = "the device of the capture is not there now"
             raise TransportError(TransportReason.ABSENT, message)
         await asyncio.sleep(self.rest_s)
-        events = self._links[len(self.decks)]
+        events = self._captured[len(self.links)]
         shift_s = self._clock() - events[0].t
-        self.decks.append(Deck(events, self._clock, shift_s, deliver))
+        self.links.append(LinkPlayer(events, self._clock, shift_s, deliver))
         self._is_opened.set()
-        return self.decks[-1]
+        return self.links[-1]
 
     async def played(self) -> None:
         """Wait until the last connection has been played."""
-        while len(self.decks) < len(self._links):
+        while len(self.links) < len(self._captured):
             self._is_opened.clear()
             await self._is_opened.wait()
-        await self.decks[-1].is_over.wait()
+        await self.links[-1].is_over.wait()
 
 
 class ReplayedLink:
-    """A :class:`~biosensor_gateway.transports.link.ByteLink` that a capture is played on."""
+    """A :class:`~biosensor_gateway.transports.link.ByteLink` that plays a capture."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
-        self._deck: Deck | None = None
+        self._link: LinkPlayer | None = None
         self._came: asyncio.Queue[Received | None] = asyncio.Queue()
 
     async def open(self) -> None:
         """Make the next connection of the capture."""
-        self._deck = await self._player.open(self._deliver)
+        self._link = await self._player.open(self._deliver)
 
     async def read(self) -> Received:
-        """Wait for the next bytes; raise ``LOST`` where the link was lost then."""
+        """Wait for the next bytes; raises ``LOST`` where the captured link was lost."""
         received = await self._came.get()
         if received is None:
             self._came.put_nowait(None)
@@ -280,13 +281,13 @@ class ReplayedLink:
 
     def write(self, data: bytes) -> None:
         """Send without waiting."""
-        if self._deck is not None:
-            self._deck.tell(data)
+        if self._link is not None:
+            self._link.send(data)
 
     async def close(self) -> None:
         """End the connection."""
-        if self._deck is not None:
-            self._deck.stop()
+        if self._link is not None:
+            self._link.stop()
 
     def _deliver(self, event: Event) -> None:
         is_loss = event.what is What.LOST

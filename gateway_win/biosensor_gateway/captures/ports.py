@@ -1,4 +1,4 @@
-"""The ports of a device that is asked for and then connects by itself, played from a capture."""
+"""Plays a capture of a device that is discovered by UDP and then connects to this computer."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 
 from biosensor_gateway.captures.file import Event
-from biosensor_gateway.captures.player import Deck, Player
+from biosensor_gateway.captures.player import LinkPlayer, Player
 from biosensor_gateway.system.clock import Clock
 from biosensor_gateway.transports.ports import ASKING, CONTROL, DATA
 from biosensor_gateway.transports.receiving import Address
@@ -14,19 +14,13 @@ from biosensor_gateway.transports.tap import What
 from biosensor_gateway.transports.udp_port import Take
 
 _DEVICE: Address = ("192.0.2.1", 3131)
-"""Of the addresses that are kept free for documents; nobody is there."""
+"""An address reserved for documentation, which no host has."""
 _HERE = "192.0.2.2"
 _ACCEPTING_NUMBER, _DATA_NUMBER = 3132, 3133
 
 
 class ReplayedPorts:
-    """A :class:`~biosensor_gateway.transports.ports.Ports` that a capture is played on.
-
-    Parameters
-    ----------
-    player
-    clock
-    """
+    """A :class:`~biosensor_gateway.transports.ports.Ports` that plays a capture."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
@@ -46,15 +40,15 @@ class ReplayedPorts:
         return _HERE
 
     async def accepting(self, made: Callable[[], asyncio.Protocol], here: str) -> _Accepting:
-        """Let the device connect when it did."""
+        """Let the device connect at its captured time."""
         del here
         self._made = made
         return _Accepting()
 
     def data(self, here: str) -> _DataPort:
-        """Let data come when they did."""
+        """Return a port that receives data at their captured times."""
         del here
-        return _DataPort(self._player.decks[-1], self._listen)
+        return _DataPort(self._player.links[-1], self._listen)
 
     def _listen(self, take: Take) -> None:
         self._take = take
@@ -65,7 +59,7 @@ class ReplayedPorts:
                 self._controlled.connection_lost(None)
         elif event.at == CONTROL and self._made is not None:
             self._controlled = self._made()
-            self._controlled.connection_made(_Control(self._player.decks[-1]))
+            self._controlled.connection_made(_Control(self._player.links[-1]))
         elif event.at == DATA and self._take is not None:
             self._take(event.bytes, self._clock(), _DEVICE)
         elif event.at == ASKING and self._answered is not None:
@@ -75,34 +69,34 @@ class ReplayedPorts:
 
 
 class _Asking:
-    def __init__(self, deck: Deck) -> None:
-        self._deck = deck
+    def __init__(self, link: LinkPlayer) -> None:
+        self._link = link
 
     def sendto(self, data: bytes, addr: Address) -> None:
         del addr
-        self._deck.tell(data, ASKING)
+        self._link.send(data, ASKING)
 
     def close(self) -> None:
-        self._deck.stop()
+        self._link.stop()
 
 
 class _Accepting:
     number = _ACCEPTING_NUMBER
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
 
 class _Control(asyncio.Transport):
-    """The connection that the device has made."""
+    """The connection from the device."""
 
-    def __init__(self, deck: Deck) -> None:
+    def __init__(self, link: LinkPlayer) -> None:
         super().__init__({"peername": _DEVICE})
-        self._deck = deck
+        self._link = link
         self._is_closing = False
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        self._deck.tell(bytes(data), CONTROL)
+        self._link.send(bytes(data), CONTROL)
 
     def is_closing(self) -> bool:
         return self._is_closing
@@ -114,16 +108,16 @@ class _Control(asyncio.Transport):
 class _DataPort:
     number = _DATA_NUMBER
 
-    def __init__(self, deck: Deck, listen: Callable[[Take], None]) -> None:
-        self._deck, self._listen = deck, listen
+    def __init__(self, link: LinkPlayer, listen: Callable[[Take], None]) -> None:
+        self._link, self._listen = link, listen
 
     def send(self, data: bytes, to: Address) -> None:
         del to
-        self._deck.tell(data, DATA)
+        self._link.send(data, DATA)
 
     def listen(self, take: Take, lost: Callable[[OSError], object]) -> None:
         del lost
         self._listen(take)
 
     def end(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""

@@ -1,4 +1,4 @@
-"""Captures a device: runs its driver for a while, and keeps what passes over its links."""
+"""Captures a device: runs its driver for a while, and records the events on its links."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _OF_THE_LAB = frozenset(DeviceSettings.model_fields)
 
 
 class Recorder:
-    """A :class:`~biosensor_gateway.transports.tap.Tap` that keeps all it is told.
+    """A :class:`~biosensor_gateway.transports.tap.Tap` that records all events.
 
     Attributes
     ----------
     failed
         How often a link could not be opened, by reason.
     came
-        How many packets have come from the device.
+        Number of packets from the device.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
@@ -47,30 +47,30 @@ class Recorder:
 
     @property
     def opened_s(self) -> float | None:
-        """When the first link was opened [s]; None before."""
+        """Time at which the first link was opened [s]; None before."""
         return self._opened[0][0] if self._opened else None
 
     def end(self) -> None:
-        """Take nothing more: how the driver takes its leave is not what the device sends."""
+        """Stop recording, before the driver's closing messages."""
         self._has_ended = True
 
     def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> int:
-        """Take a new link; return its number."""
+        """Record a new link; return its number."""
         self._opened.append((self._clock(), seen, table))
         return len(self._opened) - 1
 
     def failed_to_open(self, reason: str) -> None:
-        """Take an attempt that did not succeed."""
+        """Count a failed attempt to open a link."""
         self.failed[reason] += 1
 
     def passed(self, link: int, what: Passed) -> None:
-        """Take what passes over a link; an answer is filled in when it has come."""
+        """Record an event on a link; an answer is filled in later."""
         if not self._has_ended:
             self._passed.append((link, what))
             self.came += what.what is What.CAME
 
     def events(self) -> list[Event]:
-        """Return all of it, in the order of its times."""
+        """Return all events in the order of their times."""
         if not self._opened:
             return []  # nothing is dropped: nothing was opened
         times = [*(each[0] for each in self._opened), *(each.begun_s for _, each in self._passed)]
@@ -78,7 +78,7 @@ class Recorder:
         events: list[Event] = []
         for number, (opened_s, seen, table) in enumerate(self._opened):
             own = [each for link, each in self._passed if link == number]
-            # What is read by a thread may be there before the event loop knows of the link.
+            # A thread may read data before the event loop is notified of the link.
             first_s = min([opened_s, *(each.begun_s for each in own)])
             events.append(_opening(number, first_s - begin_s, seen, table))
             events += [_event(number, each, begin_s) for each in own]
@@ -122,16 +122,16 @@ def _event(link: int, passed: Passed, begin_s: float) -> Event:
 
 
 class Taken(NamedTuple):
-    """A capture that nobody has agreed to yet.
+    """A capture before consent.
 
     Attributes
     ----------
     capture
-        What would leave this computer.
+        Contents of the file.
     replaced
         What was replaced in it.
     test
-        What the driver made of the device.
+        Outcome of the driver's test of the device.
     """
 
     capture: Capture
@@ -140,17 +140,17 @@ class Taken(NamedTuple):
 
 
 async def take(settings: DeviceSettings, seconds: float, recorder: Recorder | None = None) -> Taken:
-    """Connect to a device and capture what passes for so long.
+    """Connect to a device and capture it for *seconds*.
 
     Parameters
     ----------
     recorder
-        A new one that keeps what passes, for who wants to see how far it is.
+        A new recorder, for callers that show the progress.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``: the device is not reached over a link that can be captured.
+        ``WRONG_VALUE`` if the device has no link that can be captured.
     TransportError, ProtocolError
         As for :func:`~biosensor_gateway.doctor.device_test.run_device_test`.
     """
@@ -161,12 +161,12 @@ async def take(settings: DeviceSettings, seconds: float, recorder: Recorder | No
 
 
 def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Taken:
-    """Join what was captured, without what tells whose device it is.
+    """Make a capture of recorded events, without what identifies the owner of the device.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``: nothing passed over any link.
+        ``WRONG_VALUE`` if there are no events, or something that was to be replaced is left.
     """
     events = recorder.events()
     if not events:
@@ -178,7 +178,7 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         entry.identifiers,
     )
     secrets = [*filter(None, map(_known, entry.secrets))]
-    told = redaction.of(events, [info.serial_number, *_addresses(settings)], secrets)
+    redacted = redaction.of(events, [info.serial_number, *_addresses(settings)], secrets)
     kept, left_out = _own_settings(settings, entry.forms)
     header = Header(
         sensor=settings.sensor,
@@ -191,12 +191,12 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         radio=_radio(),
         gateway=version("biosensor-gateway"),
         recorded=time.strftime("%Y-%m"),
-        seconds=round(max(each.t + each.took for each in told), 1),
+        seconds=round(max(each.t + each.took for each in redacted), 1),
         failed=dict(recorder.failed),
     )
-    capture = Capture(header=header, events=tuple(told))
-    if left := redaction.left_in(told, _texts(header)):
-        # By what was replaced alone it cannot be; so nobody is shown a file with it.
+    capture = Capture(header=header, events=tuple(redacted))
+    if left := redaction.left_in(redacted, _texts(header)):
+        # A safeguard: this would be a defect of the redaction, and the file must not be shown.
         kinds = ", ".join(sorted({each.kind for each in left}))
         message = f"nothing could be captured: what tells whose device it is stayed in it ({kinds})"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
@@ -204,13 +204,13 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
 
 
 def _texts(header: Header) -> str:
-    """Return what in a header comes from device or settings."""
+    """Return the texts of a header that come from the device or the settings."""
     own = (header.manufacturer, header.model, header.firmware, json.dumps(header.settings))
     return "\n".join(own)
 
 
 def _known(name: SecretName) -> str:
-    """Return a secret that the driver may have used; empty if there is none."""
+    """Return a secret that the driver may have used; empty if it is not stored."""
     try:
         return find_secret(name).reveal()
     except CredentialError:
@@ -233,7 +233,7 @@ def _nothing(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> 
 
 
 def _addresses(settings: DeviceSettings) -> list[str]:
-    """Return the settings that are addresses; Bluetooth Classic has them as ports."""
+    """Return the settings that are addresses, as the port is for Bluetooth Classic."""
     texts = [each for each in dict(settings).values() if isinstance(each, str)]
     return [each for each in texts if is_address(each)]
 
@@ -241,9 +241,9 @@ def _addresses(settings: DeviceSettings) -> list[str]:
 def _own_settings(
     settings: DeviceSettings, forms: frozenset[str]
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return numbers, lists, choices and forms, and the names of all else that was set.
+    """Return settings that are numbers, lists, choices or forms, and the names of the others.
 
-    Other texts may say whose the device is, or where.
+    The others are free texts, which may identify the owner or the place.
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []
@@ -261,11 +261,11 @@ def _own_settings(
 
 
 def _system() -> str:
-    """Return system, version and processor; not the name of the computer."""
+    """Return system, version and processor, without the name of the computer."""
     return f"{platform.system()} {platform.release()} ({platform.version()}), {platform.machine()}"
 
 
 def _radio() -> str:
-    """Return by what Bluetooth is spoken, as far as that can be told without rights."""
+    """Return the Bluetooth stack, as far as it is known without administrator rights."""
     stacks = {"win32": "WinRT", "darwin": "CoreBluetooth", "linux": "BlueZ"}
     return f"{stacks.get(sys.platform, sys.platform)}, bleak {version('bleak')}"

@@ -1,8 +1,8 @@
-"""Replaces, in what passed, all that tells whose device it is: addresses, serial numbers, names.
+"""Replaces in captured events what identifies the owner: addresses, serial numbers, names.
 
-A pseudonym has the shape of what it replaces, so that drivers read it alike, and its bytes have
-the same sum: checksums that add bytes hold on, and tell no more than before. The same secret has
-the same pseudonym in all of a capture, and another one in the next.
+A pseudonym has the format of what it replaces, so that drivers parse it alike. Its bytes have the
+same sum, so that additive checksums stay valid and reveal nothing new. The same secret has the same
+pseudonym throughout a capture, and another one in the next capture.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import What
 
 LEAST_SEARCHED = 4
-"""Shorter ones would be found where they are not: in samples."""
+"""Length of the shortest text that is searched for; shorter ones would match samples by chance."""
 _HEADERS = 4
-"""A text that goes on in the next packet stands behind at most so many bytes less one there."""
+"""Number of header lengths, from 0, that are tried for texts that continue in the next packet."""
 _TRIES = 20_000
 _LEAST_SUMMED = 6
 _ADDRESS_BYTES = 6
@@ -57,15 +57,15 @@ class Replaced(NamedTuple):
 
 
 class Redaction:
-    """All that is replaced in one capture.
+    """Replaces identifiers in one capture.
 
     Parameters
     ----------
     recognises
-        Tells whether an advertisement would still be taken for such a device: what it needs for
-        that stays as it is.
+        Whether an advertisement would still be recognized as such a device; what that needs is
+        not replaced.
     patterns
-        Where payloads of this sensor have identifiers: the first group of each.
+        Match identifiers in payloads of this sensor, as the first group of each.
     """
 
     def __init__(
@@ -87,25 +87,25 @@ class Redaction:
     def of(
         self, events: Sequence[Event], known: Iterable[str], secrets: Iterable[str] = ()
     ) -> list[Event]:
-        """Return the events of a capture without what tells whose device it is.
+        """Return events with pseudonyms instead of identifiers.
 
         Parameters
         ----------
         known
-            Serial numbers and addresses that the driver was told or has learnt.
+            Serial numbers and addresses from the settings or from the driver.
         secrets
-            What it was told to sign in with.
+            Secrets of the driver's service.
         """
         for secret in secrets:
             self._pseudonym("secret", secret)
         for secret in filter(None, map(self._own_part, known)):
             self._pseudonym("address" if is_address(secret) else "serial number", secret)
-        told = [self._told(event) for event in events]
+        redacted = [self._known_places(event) for event in events]
         by_stream: dict[tuple[int, str, What], list[int]] = {}
-        for index, event in enumerate(told):
+        for index, event in enumerate(redacted):
             by_stream.setdefault((event.link, event.at, event.what), []).append(index)
         payloads = {
-            key: [bytearray(told[index].bytes) for index in indices]
+            key: [bytearray(redacted[index].bytes) for index in indices]
             for key, indices in by_stream.items()
         }
         for each in payloads.values():
@@ -114,11 +114,11 @@ class Redaction:
             self._replace(each)
         for key, indices in by_stream.items():
             for index, payload in zip(indices, payloads[key], strict=True):
-                told[index] = told[index].model_copy(update={"data": payload.hex()})
-        return told
+                redacted[index] = redacted[index].model_copy(update={"data": payload.hex()})
+        return redacted
 
     def left_in(self, events: Sequence[Event], text: str) -> list[Replaced]:
-        """Return what was to be replaced and is still there, in events or in a text."""
+        """Return what should have been replaced and is still in the events or in a text."""
         by_stream: dict[tuple[int, str, What], list[bytes]] = {}
         for event in events:
             by_stream.setdefault((event.link, event.at, event.what), []).append(event.bytes)
@@ -137,14 +137,14 @@ class Redaction:
         ]
 
     def text(self, text: str) -> str:
-        """Return a text with the pseudonyms of all that is known by now."""
+        """Return a text with pseudonyms for everything that is known so far."""
         for secret in sorted(self._pseudonyms, key=len, reverse=True):
             if len(secret) >= LEAST_SEARCHED:
                 text = text.replace(secret, self._pseudonyms[secret][1])
         return text
 
-    def _told(self, event: Event) -> Event:
-        """Replace what a link said of itself, and learn from what has a standard place."""
+    def _known_places(self, event: Event) -> Event:
+        """Replace advertisements and standard characteristics, and learn their identifiers."""
         if event.seen is not None:
             return event.model_copy(update={"seen": self._advertised(event.seen)})
         if event.what is not What.READ or event.at not in (_NAME, _SYSTEM_ID, _SERIAL):
@@ -176,7 +176,7 @@ class Redaction:
         return seen.model_copy(update=update)
 
     def _name(self, name: str, seen: Advertisement) -> str:
-        """Replace each word of a name without which the device is still recognised."""
+        """Replace each word of a name that is not needed to recognize the device."""
         is_known = self._recognises(seen)
         kept = set(_WORD.findall(seen.name if is_known else ""))
         for word in sorted(set(_WORD.findall(name)), key=len, reverse=True):
@@ -192,7 +192,7 @@ class Redaction:
         return name
 
     def _own_part(self, secret: str) -> str:
-        """Return the part of a serial number that is no model's, where a pattern knows it."""
+        """Return a serial number without its model-specific part, if a pattern knows it."""
         for pattern in self._patterns:
             found = pattern.fullmatch(secret.encode())
             if found is not None and found.re.groups:
@@ -202,22 +202,22 @@ class Redaction:
     def _pseudonym(self, kind: str, secret: str) -> str:
         known = self._pseudonyms.get(secret)
         if known is None:
-            # The first character of a serial number often tells the model, and drivers ask it.
+            # The first character of a serial number often identifies the model for drivers.
             kept = secret[:1] if kind in ("serial number", "identifier") else ""
             known = self._pseudonyms[secret] = kind, _like(secret, kept)
         return known[1]
 
     def _learn(self, payloads: Sequence[bytearray]) -> None:
-        """Find what the patterns say, also where it goes on in the next packet."""
+        """Find identifiers by the patterns, also those that continue in the next packet."""
         for header in range(_HEADERS):
             text = b"".join(payload[header:] for payload in payloads)
             for pattern in self._patterns:
                 for found in pattern.finditer(text):
                     secret = _spelt(found[found.re.groups and 1])
                     kind = "secret" if "secret" in pattern.groupindex else "identifier"
-                    # One that is nothing but zeros tells nothing.
-                    is_told = len(set(_bare(secret))) > 1
-                    if is_told and _bare(secret) not in map(_bare, self._pseudonyms):
+                    # An identifier of equal characters, such as zeros, identifies nothing.
+                    identifies = len(set(_bare(secret))) > 1
+                    if identifies and _bare(secret) not in map(_bare, self._pseudonyms):
                         self._pseudonym(kind, secret)
 
     def _replace(self, payloads: Sequence[bytearray]) -> None:
@@ -248,9 +248,9 @@ def _advertisement(seen: Advertised) -> Advertisement:
 
 
 def _spelt(found: bytes) -> str:
-    """Return an identifier as text, also an address in six bytes; empty if it is neither.
+    """Return an identifier as text, or an address of six bytes; empty if it is neither.
 
-    With the header of a packet in its middle it is not whole; it is found without.
+    One with a packet's header in the middle is neither, and is found with another header length.
     """
     text = found.decode("ascii", "replace")
     if text.isprintable() and "\ufffd" not in text:
@@ -263,7 +263,7 @@ def _with_word(name: str, word: str, other: str) -> str:
 
 
 def _forms(secret: str, pseudonym: str) -> Iterator[tuple[bytes, bytes]]:
-    """Yield how a secret may stand in payloads, each with what stands for it."""
+    """Yield the encodings of a secret in payloads, each with that of its pseudonym."""
     if len(secret) < LEAST_SEARCHED:
         # nothing is dropped: a word so short is replaced where it is told
         return
@@ -299,12 +299,12 @@ def _positions(text: bytes, wanted: bytes) -> Iterator[int]:
 
 
 def _like(secret: str, kept: str = "") -> str:
-    """Make up a text of the same shape, whose bytes have the same sum if that can be.
+    """Return a random text of the same format, and with the same sum of bytes if possible.
 
     Parameters
     ----------
     kept
-        How it begins, too.
+        Beginning that is not changed.
     """
     words = "".join(_WORD.findall(secret))
     is_hex = set(words) <= _HEX and any(map(str.isdigit, words))
@@ -316,7 +316,7 @@ def _like(secret: str, kept: str = "") -> str:
             candidate = kept + _address_like(secret)[len(kept) :]
         else:
             candidate = kept + "".join(_drawn(each, classes) for each in rest)
-        # Of a short one the sum tells too much.
+        # The sum of a short text would reveal too much.
         is_alike = len(secret) < _LEAST_SUMMED or _sums(candidate) == _sums(secret)
         if candidate != secret and is_alike:
             return candidate
@@ -324,7 +324,7 @@ def _like(secret: str, kept: str = "") -> str:
 
 
 def _address_like(address: str) -> str:
-    """Make up an address whose six bytes have the same sum, spelt alike."""
+    """Return a random address of the same format, whose six bytes have the same sum."""
     octets = secrets.token_bytes(5)
     last = (sum(bytes.fromhex(_bare(address))) - sum(octets)) % 256
     digits = iter((octets + bytes([last])).hex().upper())
@@ -335,13 +335,13 @@ def _address_like(address: str) -> str:
 def _drawn(letter: str, classes: Sequence[str]) -> str:
     letters = next((each for each in classes if letter in each), "")
     if not letters and letter.isalpha():
-        # Of another script: what is short in bytes must stay so long.
+        # A letter of another script is replaced by one with as many bytes.
         return letter if len(letter.encode()) == 1 else chr(ord(letter) ^ 1)
     return secrets.choice(letters) if letters else letter
 
 
 def _sums(text: str) -> tuple[int, ...]:
-    """Sum the bytes of a text and, of an address, of what it means, by 256."""
+    """Return the sums, modulo 256, of a text's bytes and of the bytes that an address means."""
     sums = [sum(text.encode()) % 256]
     if is_address(text):
         sums.append(sum(bytes.fromhex(_bare(text))) % 256)

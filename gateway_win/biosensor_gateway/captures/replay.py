@@ -1,4 +1,4 @@
-"""Runs a capture through the driver of its sensor, and reports what became of it."""
+"""Runs a capture through the driver of its sensor, and reports the outcome."""
 
 from __future__ import annotations
 
@@ -35,29 +35,29 @@ from biosensor_gateway.system.clock import LSL_CLOCK, Clock, LeapingClock
 from biosensor_gateway.transports.tap import Replacement, What, replaced
 
 SETTLING_S = 0.5
-"""After the last byte: what is still in work is emitted."""
+"""Time after the last byte, in which the driver emits its last samples."""
 BEGIN_S = 1000.0
-"""Of the clock that leaps; device times map to stamps before it, and none may be negative."""
+"""Start of the virtual clock, so that stamps before it are not negative."""
 GIVE_UP_S = 60.0
 """A driver that does not open the next connection within this time has given up."""
 UNIT = "replayed"
 URL = "ws://replayed:1"
 _PLACES = frozenset({"device", "headset", "port", "host", "url", "ca_file"})
-"""Settings that lead to a device; here it is that of the capture."""
+"""Settings with the place of a device, which a capture does not need."""
 _FILLED = {"port": UNIT, "host": UNIT, "url": URL}
-"""What those are here without which no link would be made, or everybody asked."""
+"""Values for places without which a driver would make no link, or would search."""
 
 
 @dataclass(slots=True)
 class StreamReport:
-    """What became of one stream.
+    """Outcome of one stream.
 
     Attributes
     ----------
     lost, refused
-        Counted as lost by the device's numbers; kept back, and why.
+        Samples lost by the device's counters, and samples that were refused.
     ages_s
-        From the stamp of the last sample of each packet to its arrival [s].
+        Time from the stamp of each packet's last sample to its arrival [s].
     """
 
     samples: int = 0
@@ -67,12 +67,12 @@ class StreamReport:
 
     @property
     def least_s(self) -> float | None:
-        """Smallest age; negative where a stamp is later than the arrival."""
+        """Smallest age; negative if a stamp is later than the arrival."""
         return min(self.ages_s, default=None)
 
     @property
     def median_s(self) -> float | None:
-        """Age in the middle."""
+        """Median age."""
         return median(self.ages_s) if self.ages_s else None
 
     @property
@@ -83,20 +83,20 @@ class StreamReport:
 
 @dataclass(slots=True)
 class Report:
-    """What became of a capture.
+    """Outcome of the replay of a capture.
 
     Attributes
     ----------
     streams
-        By data name, those with samples or losses.
+        Streams with samples or losses, by data name.
     dropped_bytes
-        That made no valid message.
+        Bytes that were not part of a valid message.
     sentences
-        What was not passed on as it came, in the words of the agent.
+        What was not passed on unchanged, in the agent's words.
     problems
-        What keeps the replay from being like the recording; empty if all is well.
+        Why the replay differs from the capture; empty if it does not.
     notes
-        What is worth knowing and is no problem.
+        Other information.
     """
 
     info: DeviceInfo | None = None
@@ -111,21 +111,21 @@ class Report:
 
 
 class _Nowhere:
-    """Takes what LSL's outlet takes, and sends it nowhere."""
+    """An LSL outlet that discards samples."""
 
     def push_sample(self, x: Sequence[str], timestamp: float = 0.0) -> None:
-        """Take a text."""
+        """Discard a text."""
 
     def push_chunk(self, x: NDArray[Any], timestamp: list[float]) -> None:
-        """Take samples."""
+        """Discard samples."""
 
     def have_consumers(self) -> bool:
-        """Let nothing wait for a receiver."""
+        """Return True, so that nothing waits for a receiver."""
         return True
 
 
 class UnsentOutlet(Outlet):
-    """Checks and counts as an outlet does, and sends nothing."""
+    """Checks and counts samples as an outlet does, and sends nothing."""
 
     def _made(self, info: pylsl.StreamInfo) -> _Nowhere:
         del info
@@ -133,12 +133,12 @@ class UnsentOutlet(Outlet):
 
 
 class ReplaySink(DeviceSink):
-    """Takes what a driver emits, and compares stamps with arrivals.
+    """Takes a driver's samples, and compares stamps with arrivals.
 
     Parameters
     ----------
     kind
-        Of the outlets; those of LSL are for a live replay.
+        Class of the outlets; `Outlet` for a live replay.
     """
 
     def __init__(
@@ -174,16 +174,16 @@ def replay(
     Parameters
     ----------
     live
-        As long as it took, as streams of LSL; else at once, and nothing is streamed.
+        Replay in real time, with LSL streams; otherwise as fast as possible, without streams.
     make_sink
-        Makes what takes the samples; usually they are checked and counted.
+        Makes the sink of the samples; by default, one that checks and counts them.
 
     Raises
     ------
     ConfigError
-        ``MALFORMED``: nothing passed over any link; ``WRONG_VALUE``: its settings do not hold.
+        ``MALFORMED`` if a link has no opening; ``WRONG_VALUE`` if the settings are invalid.
     SpecError
-        Its sensor is not known.
+        If the sensor is unknown.
     """
     kind = Outlet if live else UnsentOutlet
     if not capture.events or any(link[0].what is not What.OPENED for link in capture.of_links()):
@@ -196,23 +196,23 @@ def replay(
 
 
 def live_outlets() -> None:
-    """Prepare LSL for live replays; before anything else asks it."""
+    """Configure LSL for live replays; to be called before any other use of LSL."""
     configure_lsl(LslOverrides())
 
 
 def replay_settings(capture: Capture) -> DeviceSettings:
-    """Return settings that lead a driver to a capture's device.
+    """Return settings with which a driver connects to a capture's device.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``: they do not hold, or it lacks some that its sensor needs.
+        ``WRONG_VALUE`` if the capture's settings are invalid or incomplete.
     """
     header, seen = capture.header, capture.events[0].seen
     model = driver(header.sensor).settings
     fields: dict[str, Any] = {"sensor": header.sensor, "unit": UNIT, **header.settings}
     for name, field_info in model.model_fields.items():
-        # Where the device is; here it is nowhere.
+        # The place of the device, which a capture does not have.
         is_place = field_info.is_required() or (
             name in header.left_out and name in _FILLED and not field_info.default
         )
@@ -247,7 +247,7 @@ async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Repo
         report.seconds = clock() - begun_s
         if not is_played:
             report.problems.append(
-                f"the driver made {len(player.decks)} connections of "
+                f"the driver made {len(player.links)} connections of "
                 f"{len(capture.of_links())}: {supervisor.last_error or 'it says no reason'}"
             )
         running.cancel()
@@ -270,7 +270,7 @@ def _links(capture: Capture, player: Player, clock: Clock) -> Generator[None]:
 
 @contextmanager
 def _signed_in(sensor: str) -> Generator[None]:
-    """Have a driver find what it signs in with; whatever it is, a capture lets it in."""
+    """Provide dummy secrets to the driver, because a capture accepts any."""
     missing = [each.variable for each in driver(sensor).secrets if each.variable not in os.environ]
     os.environ.update(dict.fromkeys(missing, UNIT))
     try:
@@ -281,14 +281,14 @@ def _signed_in(sensor: str) -> Generator[None]:
 
 
 async def _play(player: Player, clock: Clock) -> bool:
-    """Wait until all was played; return False if the driver has given up before."""
+    """Wait until everything is played; return False if the driver gives up before."""
     playing = asyncio.create_task(player.played())
     known, since_s = -1, clock()
     while not playing.done():
         await asyncio.wait({playing}, timeout=1.0)
-        is_waiting = not player.decks or player.decks[-1].is_over.is_set()
-        if len(player.decks) != known or not is_waiting or player.rest_s:
-            known, since_s = len(player.decks), clock()
+        is_waiting = not player.links or player.links[-1].is_over.is_set()
+        if len(player.links) != known or not is_waiting or player.rest_s:
+            known, since_s = len(player.links), clock()
         elif clock() - since_s > GIVE_UP_S:
             playing.cancel()
             return False
@@ -319,9 +319,9 @@ def _report(
     if not report.streams:
         report.problems.append("no sample was decoded")
     unknown, unasked = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
-    for deck in player.decks:
-        unknown += deck.unknown
-        unasked += deck.unasked
+    for link in player.links:
+        unknown += link.unknown
+        unasked += link.unasked
     report.notes += [
         f"the driver asked {count} times what the capture has no answer to: {what} {at}".rstrip()
         for (what, at), count in unknown.items()

@@ -1,1 +1,1 @@
-"""The pair end to end with virtual devices."""
+"""Agent and node end to end with virtual devices."""

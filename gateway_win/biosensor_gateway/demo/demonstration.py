@@ -1,8 +1,7 @@
-"""Runs agent, page, node and table as processes of their own, as they are in a lab.
+"""Runs agent, page, node and table as separate processes, as in a lab.
 
-Which topics they fill in the time, and why not the rest, is predicted from the declarations.
-
-What they say goes to a log file each, and is shown if one of them ends before its time.
+The declarations predict which topics are filled in the given time, and why others are not. Each
+process has a log file, which is shown if the process ends early.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def demo_devices() -> dict[str, str]:
 
 
 def first_devices() -> dict[str, str]:
-    """Return those with which ``try`` begins, as `demo_devices` does all."""
+    """Return the virtual devices with which ``try`` begins; see `demo_devices`."""
     return {name: called for name, called in demo_devices().items() if sensor(name).introduces}
 
 
@@ -67,7 +66,7 @@ def fitting_devices(room: Room) -> tuple[dict[str, str], str]:
 
 
 def unfilled_streams(called: str, seconds: float) -> dict[str, str]:
-    """Return by data name why a stream of a device is still empty so long after it connected."""
+    """Return why streams are still empty *seconds* after a device connected, by data name."""
     filled = virtual_class(called).filled
     reasons = {name: _reason(each, seconds) for name, each in filled.items()}
     return {name: reason for name, reason in reasons.items() if reason}
@@ -76,12 +75,12 @@ def unfilled_streams(called: str, seconds: float) -> dict[str, str]:
 def expected_topics(
     seconds: float | None, chunk_length: int, devices: Container[str] | None = None
 ) -> dict[str, str]:
-    """Return by topic: empty text, or why it will have received nothing.
+    """Return for each topic an empty text, or why it will receive nothing.
 
     Parameters
     ----------
     seconds
-        Counted from the first sample of any device; None has no end.
+        Duration from the first sample of any device; None for no end.
     chunk_length
         Samples in a chunk.
     devices
@@ -137,17 +136,17 @@ def python_program(module: str, *arguments: str) -> list[str]:
 
 
 def environment(folder: Path) -> Mapping[str, str]:
-    """Return the variables of programs that leave nothing behind but in this folder.
+    """Return environment variables with which programs write only to this folder.
 
-    A try-out stays on this machine unless the user says otherwise, and beside the user's own
-    agent, whose state folder is taken. It needs no home folder.
+    The user's agent may run at the same time with its own state folder. ROS is limited to this
+    machine unless the user's environment says otherwise. No home folder is needed.
     """
     local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": str(folder / "ros")}
     return {**local, **os.environ, STATE_VARIABLE: str(state_of(folder))}
 
 
 def state_of(folder: Path) -> Path:
-    """Return the state folder of the programs that have this `environment`."""
+    """Return the state folder of programs with this `environment`."""
     return folder / "state"
 
 
@@ -157,12 +156,12 @@ class Programs:
     Parameters
     ----------
     folder
-        Is there; see `environment`.
+        An existing folder; see `environment`.
 
     Attributes
     ----------
     may_end
-        Names of those that a person may end.
+        Names of programs that a person may end.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -189,16 +188,16 @@ class Programs:
             stop(process)
 
     def has_ended(self, name: str) -> bool:
-        """Whether a person has ended it."""
+        """Whether a person has ended the program."""
         return name in self.may_end and self._running[name].poll() == 0
 
     def require_running(self) -> None:
-        """See that none of them has ended but those that a person has ended.
+        """Check that all programs run, except those that a person has ended.
 
         Raises
         ------
         TransportError
-            ``ABSENT``, with what the one that ended has said.
+            ``ABSENT`` with the log of a program that has ended.
         """
         for name, process in self._running.items():
             if process.poll() is not None and not self.has_ended(name):
@@ -211,7 +210,7 @@ class Programs:
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
-    """End a process, as Ctrl-C does where that can be sent, and wait for it."""
+    """End a process, by SIGINT if the system has it, and wait for its end."""
     if process.poll() is None:
         if sys.platform == "win32":
             process.terminate()
@@ -223,7 +222,7 @@ def stop(process: subprocess.Popen[bytes]) -> None:
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
 CHUNK_LENGTH = 32
 _POLL_S = 0.2
-# In whose place the agent has the files of its virtual devices.
+# Number of streams whose files the agent needs for its virtual devices instead.
 _KEPT_STREAMS = 3
 
 
@@ -233,19 +232,19 @@ def run(seconds: float | None) -> int:
     Parameters
     ----------
     seconds
-        Counted from the first sample; None runs until Ctrl-C.
+        Duration from the first sample; None to run until Ctrl-C.
 
     Returns
     -------
     int
-        0 if every topic that the virtual devices can fill received data, 3 if the computer is too
-        busy for some of them so far, else 1.
+        0 if every topic that the virtual devices can fill received data, 3 if the computer was too
+        busy for some of them, else 1.
 
     Raises
     ------
     TransportError
-        ``UNAVAILABLE``, if this installation lacks rclpy; ``EXHAUSTED``, if the system lets a
-        program open too few files for any device; ``ABSENT``, if agent or node ends too early.
+        ``UNAVAILABLE`` if this installation lacks rclpy; ``EXHAUSTED`` if the system's limit of
+        open files is too low for any device; ``ABSENT`` if agent or node ends early.
     """
     if not has_ros():
         message = (
@@ -267,7 +266,7 @@ def run(seconds: float | None) -> int:
         code = show_topics(seconds, topics, programs, folder)
     if left_out:
         sys.stderr.write(f"{left_out}\n")
-    # Not all that there is was shown.
+    # Devices that are left out count as missing.
     return code or (1 if left_out else 0)
 
 
@@ -282,16 +281,16 @@ def agent_command(devices: Iterable[str]) -> list[str]:
 
 
 def node_command() -> list[str]:
-    """Return the command line of a node that finds it."""
+    """Return the command line of a node that finds the agent."""
     return python_program("lsl_to_ros.node", "--ros-args", *_parameters())
 
 
 def _parameters() -> Iterator[str]:
     yield from ("-p", f"Chunk_Length:={CHUNK_LENGTH}")
-    # The agent takes part in LSL as the settings say, and the node is to find it.
+    # The node needs the LSL settings of the agent to find it.
     lsl = load_or_defaults(settings_path(), settings_models()).lsl
     if lsl.session_id:
-        # Quoted, so that a session named 42 is no number.
+        # Quoted, so that a session named 42 is not parsed as a number.
         yield from ("-p", f"session_id:={json.dumps(lsl.session_id)}")
     if lsl.known_peers:
         yield from ("-p", f"known_peers:={json.dumps(lsl.known_peers)}")
@@ -309,20 +308,20 @@ def show_topics(
     Parameters
     ----------
     seconds
-        Counted from the first message; None runs until Ctrl-C.
+        Duration from the first message; None to run until Ctrl-C.
     topics
-        What is expected of each; see `expected_topics`.
+        Expected topics; see `expected_topics`.
     programs
-        What has to run meanwhile.
+        Programs that have to run meanwhile.
     folder
-        Theirs.
+        Folder of the programs.
     is_over
-        Whether a person has ended it in another way than by Ctrl-C.
+        Whether a person has ended the table in another way than by Ctrl-C.
 
     Raises
     ------
     TransportError
-        ``ABSENT``, if one of them ends.
+        ``ABSENT`` if one of the programs ends.
     """
     expected = folder / "expected.json"
     expected.write_text(json.dumps(topics), encoding="utf-8")

@@ -1,7 +1,7 @@
-"""Virtual devices in place of real ones: the only module that loads simulators.
+"""Starts virtual devices instead of real ones: the only module that imports simulators.
 
-A virtual device speaks the vendor's protocol on a real transport; the drivers
-do not know the difference.
+A virtual device speaks the vendor's protocol on a real transport, so that drivers run
+unchanged.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
 ALL = "all"
 _WORN_BY = "@"
 _OF_HEART = frozenset({ContentType.HR, ContentType.RR, ContentType.ECG, ContentType.PPG})
-# A virtual device may run for days; nobody asks this one what it has sent.
+# What a virtual device has sent is not stored here, because it may run for days.
 _KEPT = 0
 
 
 class Wanted(NamedTuple):
-    """A virtual device that somebody asks for.
+    """A requested virtual device.
 
     Attributes
     ----------
     name
         ``zephyr`` or ``zephyr:recording``.
     participant
-        Who wears it; empty for nobody in particular.
+        The wearer; empty for none in particular.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Wanted(NamedTuple):
 
 
 class Scene:
-    """Where virtual devices are: their world, and the air between Bluetooth ones."""
+    """The world of virtual devices, and the radio of those with Bluetooth."""
 
     def __init__(self, stack: ExitStack) -> None:
         self._stack = stack
@@ -67,8 +67,8 @@ class Scene:
 
     @cached_property
     def radio(self) -> Radio:
-        """The air; this process's Bluetooth is virtual from the first use on."""
-        # Their imports take half a second, which devices without a radio need not pay.
+        """The radio; from its first use on, this process's Bluetooth is virtual."""
+        # Imported here, because it takes half a second, and devices without a radio do not need it.
         from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth  # noqa: PLC0415
         from biosensor_gateway.simulation.radio import Radio  # noqa: PLC0415
 
@@ -78,7 +78,7 @@ class Scene:
 
 
 def virtual_names() -> tuple[str, ...]:
-    """Names of all virtual devices, ``zephyr`` and ``zephyr:recording``."""
+    """Return the names of all virtual devices, such as ``zephyr`` and ``zephyr:recording``."""
     return tuple(
         f"{name}:{variant}" if variant else name
         for name in sensor_names()
@@ -87,7 +87,7 @@ def virtual_names() -> tuple[str, ...]:
 
 
 def one_of_each() -> tuple[str, ...]:
-    """Names of the sensors that have a usual virtual device: what ``all`` means."""
+    """Return the names that ``all`` stands for: the sensors with a default virtual device."""
     return tuple(name for name in virtual_names() if ":" not in name)
 
 
@@ -97,10 +97,10 @@ def virtual_class(name: str) -> type[VirtualDevice]:
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if there is none of that name; ``NOT_FOUND``, if a library is
-        missing that it needs.
+        ``WRONG_VALUE`` if there is none with that name; ``NOT_FOUND`` if it needs a
+        library that is missing.
     SpecError
-        ``INVALID``, if what another package names is no virtual device.
+        ``INVALID`` if the class that another package names is not a virtual device.
     """
     place = _place(name)
     try:
@@ -117,7 +117,7 @@ def virtual_class(name: str) -> type[VirtualDevice]:
 
 
 def _place(name: str) -> str:
-    """Look a virtual device up by its name alone: to list all looks through every package."""
+    """Return the import path of a virtual device, without listing all of them, which is slow."""
     sensor_name, colon, variant = name.partition(":")
     with suppress(KeyError):
         if variant or not colon:
@@ -140,7 +140,7 @@ def _virtual_of(sensor_name: str) -> Mapping[str, str]:
 
 
 def import_all(names: Iterable[str]) -> None:
-    """Import what `simulated_settings` of these names needs, and start nothing.
+    """Import the modules that `simulated_settings` needs for these names, and start nothing.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def import_all(names: Iterable[str]) -> None:
 
 
 def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
-    """Return what the names stand for, each once: two would be two streams of one source_id."""
+    """Return the requested devices, each once, because two would share their source_ids."""
     typed = (Wanted(*name.split(_WORN_BY, 1)) for name in names)
     expanded = (
         (Wanted(each, wanted.participant) for each in one_of_each())
@@ -166,7 +166,7 @@ def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
 def _start(
     wanted: Sequence[Wanted], hearts: Iterable[ScheduledFault], stack: ExitStack
 ) -> dict[Wanted, VirtualDevice]:
-    """Switch them on: those of one participant on the same person, those of a kind apart."""
+    """Start devices: those of one participant on one wearer, those of a kind in other places."""
     turns = turns_of(wanted, hearts)
     scene = Scene(stack)
     people = list(dict.fromkeys(each.participant for each in wanted))
@@ -188,12 +188,14 @@ def _start(
 def turns_of(
     wanted: Sequence[Wanted], hearts: Iterable[ScheduledFault]
 ) -> dict[Wanted, tuple[tuple[float, float], ...]]:
-    """Return how the heart of whoever wears a device turns; a participant has one heart.
+    """Return the changes of the wearer's heart rate for each device.
+
+    Devices of one participant have the same changes.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if a device is named, or none is there, that measures a heart.
+        ``WRONG_VALUE`` if the named device, or none of the devices, measures a heart.
     """
     turns: dict[Wanted, tuple[tuple[float, float], ...]] = dict.fromkeys(wanted, ())
     for each in hearts:
@@ -208,13 +210,13 @@ def turns_of(
 
 
 def _has_heart(name: str) -> bool:
-    """Whether somebody wears it, which nobody does of a recording, and it measures a heart."""
+    """Whether a device measures a heart and has a wearer, which a recording has not."""
     kinds = {stream.content_type for stream in sensor(name.partition(":")[0]).spec.streams}
     return FaultKind.OFF_BODY in virtual_class(name).faults and not kinds.isdisjoint(_OF_HEART)
 
 
 def make(name: str, scene: Scene, /, **options: object) -> VirtualDevice:
-    """Make a virtual device that is not switched on yet.
+    """Make a virtual device without starting it.
 
     Raises
     ------
@@ -237,17 +239,17 @@ def simulated_settings(
     ----------
     names
         Sensors, as ``zephyr`` or ``zephyr:recording``; ``all`` for one of each sensor. With
-        ``@P01`` behind it, participant P01 wears it. What is named twice runs once.
+        ``@P01`` after it, participant P01 wears it. A name that is given twice runs once.
     faults
-        What goes wrong and when, as `parse_fault` reads it.
+        Faults with their times; see `parse_fault`.
     settings
-        Of which everything but the devices holds; None for the usual ones.
+        Settings whose devices are replaced; None for the defaults.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, for a name that has no virtual device, and for a fault that
-        none of them can have.
+        ``WRONG_VALUE`` for a name without a virtual device, or for a fault that none of
+        the devices can have.
     """
     scheduled = [parse_fault(text) for text in faults]
     wanted = _each(names)
@@ -289,14 +291,14 @@ def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[Wanted, Virtual
 
 
 def _cannot_have(scheduled: ScheduledFault) -> ConfigError:
-    whom = f"{scheduled.sensor} cannot" if scheduled.sensor else "none of the virtual devices can"
-    message = f"{whom} have the fault {scheduled.fault.kind.value}"
+    who = f"{scheduled.sensor} cannot" if scheduled.sensor else "none of the virtual devices can"
+    message = f"{who} have the fault {scheduled.fault.kind.value}"
     return ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
 @contextmanager
 def _environment(devices: Iterable[VirtualDevice]) -> Generator[None]:
-    """Set what drivers look up in the environment: credentials of virtual services."""
+    """Set environment variables with the credentials of virtual services."""
     wanted = {key: value for device in devices for key, value in device.environment.items()}
     before = {key: os.environ.get(key) for key in wanted}
     os.environ.update(wanted)

@@ -1,6 +1,6 @@
-"""``biosensor-gateway doctor``: finds what is wrong on this computer, and says how to fix it.
+"""``biosensor-gateway doctor``: finds problems of this computer, with their fixes.
 
-The list of checks, what runs and shows them, and the checks that any computer with LSL can run
-are in `biosensor_common.doctor`; here are those that only the agent can run, `scan`, and the test
-of one device.
+The list of checks, their runner and report, and the checks for any computer with LSL are in
+`biosensor_common.doctor`. This package has the checks for the agent, `scan`, and the test of one
+device.
 """

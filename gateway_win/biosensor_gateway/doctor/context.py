@@ -1,4 +1,4 @@
-"""Reads settings and folders of the agent for all checks, and checks them."""
+"""Reads the settings and folders of the agent for all checks, and checks them."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ class Context(check.Context):
     Attributes
     ----------
     settings_path
-        The settings file, whether it is there or not.
+        The settings file, which need not exist.
     devices
-        What the file says; no devices where it cannot be read.
+        Devices of the file; empty if it cannot be read.
     problem
         Why the settings cannot be read.
     """
@@ -70,14 +70,14 @@ class Context(check.Context):
 
     @property
     def streams_to_open(self) -> int:
-        """The streams of the devices and the one of the agent itself; 0 if it runs already."""
+        """Number of streams that the agent will open, its own included; 0 if it runs already."""
         if not self.enabled or is_held(self.state_folder):
             return 0
         return 1 + sum(_streams(device) for device in self.enabled)
 
     @property
     def offered(self) -> frozenset[str]:
-        """The source_ids of the streams that the running agent says it has open."""
+        """source_ids of the open streams of the running agent."""
         try:
             status = status_file.read_status(self.state_folder)
         except ConfigError:
@@ -88,10 +88,10 @@ class Context(check.Context):
 def read_context(
     settings_path: Path, state_folder: Path, lab_recorder_port: int = LAB_RECORDER_PORT
 ) -> Context:
-    """Read the settings; what is wrong with them is kept for the check of the settings."""
+    """Read the settings; their problem, if any, is stored for the check of the settings."""
     context = Context(settings_path, state_folder, lab_recorder_port=lab_recorder_port)
     try:
-        # The drivers, which the models come from, bring all their libraries.
+        # Imported here, because the models need all drivers with their libraries.
         from biosensor_gateway.devices.registry import settings_models
         from biosensor_gateway.settings.file import load_settings
 
@@ -121,7 +121,7 @@ def _default_lsl() -> LslSettings:
 
 
 def settings(context: Context) -> Iterator[Finding]:
-    """Say whether the settings can be used, and whether an agent runs with them."""
+    """Check whether the settings can be used, and whether an agent runs with them."""
     yield from _file(context)
     yield _state_folder(context.state_folder)
     yield _agent(context.state_folder)
@@ -176,7 +176,7 @@ def _devices(context: Context) -> Iterator[Finding]:
 
 
 def _state_folder(folder: Path) -> Finding:
-    # What is not there yet is made by the agent, not by who only looks.
+    # A missing folder is not created here, but later by the agent.
     existing = next((each for each in (folder, *folder.parents) if each.exists()), folder)
     try:
         with tempfile.TemporaryFile(dir=existing):

@@ -1,4 +1,4 @@
-"""Connects to one device for some seconds, and judges what it sends."""
+"""Tests one device: connects to it for some seconds, and checks its samples."""
 
 from __future__ import annotations
 
@@ -23,20 +23,19 @@ from biosensor_gateway.streaming.sink import DeviceSink
 CONNECT_TIMEOUT_S = 60.0
 RATE_TOLERANCE = 0.1
 SETTLING_S = 1.0
-"""A first packet that was late is followed by stamps that are too close, until the device's
-clock is found."""
+"""Time until the device's clock is known: after a late first packet, stamps are too close."""
 _POLL_S = 0.05
 
 
 class StreamTestResult(BaseModel):
-    """What one stream did in a test.
+    """Outcome of one stream in a test.
 
     Attributes
     ----------
     nominal_hz
-        Declared; 0 for streams that come when they come.
+        Nominal rate; 0 for irregular streams.
     measured_hz
-        By the samples' own times; None if it cannot be told.
+        Rate by the samples' stamps; None if unknown.
     last
         Newest values, or text.
     """
@@ -48,14 +47,14 @@ class StreamTestResult(BaseModel):
 
 
 class DeviceTestResult(BaseModel):
-    """What a device has shown in a test.
+    """Outcome of a device's test, for JSON.
 
     Attributes
     ----------
     model, serial_number, firmware_version
         None if it never connected.
     problems
-        One sentence each; empty if all is well.
+        One sentence each; empty if nothing is wrong.
     streams
         By data name.
     """
@@ -70,15 +69,14 @@ class DeviceTestResult(BaseModel):
 
 @dataclass(slots=True)
 class StreamTest:
-    """What one stream did.
+    """Measurements of one stream.
 
     Attributes
     ----------
     first_s, last_s
         LSL times of the first and the newest sample.
     settled_samples, settled_s
-        So many had come, and the LSL time of the newest of them, when the device's clock was
-        found; 0 before.
+        Number of samples, and LSL time of the newest, when the device's clock was known; 0 before.
     last
         Newest values, or text.
     nominal_hz
@@ -98,7 +96,7 @@ class StreamTest:
 
     @property
     def measured_hz(self) -> float | None:
-        """Effective rate by the samples' own times; None if it cannot be told."""
+        """Effective rate by the samples' stamps; None if unknown."""
         is_settled = 0 < self.settled_samples < self.samples
         before = self.settled_samples if is_settled else 1
         elapsed_s = self.last_s - (self.settled_s if is_settled else self.first_s)
@@ -121,11 +119,11 @@ class DeviceTest:
     Attributes
     ----------
     info
-        What the device says of itself; None if it never connected.
+        Information from the device; None if it never connected.
     streams
         By data name.
     problems
-        One sentence each; empty if all is well.
+        One sentence each; empty if nothing is wrong.
     """
 
     info: DeviceInfo | None = None
@@ -164,20 +162,20 @@ class _TestSink(DeviceSink):
         self.outcome.streams[data_name].last = (text,)
 
     def lost(self, data_name: str, count: int) -> None:
-        """Pass over: a test is too short to judge losses."""
+        """Ignore losses, because a test is too short to judge them."""
 
 
 async def run_device_test(
     settings: DeviceSettings, seconds: float, ending: Callable[[], object] = lambda: None
 ) -> DeviceTest:
-    """Connect to a device, listen for so long, and judge what came.
+    """Connect to a device, receive for *seconds*, and check the samples.
 
-    The device is given `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
+    The device has `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
 
     Parameters
     ----------
     ending
-        Called before the driver takes its leave.
+        Called before the driver closes the connection.
     """
     sink = _TestSink(settings)
     supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)
@@ -187,8 +185,8 @@ async def run_device_test(
         if supervisor.connections:
             await asyncio.sleep(seconds)
         sink.outcome.problems += [
-            *_troubles(supervisor),
-            *_judgement(sink.outcome, sink.spec, sink.silent),
+            *_connection_problems(supervisor),
+            *_sample_problems(sink.outcome, sink.spec, sink.silent),
         ]
     finally:
         ending()
@@ -200,7 +198,7 @@ async def run_device_test(
 async def _until_streaming(supervisor: Supervisor) -> None:
     loop = asyncio.get_running_loop()
     deadline = loop.time() + CONNECT_TIMEOUT_S
-    # A refusal is not waited out: what it says is the outcome.
+    # Ends at a refusal, whose sentence is the outcome, and does not wait for another attempt.
     while not supervisor.connections and supervisor.state is not State.BACKOFF:
         if loop.time() > deadline or _has_failed(supervisor):
             return
@@ -211,8 +209,8 @@ def _has_failed(supervisor: Supervisor) -> bool:
     return supervisor.state is State.DISCOVERING and supervisor.last_error is not None
 
 
-def _troubles(supervisor: Supervisor) -> list[str]:
-    """Say what went wrong with the connection."""
+def _connection_problems(supervisor: Supervisor) -> list[str]:
+    """Return what went wrong with the connection."""
     if supervisor.last_error is not None:
         return [supervisor.last_error]
     if not supervisor.connections:
@@ -222,13 +220,13 @@ def _troubles(supervisor: Supervisor) -> list[str]:
     return []
 
 
-def _judgement(outcome: DeviceTest, spec: SensorSpec, silent: frozenset[str]) -> list[str]:
-    """Say what is wrong with what came; nothing is expected of streams that are off."""
+def _sample_problems(outcome: DeviceTest, spec: SensorSpec, silent: frozenset[str]) -> list[str]:
+    """Return what is wrong with the samples, except for streams that are switched off."""
     if outcome.info is None:
         return []
-    due = {name: each for name, each in outcome.streams.items() if name not in silent}
+    expected = {name: each for name, each in outcome.streams.items() if name not in silent}
     return [
-        *(text for name, each in due.items() if (text := _judge(name, each))),
+        *(text for name, each in expected.items() if (text := _rate_problem(name, each))),
         *(
             f"{label} is 0: the sensor does not seem to be on the body"
             for data_name, column, label in spec.channels_of(ChannelRole.CONTACT)
@@ -237,8 +235,8 @@ def _judgement(outcome: DeviceTest, spec: SensorSpec, silent: frozenset[str]) ->
     ]
 
 
-def _judge(name: str, noted: StreamTest) -> str:
-    """Say what is wrong with a regular stream; empty if nothing is."""
+def _rate_problem(name: str, noted: StreamTest) -> str:
+    """Return what is wrong with the rate of a regular stream; empty if nothing is."""
     if not noted.nominal_hz:
         return ""
     if not noted.samples:
@@ -257,9 +255,9 @@ def chosen_device(
     Parameters
     ----------
     unit
-        Which one of those that are configured; empty for the only one.
+        Unit of the device; empty if there is only one of this sensor.
     configured
-        Devices of the settings; without one of this sensor, its defaults are used.
+        Devices of the settings; if none is of this sensor, its default settings are used.
 
     Raises
     ------
@@ -294,7 +292,7 @@ def chosen_device(
 
 
 def described(outcome: DeviceTest) -> DeviceTestResult:
-    """Describe a test for scripts and for the page."""
+    """Return the model of a test's outcome, for scripts and for the page."""
     info = outcome.info
     return DeviceTestResult(
         connected=info is not None,
@@ -315,5 +313,5 @@ def described(outcome: DeviceTest) -> DeviceTestResult:
 
 
 def _plain(value: float | str) -> float | str | None:
-    # JSON knows no NaN.
+    # JSON has no NaN.
     return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,4 +1,4 @@
-"""Checks what devices of the settings need: Bluetooth, serial ports, services and licences."""
+"""Checks what the devices in the settings need: Bluetooth, serial ports, services, licences."""
 
 from __future__ import annotations
 
@@ -63,15 +63,14 @@ ANSWER_S = 10.0
 
 
 class Service(NamedTuple):
-    """Where a vendor's service, or a port behind TCP, is expected.
+    """Address of a vendor's service, or of a serial port behind TCP.
 
     Attributes
     ----------
     program
-        What has to run there.
+        Program that has to run there.
     ca_file
-        Certificate authority of a service that speaks TLS, empty for the system's; None for
-        one that does not.
+        File of the certificate authority, empty for the system's; None for a service without TLS.
     """
 
     title: str
@@ -82,7 +81,7 @@ class Service(NamedTuple):
 
 
 def by_bluetooth_le(devices: Iterable[DeviceSettings]) -> list[DeviceSettings]:
-    """Return the devices that are reached neither by a port nor by a service."""
+    """Return the devices that are connected neither by a port nor by a service."""
     return [each for each in devices if not {"port", "host", "url"} & _values(each).keys()]
 
 
@@ -143,8 +142,8 @@ def _values(device: DeviceSettings) -> dict[str, object]:
 
 
 def bluetooth(context: Context) -> Iterator[Finding]:
-    """Listen for a moment: the adapter is there, on, and may be used."""
-    from biosensor_gateway.transports import ble_pairing  # brings bleak, as the next does
+    """Check the adapter by a short scan: it must exist, be on, and be permitted."""
+    from biosensor_gateway.transports import ble_pairing  # needs bleak, as does the next
     from biosensor_gateway.transports.ble_scanner import scan
 
     needing = by_bluetooth_le(context.enabled)
@@ -177,15 +176,13 @@ def _unusable(problem: TransportError, needing: list[str]) -> Finding:
 
 
 def serial(context: Context) -> Iterator[Finding]:
-    """Look whether each port is there and may be opened.
-
-    None is opened: opening a Bluetooth port makes the radio connect.
-    """
+    """Check whether each port exists and may be opened."""
+    # No port is opened, because opening a Bluetooth port makes the radio connect.
     named = serial_ports_of(context.enabled)
     if not named:
         yield ok("no device of the settings has a serial port")
         return
-    from biosensor_gateway.transports.serial_ports import serial_ports  # brings D-Bus
+    from biosensor_gateway.transports.serial_ports import serial_ports  # needs D-Bus
 
     present = asyncio.run(serial_ports())
     known = {each.port.upper() for each in present} | {
@@ -219,7 +216,7 @@ def _windows_port(port: str, sensor: str, known: Collection[str]) -> Finding:
 
 
 def device_file(path: Path, sensor: str) -> Finding:
-    """Judge a port that is a file."""
+    """Check a port that is a device file."""
     if not path.exists():
         return _absent(str(path), sensor)
     if os.access(path, os.R_OK | os.W_OK):
@@ -243,14 +240,14 @@ def _absent(port: str, sensor: str) -> Finding:
 
 def _group(path: Path) -> str:
     if sys.platform != "win32":
-        # A group may have no name, and a port may have gone.
+        # A group may have no name, and the port may have been removed.
         with contextlib.suppress(KeyError, OSError):
             return path.group()
     return "dialout"
 
 
 def services(context: Context) -> Iterator[Finding]:
-    """Connect to each, and close at once."""
+    """Check each service by connecting to it, the secrets, and LabRecorder."""
     for service in services_of(context.enabled):
         yield _service(service)
     yield from _secrets(context)
@@ -312,7 +309,7 @@ def _secrets(context: Context) -> Iterator[Finding]:
 
 
 def lab_recorder(port: int) -> Finding:
-    """Look whether LabRecorder can be steered from here."""
+    """Check whether LabRecorder can be controlled from here."""
     try:
         socket.create_connection((_LOCAL, port), CONNECT_S).close()
     except OSError:
@@ -326,7 +323,7 @@ def lab_recorder(port: int) -> Finding:
 
 
 def licences(context: Context) -> Iterator[Finding]:
-    """Sign in to each service whose streams need a licence, and ask what it does not cover."""
+    """Check by signing in to each licensed service which streams the licence does not cover."""
     if not context.enabled:
         return
     from biosensor_gateway.devices.registry import driver  # brings all drivers' libraries
@@ -377,7 +374,7 @@ async def _unlicensed(entry: DriverEntry, device: DeviceSettings) -> Sequence[st
 
 
 def _are_there(secrets: Sequence[SecretName]) -> bool:
-    """Whether all secrets can be found; the check of the services says which cannot."""
+    """Whether all secrets are found; the check of the services reports missing ones."""
     from biosensor_gateway.settings.secrets import find_secret  # slow to import
 
     try:

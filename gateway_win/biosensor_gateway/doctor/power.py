@@ -1,4 +1,4 @@
-"""Checks what may send the computer or its Bluetooth adapter to sleep during a recording."""
+"""Checks whether the computer or its Bluetooth adapter may go to sleep during a recording."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _HELD_OFF = (
 )
 _NOT_HELD_OFF = "A recording ends with the sleep, and keep_awake is off in the settings."
 
-# Of winnt.h: GUID_SLEEP_SUBGROUP and GUID_STANDBY_TIMEOUT.
+# GUID_SLEEP_SUBGROUP and GUID_STANDBY_TIMEOUT of winnt.h.
 _SLEEP = UUID("238c9fa8-0aad-41ed-83f4-97be242c8f20")
 _STANDBY_TIMEOUT = UUID("29f6c1db-86da-48c5-9fdb-f2b67b1f44da")
 
 
 def _sleep_timeout_s() -> int | None:
-    """Return after how many idle seconds on mains Windows sleeps; 0 never, None unknown."""
+    """Return the idle time in s after which Windows sleeps on mains; 0 for never, None unknown."""
     if sys.platform != "win32":
         return None
     scheme = ctypes.c_void_p()
@@ -43,7 +43,7 @@ def _sleep_timeout_s() -> int | None:
         )
         ctypes.WinDLL("kernel32").LocalFree(scheme)
     except (OSError, AttributeError):
-        # Systems that are no full Windows have no schemes.
+        # Reduced editions of Windows have no power schemes.
         return None
     return None if failed else seconds.value
 
@@ -53,7 +53,7 @@ def _guid(value: UUID) -> ctypes.Array[ctypes.c_char]:
 
 
 def power(context: Context) -> Iterator[Finding]:
-    """Look at sleep, mains and Bluetooth."""
+    """Check sleep, mains and Bluetooth."""
     yield from _sleep(context.keep_awake)
     yield from _battery()
     if sys.platform == "linux":
@@ -103,7 +103,7 @@ def _battery() -> Iterator[Finding]:
     import psutil
 
     state = None
-    # Not on every system, and containers have no folder of batteries.
+    # psutil lacks the function on some systems, and containers have no folder of batteries.
     with suppress(AttributeError, OSError):
         state = psutil.sensors_battery()
     if state is not None and state.power_plugged is False:
@@ -116,12 +116,12 @@ def _battery() -> Iterator[Finding]:
 
 
 def adapters(folder: Path) -> Iterator[Finding]:
-    """Judge the power saving of the USB adapters of Linux.
+    """Check the power saving of USB Bluetooth adapters on Linux.
 
     Parameters
     ----------
     folder
-        With one entry for each adapter, as ``/sys/class/bluetooth`` is.
+        Has an entry for each adapter, like ``/sys/class/bluetooth``.
     """
     for adapter in sorted(folder.glob("hci*")):
         # The adapter is an interface of the USB device.

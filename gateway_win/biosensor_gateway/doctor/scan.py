@@ -23,7 +23,7 @@ from biosensor_gateway.transports.serial_ports import serial_ports
 
 _ADDRESS = "device"
 _IDENTIFIER = re.compile(r"[0-9A-F]{8}(-[0-9A-F]{4}){3}-[0-9A-F]{12}", re.IGNORECASE)
-"""How macOS names a Bluetooth device."""
+"""Identifier of a Bluetooth device on macOS."""
 
 _log = structlog.get_logger("biosensor_gateway.scan")
 
@@ -34,13 +34,13 @@ class FoundDevice(BaseModel):
     Attributes
     ----------
     title
-        What people call the kind of sensor.
+        Name of the kind of sensor for people.
     rssi_dbm
-        How strong its signal is; None where there is none.
+        Signal strength; None without a radio.
     settings, toml
-        What its table in the settings needs, and the same as lines of the file.
+        Fields for its table in the settings, and the same as lines of the file.
     is_known
-        Whether the settings have it already.
+        Whether it is in the settings already.
     """
 
     sensor: str
@@ -60,9 +60,9 @@ class SearchedPlace(BaseModel):
     problem
         Why the search was not possible, one sentence; None if it was.
     others
-        What else is there, in words.
+        Other devices or ports, in words.
     advice
-        How to tell devices apart that are called alike.
+        How to distinguish devices with the same name.
     """
 
     where: str
@@ -79,9 +79,9 @@ class Section:
     Attributes
     ----------
     found
-        Devices that a driver recognises, strongest signal first.
+        Devices that a driver recognizes, strongest signal first.
     others
-        What else is there, in words.
+        Other devices or ports, in words.
     problem
         Why the search was not possible, one sentence; empty if it was.
     """
@@ -100,7 +100,7 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
     seconds
         How long to listen for Bluetooth LE.
     configured
-        Devices of the settings; they say where services are.
+        Devices of the settings, which have the addresses of services.
     """
     entries = drivers_by_precedence()
     searches: list[Awaitable[Section]] = [
@@ -116,7 +116,7 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
 
 
 def drivers_by_precedence() -> dict[str, DriverEntry]:
-    """Import all drivers; what several of them recognise is the first one's."""
+    """Import all drivers; the first one that recognizes a device gets it."""
     names = sorted(sensor_names(), key=lambda name: -sensor(name).precedence)
     return {name: driver(name) for name in names}
 
@@ -172,7 +172,7 @@ async def _serial(entries: dict[str, DriverEntry]) -> tuple[list[Found], list[st
 
 
 def recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort) -> Found | None:
-    """Return what the first driver that knows it says of it; None if none does."""
+    """Return the device as the first driver recognizes it; None if none does."""
     for entry in entries.values():
         found = entry.recognise(seen) if entry.recognise is not None else None
         if found is not None:
@@ -186,7 +186,7 @@ def toml_lines(found: Found) -> str:
 
 
 def advice(section: Section) -> list[str]:
-    """Say how to tell devices apart that are called alike, or only known by an identifier."""
+    """Return how to distinguish devices with the same name, or with only an identifier."""
     addresses: dict[str, set[str]] = {}
     for each in section.found:
         addresses.setdefault(each.name, set()).add(str(each.settings.get(_ADDRESS, "")))
@@ -208,7 +208,7 @@ def advice(section: Section) -> list[str]:
 def described(
     sections: Sequence[Section], configured: Sequence[DeviceSettings]
 ) -> list[SearchedPlace]:
-    """Describe a search for scripts and for the page.
+    """Return the models of a search's outcome, for scripts and for the page.
 
     Parameters
     ----------

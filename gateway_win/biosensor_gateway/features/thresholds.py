@@ -1,7 +1,7 @@
-"""All limits of the detectors, each with where it comes from.
+"""All limits of the detectors, each with its source.
 
-Where a line names nobody, the value is a choice of this program, and the measurements in
-``docs/features.md`` were made with it.
+Without a source, the value is a choice of this program; the measurements in ``docs/features.md``
+were made with it.
 
 References
 ----------

@@ -1,7 +1,7 @@
 """Finds pulses in a photoplethysmogram by two moving averages, as in Elgendi 2013.
 
-References are in :mod:`.thresholds`. The filter is causal, so the apex is looked for in the signal
-as it was measured, around where the filtered one had its own.
+References are in :mod:`.thresholds`. The causal filter delays the apex, so that it is looked for in
+the unfiltered signal, around the apex of the filtered one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from biosensor_gateway.pulses import thresholds as at
 from biosensor_gateway.pulses.filters import Biquad, MovingMean, between_samples, moment
 
-# How far the filter's group delay moves an apex, at most.
+# Largest delay of an apex by the filter's group delay.
 _APEX_S = 0.12
 _KEPT_S = 3.0
 _Kept = tuple[float, float, float]
@@ -24,14 +24,14 @@ _Kept = tuple[float, float, float]
 
 
 class Beat(NamedTuple):
-    """A beat of a heart, found in a waveform.
+    """A heartbeat in a waveform.
 
     Attributes
     ----------
     stamp
-        Of the sample that is its apex.
+        Stamp of the sample at the apex.
     apex_s
-        Where the apex is between samples, in the time of stamps.
+        Time of the apex, interpolated between samples.
     """
 
     stamp: float
@@ -39,21 +39,20 @@ class Beat(NamedTuple):
 
 
 class Polarity:
-    """Tells which way up a pulse is by its skewness: upright it is skewed to the right.
+    """Detects the polarity of a pulse by its skewness: an upright pulse is skewed to the right.
 
-    A sensor that counts reflected light shows it upside down, for blood takes light up. Each piece
-    of the signal is judged by its own spread, and the median of the last ones decides: an artefact
-    spoils one piece or two, however large it is.
+    A sensor of reflected light shows the pulse upside down, because blood absorbs light. The median
+    skewness of the last pieces decides, so that an artefact in one or two pieces has no effect.
 
     Parameters
     ----------
     rate
-        Of the samples, in Hz.
+        Rate of the samples in Hz.
 
     Attributes
     ----------
     sign
-        -1 while it is upside down, else 1.
+        -1 while the pulse is upside down, else 1.
     """
 
     def __init__(self, rate: float) -> None:
@@ -75,17 +74,17 @@ class Polarity:
 
 
 class Pulses:
-    """Gives the apex of each pulse.
+    """Finds the apex of each pulse.
 
     Parameters
     ----------
     rate
-        Nominal, in Hz; from 20 to some hundreds.
+        Nominal rate in Hz; from 20 to some hundreds.
 
     Attributes
     ----------
     height
-        Of the last pulse, after the filter.
+        Height of the last pulse, after the filter.
     """
 
     def __init__(self, rate: float) -> None:
@@ -97,7 +96,7 @@ class Pulses:
         peak, beat = (2 * round(s * rate / 2) + 1 for s in (at.PEAK_S, at.BEAT_S))
         self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
         self._offset = MovingMean(round(at.MEAN_S * rate))
-        # Centred, the longer mean would look ahead by 0.28 s; less will do for an upstroke.
+        # A centred longer mean would look ahead by 0.28 s; an upstroke needs less.
         self._wait = min((beat - peak) // 2, round(at.AHEAD_S * rate))
         self._late = self._wait + (peak - 1) // 2
         self._least = peak
@@ -113,7 +112,7 @@ class Pulses:
         self._last = float("-inf")
 
     def take(self, stamp: float, value: float) -> list[Beat]:
-        """Take the next sample in; return the pulses that are decided by now."""
+        """Take the next sample; return the pulses that it decides."""
         filtered = self._low_pass.take(self._high_pass.take(value))
         upright = filtered * self._polarity.take(filtered)
         clipped = upright * upright if upright > 0 else 0.0
@@ -128,7 +127,7 @@ class Pulses:
         return self._block(length) if length >= self._least else []
 
     def _block(self, length: int) -> list[Beat]:
-        """Return the pulse of a block that ends now, after those that were passed over."""
+        """Return the pulse of a block that ends now, preceded by pulses that were missed."""
         kept, sign = list(self._kept), self._polarity.sign
         upright = [sign * each[2] for each in kept]
         end = len(kept) - 1 - self._late
@@ -152,10 +151,10 @@ class Pulses:
         return [*passed, beat]
 
     def _passed_over(self, kept: Sequence[_Kept], upright: Sequence[float], top: int) -> list[int]:
-        """Return tops of pulses that came so early that the one before hid them from the means.
+        """Return the tops of early pulses that the previous pulse hid from the moving means.
 
-        Each is nearly as high as others, and the signal has been below its mean in between; the
-        second wave of a pulse is not and has not.
+        Unlike the dicrotic wave of a pulse, such a top is nearly as high as others, and the signal
+        was below its mean before it.
         """
         if not self._heights:
             return []  # nothing is dropped: nothing is known of pulses yet
@@ -175,7 +174,7 @@ class Pulses:
         return found
 
     def _rise(self, kept: Sequence[_Kept], top: int) -> float:
-        """Return by how much the signal, as it was measured, rises to a top."""
+        """Return the rise of the unfiltered signal to a top."""
         before = range(max(0, top - round(at.RISE_S * self._rate)), top + 1)
         levels = [self._polarity.sign * kept[place][1] for place in before]
         return levels[-1] - min(levels)
@@ -184,6 +183,7 @@ class Pulses:
         sign = self._polarity.sign
         around = range(max(0, top - self._around), min(len(kept), top + self._around // 2 + 1))
         stamp = kept[max(around, key=lambda place: sign * kept[place][1])][0]
-        # The filter is late by what hardly changes from beat to beat, and noise moves a flat top.
+        # Interpolated in the filtered signal: its delay hardly changes from beat to beat, while
+        # noise would move the flat top of the unfiltered one.
         late = between_samples(*(each[2] for each in kept[top - 1 : top + 2]))
         return Beat(stamp, kept[top][0] + late / self._rate)

@@ -1,4 +1,4 @@
-"""Filters with state, one sample at a time; interpolation, skewness and kurtosis."""
+"""Filters for single samples; parabolic interpolation, skewness and kurtosis."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 
 def between_samples(before: float, apex: float, after: float) -> float:
-    """Return where the top of the parabola through three samples is, from the middle one on.
+    """Return the vertex of the parabola through three samples, relative to the middle one.
 
-    In sampling intervals, half of one at most.
+    In sampling intervals, from -0.5 to 0.5.
     """
     bend = before - 2 * apex + after
     return min(0.5, max(-0.5, (before - after) / (2 * bend))) if bend else 0.0
@@ -39,7 +39,7 @@ class Biquad:
         self._is_settled = False
 
     def take(self, value: float) -> float:
-        """Return the next value; it begins as if the first had been there for ever."""
+        """Return the next value; the filter starts in the steady state for the first value."""
         if not self._is_settled:
             self._is_settled = True
             out = 0.0 if self._is_high_pass else value
@@ -52,10 +52,7 @@ class Biquad:
 
 
 class MovingMean:
-    """The mean of the last values; before there are enough, of all.
-
-    It is summed up again now and then, so that rounding never piles up.
-    """
+    """The mean of the last values, or of all values while there are fewer."""
 
     def __init__(self, length: int) -> None:
         self._length = length
@@ -70,18 +67,19 @@ class MovingMean:
         self._values.append(value)
         self._sum += value
         self._count += 1
+        # Summed again from time to time, so that rounding errors do not accumulate.
         if self._count % (16 * self._length) == 0:
             self._sum = math.fsum(self._values)
         return self._sum / len(self._values)
 
 
 def moment(values: NDArray[np.float64], order: Literal[3, 4]) -> float:
-    """Return skewness or kurtosis; 0 where nothing moves."""
+    """Return skewness or kurtosis; 0 for constant values."""
     centred = values - values.mean()
     spread = float(np.sqrt(np.square(centred).mean()))
     if spread <= 0:
         return 0.0
     scaled: NDArray[np.float64] = centred / spread
     squares = np.square(scaled)
-    # np.power takes twenty times as long.
+    # Not np.power, which takes twenty times as long.
     return float((squares * (scaled if order == 3 else squares)).mean())

@@ -1,7 +1,7 @@
-"""All limits of the detector of pulses, each with where it comes from.
+"""All limits of the pulse detector, each with its source.
 
-Where a line names nobody, the value is a choice of this program, and the measurements in
-``docs/features.md`` were made with it.
+Without a source, the value is a choice of this program; the measurements in ``docs/features.md``
+were made with it.
 
 References
 ----------
@@ -17,23 +17,22 @@ PEAK_S, BEAT_S = 0.111, 0.667
 AHEAD_S = 0.15
 """How far the longer mean looks ahead; by 0.28 s in [1]_, where it is centred."""
 OFFSET = 0.02
-"""[1]_: beta, of the mean of the squared signal."""
+"""[1]_: beta, relative to the mean of the squared signal."""
 MEAN_S = 3.0
-"""How long that mean looks back."""
+"""Length of that mean."""
 SKEWNESS = 0.3
-"""[2]_: a good pulse is skewed to the right, so one that is skewed to the left by this much is
-upside down."""
+"""[2]_: a good pulse is skewed to the right; with this skewness to the left, it is upside down."""
 SKEWNESS_PIECE_S, SKEWNESS_PIECES = 2.0, 8
-"""It is told of pieces of this length, and the median of so many decides."""
+"""Length of the pieces whose skewness is computed, and number of pieces for the median."""
 LEAST_SHARE, RISE_S = 0.15, 0.4
-"""What rises by less than this share of what is usual, within this time before its top, is no
-pulse: between slow ones the filter makes waves of its own."""
+"""Smallest rise of a pulse, as a share of the usual rise, within this time before its top; the
+filter makes smaller waves between slow pulses."""
 EARLY_S, EARLY_SHARE = 0.27, 0.4
-"""A pulse may come so soon after another, and has at least this share of the usual height."""
+"""Shortest interval to an early pulse, and its least share of the usual height."""
 VALLEY_SHARE = 0.25
 REFRACTORY_S = 0.2
-"""No pulse follows another within it."""
+"""Shortest interval between two pulses."""
 KEPT = 8
-"""Pulses of which medians are taken."""
+"""Number of pulses for medians."""
 LOST_S = 4.0
-"""Without a pulse for so long, the usual size is forgotten: a sensor may have been moved."""
+"""Time without a pulse after which the usual size is reset: the sensor may have been moved."""

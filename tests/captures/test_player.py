@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 from biosensor_gateway.captures.file import Event
-from biosensor_gateway.captures.player import HOLD_S, Deck
+from biosensor_gateway.captures.player import HOLD_S, LinkPlayer
 from biosensor_gateway.system.clock import LeapingClock
 from biosensor_gateway.transports.tap import CANCELLED, What
 
@@ -32,58 +32,60 @@ TAPE = (
 
 
 def played(
-    talk: Callable[[Deck], Awaitable[object]], tape: tuple[Event, ...] = TAPE
-) -> tuple[list[tuple[float, str]], Deck]:
+    talk: Callable[[LinkPlayer], Awaitable[object]], tape: tuple[Event, ...] = TAPE
+) -> tuple[list[tuple[float, str]], LinkPlayer]:
     """Play to somebody; return what came, each with its time."""
     clock, heard = LeapingClock(100.0), list[tuple[float, str]]()
 
-    async def play() -> Deck:
-        deck = Deck(tape, clock, 100.0, lambda each: heard.append((clock() - 100.0, each.data)))
-        await talk(deck)
-        await deck.is_over.wait()
-        return deck
+    async def play() -> LinkPlayer:
+        link = LinkPlayer(
+            tape, clock, 100.0, lambda each: heard.append((clock() - 100.0, each.data))
+        )
+        await talk(link)
+        await link.is_over.wait()
+        return link
 
     with asyncio.Runner(loop_factory=clock.new_event_loop) as runner:
-        deck = runner.run(play())
-    return [(round(t, 3), data) for t, data in heard], deck
+        link = runner.run(play())
+    return [(round(t, 3), data) for t, data in heard], link
 
 
-async def as_then(deck: Deck) -> None:
+async def as_then(link: LinkPlayer) -> None:
     await asyncio.sleep(0.5)
-    await deck.ask(What.WRITTEN, AT, b"\x01")
+    await link.ask(What.WRITTEN, AT, b"\x01")
     await asyncio.sleep(0.4)
-    answer = await deck.ask(What.READ, AT)
+    answer = await link.ask(What.READ, AT)
     assert answer is not None
     assert answer.bytes == b"\x64"
     for _ in range(2):
         await asyncio.sleep(0.8)
-        await deck.ask(What.WRITTEN, AT, b"\xee")
+        await link.ask(What.WRITTEN, AT, b"\xee")
         await asyncio.sleep(1.2)
 
 
 def test_who_asks_as_then_hears_all_at_its_time() -> None:
-    heard, deck = played(as_then)
+    heard, link = played(as_then)
     assert heard == [(0.6, ANSWER), (1.5, "aa"), (2.5, "bb"), (4.5, "cc")]
-    assert (deck.unknown, deck.unasked) == ({}, {})
+    assert (link.unknown, link.unasked) == ({}, {})
 
 
 def test_no_answer_comes_before_its_question() -> None:
-    async def late(deck: Deck) -> None:
+    async def late(link: LinkPlayer) -> None:
         await asyncio.sleep(3.0)
-        await deck.ask(What.WRITTEN, AT, b"\x01")
+        await link.ask(What.WRITTEN, AT, b"\x01")
 
-    heard, deck = played(late)
+    heard, link = played(late)
     assert heard[0] == (3.1, ANSWER)
     # What follows keeps its distance.
     assert heard[1] == (4.0, "aa")
     # The keeping awake is waited for once, not each time.
     assert [t for t, _ in heard[2:]] == [5.0 + HOLD_S, 7.0 + HOLD_S]
-    assert deck.unasked == {("written", AT): 1}
+    assert link.unasked == {("written", AT): 1}
 
 
 def test_who_asks_too_early_waits_for_the_time_of_then() -> None:
-    async def early(deck: Deck) -> None:
-        await deck.ask(What.WRITTEN, AT, b"\x01")
+    async def early(link: LinkPlayer) -> None:
+        await link.ask(What.WRITTEN, AT, b"\x01")
 
     assert played(early)[0][0] == (0.6, ANSWER)
 
@@ -91,29 +93,29 @@ def test_who_asks_too_early_waits_for_the_time_of_then() -> None:
 def test_a_question_that_was_not_asked_then_is_counted() -> None:
     other = AT.replace("aaaa", "bbbb")
 
-    async def restarted(deck: Deck) -> None:
-        assert await deck.ask(What.READ, other) is None
-        await as_then(deck)
+    async def restarted(link: LinkPlayer) -> None:
+        assert await link.ask(What.READ, other) is None
+        await as_then(link)
 
-    heard, deck = played(restarted)
-    assert deck.unknown == {("read", other): 1}
+    heard, link = played(restarted)
+    assert link.unknown == {("read", other): 1}
     assert len(heard) == 4
 
 
 def test_a_question_in_other_words_gets_the_answer_of_then() -> None:
-    async def in_other_words(deck: Deck) -> None:
-        await deck.ask(What.WRITTEN, AT, b"\x01\x05")
+    async def in_other_words(link: LinkPlayer) -> None:
+        await link.ask(What.WRITTEN, AT, b"\x01\x05")
 
-    heard, deck = played(in_other_words)
+    heard, link = played(in_other_words)
     assert heard[0] == (0.6, ANSWER)
-    assert not deck.unknown
+    assert not link.unknown
 
 
 def test_what_the_driver_gave_up_then_is_no_question() -> None:
     given_up = event(0.5, What.WRITTEN, QUESTION, error=CANCELLED)
     tape = (TAPE[0], given_up, event(1.0, What.CAME, "aa"))
 
-    async def silent(_deck: Deck) -> None:
+    async def silent(_link: LinkPlayer) -> None:
         pass
 
     assert played(silent, tape)[0] == [(1.0, "aa")]
