@@ -23,7 +23,9 @@ def test_a_silence_is_told_with_its_longest() -> None:
     ]
     report = judged("P01", strap("P01"), events=events)
     assert codes(report, Level.WARNING) == {("silent", "")}
-    assert "2 times, for ecg 9.8 s until 12.0 s" in text_of(report, "silent")
+    text = text_of(report, "silent")
+    assert text.startswith("polar_h10/A1 of P01 ")
+    assert "2 times, for ecg 9.8 s until 12.0 s" in text
 
 
 @pytest.mark.parametrize(("seconds", "is_told"), [(-6.87, True), (None, False)])
@@ -38,7 +40,8 @@ def test_a_jump_is_told_unless_nothing_was_stamped_before_it(
     report = judged("P01", strap("P01"), events=events)
     assert codes(report, Level.WARNING) == ({("clock-jumped", "")} if is_told else set())
     if is_told:
-        assert "by -6.870 s at 8.0 s" in text_of(report, "clock-jumped")
+        text = text_of(report, "clock-jumped")
+        assert "polar_h10/A1 of P01 jumped by -6.870 s at 8.0 s" in text
 
 
 def test_nothing_is_said_of_a_sensor_that_is_not_in_the_file() -> None:

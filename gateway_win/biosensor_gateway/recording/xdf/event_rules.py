@@ -97,17 +97,16 @@ def _away(
         said = ", ".join(_spell(each, events, extent) for each in spells[:_MOST_SPELLS])
         more = len(spells) - _MOST_SPELLS
         said += f" and {more} times more" if more > 0 else ""
-        person = streams[0].stream.header.identity
-        who = f" of {person.participant}" if person and person.participant else ""
+        named = _named(own, device)
         # A battery's level may be older than the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
-            yield Finding(Level.WARNING, "away", "", f"{device}{who} was {said}")
+            yield Finding(Level.WARNING, "away", "", f"{named} was {said}")
         elif any(each.stream.header.source_id in without for each in streams):
-            text = f"{device}{who} was {said}, and was left out on purpose: nothing of it is there"
+            text = f"{named} was {said}, and was left out on purpose: nothing of it is there"
             yield Finding(Level.WARNING, "away", "", text)
         else:
-            text = f"{device}{who} was {said}, and nothing of it was recorded"
+            text = f"{named} was {said}, and nothing of it was recorded"
             yield Finding(Level.ERROR, "away", "", text)
 
 
@@ -125,7 +124,8 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             )
             more = f" and {times - _MOST_SPELLS} times more" if times > _MOST_SPELLS else ""
             text = (
-                f"the stamps of {device} jumped {said}{more}: those just before were wrong so far"
+                f"the stamps of {_named(own, device)} jumped {said}{more}: those just before were "
+                "wrong so far"
             )
             yield Finding(Level.WARNING, "clock-jumped", "", text)
 
@@ -141,7 +141,7 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             at = extent.since_begin(_time(longest), events)
             times = "once" if len(spans) == 1 else f"{len(spans)} times"
             text = (
-                f"{device} was connected and sent nothing {times}, for {streams} "
+                f"{_named(own, device)} was connected and sent nothing {times}, for {streams} "
                 f"{_number(longest, 'seconds'):.1f} s until {at:.1f} s: what came afterwards had "
                 "waited, or is counted as lost"
             )
@@ -164,6 +164,12 @@ def _of_recorded(
 def _number(event: Mapping[str, Any], name: str) -> float:
     value = event.get(name)
     return float(value) if isinstance(value, int | float) else 0.0
+
+
+def _named(own: Sequence[Measured], device: str) -> str:
+    """Return a recorded device by ``sensor/unit``, and who wears it."""
+    person = next(each.stream.header.identity for each in own if _device(each) == device)
+    return f"{device} of {person.participant}" if person and person.participant else device
 
 
 def _device(stream: Measured) -> str:
