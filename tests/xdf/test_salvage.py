@@ -315,3 +315,17 @@ def test_a_last_sample_of_another_time_is_cut_off(chunk: int, tmp_path: Path) ->
     assert stream.footer.sample_count == 300
     assert any("cut off" in each for each in printing.after_table(outcome))
     assert salvage(written, tmp_path / "again.xdf").survey.is_whole
+
+
+def test_a_good_last_sample_behind_a_wrong_stamp_stays(tmp_path: Path) -> None:
+    stamps = [5000.0 + each / 130 for each in range(300)]
+    stamps[-2] = 805030.5
+    header = x.stream_header(1, "Polar", kind="ECG", rate=130.0)
+    rows = x.samples(1, "float32", [[float(each)] for each in range(300)], stamps)
+    path, written = tmp_path / "garbage.xdf", tmp_path / "fixed.xdf"
+    # It lacks its footer.
+    path.write_bytes(x.xdf(header, rows))
+    salvage(path, written)
+    (stream,) = read_recording(written).streams
+    assert stream.stamps.tolist() == stamps
+    assert salvage(written, tmp_path / "again.xdf").survey.is_whole

@@ -109,7 +109,8 @@ class KeptStream:
     breaks: list[Break] = field(default_factory=list[Break])
     restamps: list[Restamp] = field(default_factory=list[Restamp])
     cut: Cut | None = None
-    _newest: tuple[Chunk, float] | None = None
+    _newest: tuple[Chunk, tuple[float, ...]] | None = None
+    _recent: tuple[float, ...] = ()
     _offsets: array[float] = field(default_factory=lambda: array("d"))
     _damages: int = 0
     _resumed: _Resumption | None = None
@@ -143,7 +144,7 @@ class KeptStream:
         block = decode(chunk.body, self.header, self.last)
         if not len(block.stamps):
             return
-        self._newest = chunk, self.last
+        self._newest = chunk, self._recent
         if chunk.damages > self._damages:
             before = self.last if self.sample_count else math.nan
             self._forget_resumption()
@@ -155,6 +156,7 @@ class KeptStream:
             self._resume(block, self._resumed)
         self.sample_count += len(block.stamps)
         self.last = float(block.stamps[-1])
+        self._recent = (*self._recent, *block.stamps[-2:].tolist())[-2:]
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
         """Take in one of `clock_offsets`."""
@@ -173,10 +175,12 @@ class KeptStream:
     def _cut_garbage(self) -> None:
         if self._newest is None or not self.header.is_regular or self.sample_count < _FEWEST:
             return
-        chunk, before = self._newest
-        block = decode(chunk.body, self.header, before)
-        stamps = [before, *block.stamps[-2:-1].tolist()]
-        if abs(self.last - stamps[-1]) <= NO_PAUSE_S:
+        chunk, recent = self._newest
+        block = decode(chunk.body, self.header, recent[-1] if recent else 0.0)
+        stamps = [*recent, *block.stamps[-3:-1].tolist()][-2:]
+        # What stays is to end well: the one before may be garbage itself.
+        ends_well = all(abs(each - stamps[-1]) <= NO_PAUSE_S for each in stamps)
+        if not ends_well or abs(self.last - stamps[-1]) <= NO_PAUSE_S:
             return
         content = b""
         if len(block.stamps) > 1:
