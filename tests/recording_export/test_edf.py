@@ -10,8 +10,12 @@ from edfio import read_bdf
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.recording.export.edf.layout import channel, layout
-from biosensor_gateway.recording.export.edf.records import Annotation, annotation_records
+from biosensor_gateway.recording.export.edf.bdf import (
+    Annotation,
+    annotation_records,
+    channel,
+    layout,
+)
 from biosensor_gateway.recording.export.exporter import Clock
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, ecg_values, study

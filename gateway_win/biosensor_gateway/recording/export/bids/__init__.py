@@ -1,9 +1,9 @@
 """Writes a BIDS dataset, https://bids-specification.readthedocs.io, from one recording.
 
-:mod:`.dataset` writes it. :mod:`.subjects` says whose folder a stream belongs to and
-:mod:`.file_names` what its file is called there. A regular stream becomes a table of equal
-steps: :mod:`.timing` finds its rate and where it has to be cut, :mod:`.placing` gives every
-sample its row, :mod:`.regular` writes the rows, and :mod:`.sidecars` what they mean;
-:mod:`.motion` is for what moves. Streams without a rate become tables of moments
-(:mod:`.irregular`), markers the table of events (:mod:`.events`).
+:mod:`.dataset` writes it and says whose folder a stream belongs to, :mod:`.file_names` what its
+file is called there, and :mod:`.kinds` what kind of signal it is. :mod:`.signals` writes a stream
+of numbers: as a table of equal steps (:mod:`.regular`) or of moments, as EEG (:mod:`.eeg`,
+:mod:`.brain_vision`) or EMG (:mod:`.emg`) with files as :mod:`.run_file` says, or as gaze
+(:mod:`.gaze`); :mod:`.sidecars` says what columns mean. Markers become tables of events
+(:mod:`.events`), and several recordings one dataset (:mod:`.study`).
 """

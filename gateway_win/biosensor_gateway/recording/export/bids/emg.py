@@ -16,6 +16,7 @@ from biosensor_gateway.recording.export.bids import sidecars
 from biosensor_gateway.recording.export.bids.file_names import Entities
 from biosensor_gateway.recording.export.bids.run_file import LONGEST_FILLED_S, RunFile, run_of
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json
+from biosensor_gateway.recording.export.edf.bdf import RATES_HZ, Channel
 from biosensor_gateway.recording.export.edf.file import (
     INSTEAD,
     Given,
@@ -23,7 +24,6 @@ from biosensor_gateway.recording.export.edf.file import (
     channels_of,
     write_stretch,
 )
-from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel
 from biosensor_gateway.recording.export.exporter import Order, Times
 from biosensor_gateway.recording.export.runs import (
     LONGEST_JOINED_S,

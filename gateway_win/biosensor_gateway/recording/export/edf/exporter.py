@@ -10,6 +10,11 @@ from typing import NamedTuple
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.edf.bdf import (
+    RATES_HZ,
+    Annotation,
+    Channel,
+)
 from biosensor_gateway.recording.export.edf.file import (
     INSTEAD,
     Given,
@@ -17,10 +22,6 @@ from biosensor_gateway.recording.export.edf.file import (
     channels_of,
     length_s,
     write_stretch,
-)
-from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel
-from biosensor_gateway.recording.export.edf.records import (
-    Annotation,
 )
 from biosensor_gateway.recording.export.exporter import (
     Clock,

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import BATCH, Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.edf.header import Facts, header
-from biosensor_gateway.recording.export.edf.layout import Channel, channel, layout
-from biosensor_gateway.recording.export.edf.records import (
+from biosensor_gateway.recording.export.edf.bdf import (
     Annotation,
+    Channel,
+    Facts,
     annotation_records,
+    channel,
     digital,
+    header,
+    layout,
     records,
 )
 from biosensor_gateway.recording.export.exporter import Clock
