@@ -6,7 +6,6 @@ import socket
 import threading
 from collections.abc import Generator
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import pylsl
@@ -35,12 +34,7 @@ class Sources:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_over.set()
         self._thread.join()
         self._outlets.clear()

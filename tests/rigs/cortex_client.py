@@ -9,7 +9,6 @@ import ssl
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Self, cast
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -73,12 +72,7 @@ class CortexClient:
         self._reader = asyncio.create_task(self._read())
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.socket.close()
         await self._reader
 

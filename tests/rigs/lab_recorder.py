@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from tests.rigs.hosts.lan import Host
@@ -84,12 +83,7 @@ class LabRecorder:
             time.sleep(_POLL_S)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         try:
             self._process.communicate(b"\n", DEADLINE_S)
         finally:

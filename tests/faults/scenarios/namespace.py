@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 # It says when the mounts are made, then waits until its standard input is closed.
@@ -33,12 +32,7 @@ class MountNamespace:
         assert self._holder.stdout.readline() == b"ready\n", "nothing could be mounted"
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._holder.communicate(timeout=30)
 
     def path(self, inside: Path) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mmap
 import struct
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from tests.rigs.compiler import compile_c
@@ -39,12 +38,7 @@ class SteppedClock:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._page.close()
         self._opened.close()
 

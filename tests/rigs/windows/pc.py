@@ -8,7 +8,6 @@ import shutil
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from installer.layout import BIN, PROGRAM, WINDOWED, WORK
@@ -57,12 +56,7 @@ class WindowsPc:
         self._switch_on()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.prefix.end()
         shutil.rmtree(self.prefix.folder, ignore_errors=True)
 
