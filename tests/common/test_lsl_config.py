@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl.inlet import MOST_BUFFERED, buffer_length
 from biosensor_common.lsl_config import (
     LslOverrides,
     config_places,
@@ -94,3 +95,16 @@ def test_a_place_that_may_not_be_looked_into_has_no_file(tmp_path: Path) -> None
     # Not even root can ask for a name that long.
     hidden = {"LSLAPICFG": str(tmp_path / ("x" * 300))}
     assert user_config_file(hidden, tmp_path / ("x" * 300), tmp_path) == own
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, 1.0, 256.0, MOST_BUFFERED / 121])
+def test_a_usual_stream_is_buffered_for_so_long(rate: float) -> None:
+    assert buffer_length(rate, 120) == 120
+
+
+@pytest.mark.parametrize("rate", [MOST_BUFFERED / 119, 1e5, 1e6, 1e9])
+def test_no_rate_takes_more_memory_than_the_bound_or_a_second(rate: float) -> None:
+    length = buffer_length(rate, 120)
+    assert 1 <= length < 120
+    assert length * rate <= max(MOST_BUFFERED, rate)
+    assert buffer_length(rate, 10, 200_000) <= length

@@ -12,6 +12,7 @@ from biosensor_gateway.devices.emotiv_insight.driver.driver import (
     EmotivInsightSettings,
     is_loopback,
 )
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Licence, licence
 
 
 def settings(**fields: Any) -> EmotivInsightSettings:
@@ -61,3 +62,14 @@ def test_a_debit_is_not_negative() -> None:
 @pytest.mark.parametrize(("host", "loopback"), [("localhost", True), ("::1", True), ("", False)])
 def test_loopback_is_told_by_name_or_address(host: str, loopback: bool) -> None:
     assert is_loopback(host) is loopback
+
+
+def test_scopes_and_expiry_are_read() -> None:
+    told = {"isOnline": True, "license": {"scopes": ["pm", "eeg"], "expired": True}}
+    assert licence(told) == Licence(frozenset({"pm", "eeg"}), expired=True)
+    assert not licence({"license": {"scopes": ["pm"], "expired": False}}).expired
+
+
+@pytest.mark.parametrize("told", [None, [], {}, {"license": 7}, {"license": {"scopes": "eeg"}}])
+def test_what_is_not_told_is_not_covered(told: object) -> None:
+    assert licence(told) == Licence()

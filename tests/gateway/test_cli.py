@@ -18,13 +18,13 @@ import pytest
 
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import single_instance
+from biosensor_gateway.cli.app import app
 from biosensor_gateway.demo import virtual_devices as simulate
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Settings
 from biosensor_gateway.devices.registry import sensor, sensor_names
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
-
 
 Run = Callable[..., "Outcome"]
 
@@ -269,3 +269,26 @@ def test_status_for_people_names_devices_states_and_counts(run: Run, state: Path
     assert shown in outcome.out
     row = next(line.split() for line in outcome.out.splitlines() if "4711" in line)
     assert row == ["p01@zephyr-ecg", "4711", "63", "5", "8"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("biosensor-gateway rel", ["reload"]),
+        ("biosensor-gateway record st", ["start", "stop", "status"]),
+        ("biosensor-gateway record start --fo", ["--folder"]),
+    ],
+)
+def test_what_is_begun_is_completed(
+    typed: str,
+    offered: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("_BIOSENSOR_GATEWAY_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(typed.count(" ")))
+    with pytest.raises(SystemExit) as ended:
+        app()(args=[], prog_name="biosensor-gateway")
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.split() == offered

@@ -6,6 +6,7 @@ import asyncio
 import json
 import socket
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from pathlib import Path
 from typing import Any, NoReturn
 
 import pylsl
@@ -23,6 +24,7 @@ from biosensor_gateway.agent.markers import (
     MAX_TEXT,
     MarkerCommands,
 )
+from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import MarkerSettings
 from biosensor_gateway.streaming import markers, own_outlets
 from biosensor_gateway.streaming.markers import KEPT, MarkerStream
@@ -336,3 +338,39 @@ async def test_the_last_marker_is_heard_though_the_outlet_goes(
     await desk.ask("mark", marker="m")
     await desk.stream.end()
     await listening
+
+
+def buttons(path: Path, text: str) -> tuple[str, ...]:
+    path.write_text(text, encoding="utf-8")
+    return load_settings(path, {}).markers.buttons
+
+
+def test_buttons_are_a_setting(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    assert buttons(path, "") == ("baseline", "stimulus on", "stimulus off")
+    assert buttons(path, '[markers]\nbuttons = ["Ruhe", "Übung 1"]') == ("Ruhe", "Übung 1")
+    assert buttons(path, "[markers]\nbuttons = []") == ()
+    twenty = [f"b{number}" for number in range(20)]
+    assert buttons(path, f"[markers]\nbuttons = {json.dumps(twenty)}") == tuple(twenty)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        '"baseline"',
+        "[1]",
+        '[""]',
+        '[" baseline"]',
+        '["two\\nlines"]',
+        json.dumps(["b" * 33]),
+        json.dumps([f"b{number}" for number in range(21)]),
+    ],
+)
+def test_buttons_that_are_none_are_refused(tmp_path: Path, value: str) -> None:
+    with pytest.raises(ConfigError, match=r"line 2: 'markers\.buttons'"):
+        buttons(tmp_path / "settings.toml", f"[markers]\nbuttons = {value}")
+
+
+def test_a_button_that_is_there_twice_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="should have no name twice, but has 'b'"):
+        buttons(tmp_path / "settings.toml", '[markers]\nbuttons = ["a", "b", "b"]')

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, SpecError
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import (
+    DeviceSettings,
+    EventSettings,
+    GatewaySettings,
+    LslSettings,
+    MarkerSettings,
+    PowerSettings,
+    WebMarkerSettings,
+)
+from biosensor_gateway.settings.places import settings_path, state_folder
+from biosensor_gateway.settings.template import template, write_template
 
 
 class StrapSettings(DeviceSettings):
@@ -275,3 +286,127 @@ def test_two_labels_make_two_devices_of_one_person(load: Loader) -> None:
         for side in ("left", "right")
     )
     assert len(load(text).devices) == 2
+
+
+def test_the_template_loads_as_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(template(MODELS), encoding="utf-8")
+    assert load_settings(path, MODELS) == GatewaySettings()
+
+
+def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> None:
+    text = re.sub(r"^#(?! )", "", template(MODELS), flags=re.MULTILINE)
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    settings = load_settings(path, MODELS)
+    assert settings.lsl == LslSettings()
+    assert settings.power == PowerSettings()
+    assert settings.events == EventSettings()
+    assert settings.markers == MarkerSettings()
+    assert [type(device) for device in settings.devices] == [StrapSettings, BoxSettings]
+    assert settings.devices[1] == BoxSettings(sensor="box", unit="0123456789", port="COM3")
+
+
+def test_the_template_names_and_describes_every_field() -> None:
+    text = template(MODELS)
+    joined = re.sub(r"\n# ", " ", text)
+    sections = (LslSettings, PowerSettings, EventSettings, MarkerSettings, WebMarkerSettings)
+    for model in (*sections, StrapSettings, BoxSettings):
+        for key, field in model.model_fields.items():
+            is_table = isinstance(field.default, BaseModel)
+            assert key == "rate" or (f".{key}]\n" if is_table else f"\n#{key} = ") in text
+            assert key == "sensor" or is_table or str(field.description) in joined
+
+
+def test_a_field_that_cannot_be_shown_is_a_fault_of_its_driver() -> None:
+    class Bare(DeviceSettings):
+        port: str
+
+    with pytest.raises(SpecError, match="'port'"):
+        template({"bare": Bare})
+
+
+def test_the_template_is_written_once(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "folder" / "settings.toml"
+    write_template(path, MODELS)
+    assert load_settings(path, MODELS) == GatewaySettings()
+    path.write_text("mine")
+    with pytest.raises(ConfigError, match="not overwritten") as caught:
+        write_template(path, MODELS)
+    assert caught.value.reason is ConfigReason.EXISTS
+    assert path.read_text() == "mine"
+
+
+def test_a_file_in_the_place_of_a_folder_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot make the folder") as caught:
+        write_template(tmp_path / "file" / "settings.toml", MODELS)
+    assert caught.value.reason is ConfigReason.UNREADABLE
+
+
+def test_the_environment_overrides_the_file(load: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_LSL__SESSION_ID", "from-env")
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_LSL__PORT_RANGE", "64")
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_LSL__KNOWN_PEERS", '["a", "b"]')
+    settings = load("[lsl]\nsession_id = 'file'\nport_range = 32\n[log]\nlevel = 'error'")
+    assert settings.lsl == LslSettings(session_id="from-env", known_peers=("a", "b"), port_range=64)
+    assert settings.log.level == "error"
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "reason", "said"),
+    [
+        ("LSL__PORT_RANGE", "many", ConfigReason.WRONG_VALUE, "should be a whole number"),
+        ("LSL__KNOWN_PEERS", "a,b", ConfigReason.WRONG_VALUE, "should be a list in JSON"),
+        ("LSL__KNOWN_PEERS", '["a", ""]', ConfigReason.WRONG_VALUE, "should be a host name"),
+        ("LSL", "x", ConfigReason.WRONG_VALUE, "'lsl' should be a table"),
+        ("LSL", '{"sesion_id": "x"}', ConfigReason.UNKNOWN_KEY, "did you mean 'session_id'?"),
+        ("LSL__SESION_ID", "x", ConfigReason.UNKNOWN_KEY, "LSL__SESSION_ID'?"),
+        ("LSL_SESSION_ID", "x", ConfigReason.UNKNOWN_KEY, "LSL__SESSION_ID'?"),
+        ("LOGS__LEVEL", "x", ConfigReason.UNKNOWN_KEY, "LOG__LEVEL'?"),
+        ("DEVICE__0__UNIT", "x", ConfigReason.UNKNOWN_KEY, "it sets nothing"),
+        ("LSL__PORT_RANGE__X", "1", ConfigReason.UNKNOWN_KEY, "it sets nothing"),
+    ],
+)
+def test_a_bad_override_is_named_by_its_variable(
+    refuse: Refusal,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    variable: str,
+    value: str,
+    reason: ConfigReason,
+    said: str,
+) -> None:
+    monkeypatch.setenv(f"BIOSENSOR_GATEWAY_{variable}", value)
+    error = refuse("")
+    assert error.reason is reason
+    assert str(error).startswith(f"environment variable BIOSENSOR_GATEWAY_{variable}: ")
+    assert said in str(error)
+    assert "\n" not in str(error)
+
+
+def test_a_mistake_in_the_file_is_not_blamed_on_the_environment(
+    refuse: Refusal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_LSL", '{"session_id": "x"}')
+    assert "line 2: 'lsl.port_range'" in str(refuse("[lsl]\nport_range = 0"))
+
+
+@pytest.mark.parametrize("variable", ["DEVICE", "DEVICES", "BIOSENSOR_GATEWAY_DEVICE"])
+def test_other_programs_variables_do_not_matter(
+    load: Loader, monkeypatch: pytest.MonkeyPatch, variable: str
+) -> None:
+    monkeypatch.setenv(variable, "/dev/sda")
+    assert load(DEVICE).devices[0].unit == "A"
+
+
+def test_the_paths_follow_their_variables(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert settings_path().name == "settings.toml"
+    assert "biosensor-gateway" in settings_path().parts
+    assert "biosensor-gateway" in state_folder().parts
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_SETTINGS", str(tmp_path / "my.toml"))
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path / "state"))
+    assert settings_path() == tmp_path / "my.toml"
+    assert state_folder() == tmp_path / "state"
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", "~/state")
+    assert state_folder() == Path.home() / "state"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from biosensor_gateway.recording.recorder import program
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN
+from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.windows_setup import with_folder, without_folder
 
 if TYPE_CHECKING:
@@ -107,3 +111,47 @@ def test_other_systems_refuse_in_one_sentence(run: Callable[..., Outcome], comma
     assert (outcome.code, outcome.out) == (1, "")
     assert outcome.err.startswith("biosensor-gateway: the PATH of this PC cannot be changed: ")
     assert outcome.err.count("\n") == 1
+
+
+ANSI_FOLDER = Path("/users/\N{LATIN CAPITAL LETTER L WITH STROKE}ukasz/recorder")
+
+
+@pytest.mark.parametrize(
+    ("is_windows", "short", "expected"),
+    [
+        (False, "", ANSI_FOLDER),
+        (True, "/users/UKAS~1/RECORDER", Path("/users/UKAS~1/RECORDER")),
+        # Disks need not keep short names, and they may have the same letters.
+        (True, "", None),
+        (True, str(ANSI_FOLDER), None),
+    ],
+)
+def test_a_folder_gets_a_name_of_few_letters(
+    is_windows: bool, short: str, expected: Path | None
+) -> None:
+    found = ansi_folder(ANSI_FOLDER, is_windows=is_windows, fits=str.isascii, short=lambda _: short)
+    assert found == expected
+
+
+def test_a_name_that_fits_stays() -> None:
+    plain = Path("/users/ann")
+    assert ansi_folder(plain, is_windows=True, fits=str.isascii, short=lambda _: "x") == plain
+
+
+def test_where_labrecorder_could_not_read_session_and_peers_it_does_not_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would record in the default session, without known peers, and say nothing."""
+    monkeypatch.setattr(program, "find_program", lambda: Path("/LabRecorderCLI"))
+    named: list[Path | None] = [tmp_path]
+
+    def ansi(_folder: Path) -> Path | None:
+        return named[0]
+
+    monkeypatch.setattr(program, "ansi_folder", ansi)
+    found, said = program.find_programs(tmp_path)
+    assert ([*found], said) == ([LAB_RECORDER, OWN], [])
+    named[0] = None
+    found, said = program.find_programs(tmp_path)
+    assert [*found] == [OWN]
+    assert str(tmp_path) in said[0]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Measurement,
     Reply,
@@ -23,6 +24,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rejected,
     parse_frame,
 )
+from biosensor_gateway.devices.polar_verity_sense.driver.driver import true_ppg_rates
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors" / "polar_optical.json").read_text(encoding="utf-8")
@@ -87,3 +89,23 @@ def test_a_start_names_the_channels_in_one_byte() -> None:
     assert isinstance(reply, Reply)
     chosen = choose(parse_settings(reply.parameters), {Setting.SAMPLE_RATE: 55})
     assert start(Measurement.PPG, chosen).hex() == "0201" + "00018700" + "01011600" + "040104"
+
+
+@pytest.mark.parametrize(
+    ("model", "firmware", "sdk_mode", "rates"),
+    [
+        ("Verity Sense", "1.1.4", False, {}),
+        ("Verity Sense", "1.1.5", False, {135: 55}),
+        ("Verity Sense", "2.0.9", False, {135: 55}),
+        ("Verity Sense", "2.1.0", False, {}),
+        ("Verity Sense", "1.1.5", True, {}),
+        ("OH1", "2.1.17", False, {130: 135}),
+        ("OH1+", "", False, {130: 135}),
+        ("360", "2.0.8", False, {}),
+        ("Verity Sense", "", False, {}),
+        ("", "", False, {}),
+    ],
+)
+def test_true_rates(model: str, firmware: str, *, sdk_mode: bool, rates: dict[int, int]) -> None:
+    info = DeviceInfo(model=model, firmware_version=firmware)
+    assert true_ppg_rates(info, sdk_mode=sdk_mode) == rates

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.program import ProgramOutput
 from biosensor_gateway.recording.recorder.result import (
     LocalStarted,
     LocalStatus,
@@ -14,6 +17,7 @@ from biosensor_gateway.recording.recorder.result import (
     Status,
     Stopped,
 )
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 
 
 @pytest.mark.parametrize(
@@ -24,3 +28,54 @@ def test_a_recording_is_told_of_in_one_form(
     of_a_window: type[Started | Status | Stopped], of_ours: type[Started | Status | Stopped]
 ) -> None:
     assert [each.name for each in fields(of_ours)] == [each.name for each in fields(of_a_window)]
+
+
+def test_the_last_words_have_no_letters_that_nobody_can_read() -> None:
+    said = ProgramOutput(
+        "Found a@pc matching 'x'\r\n\0\0\0\x07Started data collection for stream a.\r\n\0"
+    )
+    assert said.end == "Found a@pc matching 'x' / Started data collection for stream a."
+
+
+def test_nothing_is_said_of_one_that_said_nothing() -> None:
+    assert ProgramOutput("\0\0\r\n").end == "nothing"
+
+
+def test_what_a_person_has_to_know_is_told_apart() -> None:
+    said = ProgramOutput(
+        "Found a@pc matching 'x'\nNote: a@pc has ended; 3 of its samples\r\na@pc goes on\n"
+    )
+    assert said.notes == ("a@pc has ended; 3 of its samples",)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    file = tmp_path / "a.xdf"
+    file.write_bytes(b"XDF:")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("ended", "is_asked", "said"),
+    [
+        (2.0, False, "ended from outside"),
+        # Whoever asked has not yet looked at the file, and says then how it is.
+        (2.0, True, ""),
+        (0.0, True, "supervisor was killed"),
+    ],
+)
+def test_an_end_that_was_asked_for_is_no_problem(
+    tmp_path: Path, file: Path, ended: float, is_asked: bool, said: str
+) -> None:
+    folder = RecorderFolder(tmp_path)
+    kept = SavedRecording(str(file), (), started=1.0, program=1, ended=ended, code=0)
+    folder.hand_over(kept, "")
+    folder.save(kept)
+    if is_asked:
+        folder.ask_to_stop()
+    standing = LocalRecorder(tmp_path).status()
+    assert standing is not None
+    assert not standing.recording
+    problems = [each.text for each in standing.problems]
+    assert len(problems) == bool(said)
+    assert all(said in each for each in problems)

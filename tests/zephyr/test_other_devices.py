@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.zephyr.driver import driver as module
-from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings
+from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings, recognise
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.driver_run import NotedSink
 
 HXM = (Path(__file__).parent / "vectors" / "zephyr_hxm_10_frames.dat").read_bytes()
@@ -80,3 +82,22 @@ def test_real_frames_of_it_are_whole() -> None:
     protocol = ZephyrProtocol()
     assert len(protocol.feed(HXM)) == 10
     assert protocol.dropped_bytes == 0
+
+
+@pytest.mark.parametrize("name", ["BH BHT012345", "BHBHT012345"])
+def test_a_paired_bioharness_is_found_by_the_name_of_its_port(name: str) -> None:
+    settings = {"unit": "BHT012345", "port": "COM7"}
+    assert recognise(SerialPort("COM7", name)) == Found("zephyr", name, settings)
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        SerialPort("COM7"),
+        SerialPort("COM7", "Shimmer3-1234"),
+        SerialPort("COM7", "BH BHT012345 2"),
+        Advertisement("00:07:80:5A:3E:7E", "BH BHT012345"),
+    ],
+)
+def test_others_are_none(seen: SerialPort | Advertisement) -> None:
+    assert recognise(seen) is None
