@@ -6,14 +6,8 @@ of samples is lost.
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.muse.driver.commands import (
-    Answers,
-    battery_percent,
-    return_code,
-    text_of,
-)
-from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter, Started
-from biosensor_gateway.devices.muse.driver.gatt import (
+from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter
+from biosensor_gateway.devices.muse.driver.protocol import (
     ACC,
     AUX,
     CONTROL,
@@ -22,8 +16,12 @@ from biosensor_gateway.devices.muse.driver.gatt import (
     GYRO,
     PPG,
     TELEMETRY,
+    Answers,
+    battery_percent,
+    return_code,
+    text_of,
 )
-from biosensor_gateway.devices.muse.driver.series import PacketSeries
+from biosensor_gateway.devices.muse.driver.sample_clock import PacketSeries
 from biosensor_gateway.transports.ble import Notification
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
@@ -42,7 +40,7 @@ def check(data: bytes) -> None:
     """Read notifications in their order, as of one connection; the first byte says whence."""
     sink = CheckedSink("muse")
     emitter = MuseEmitter(sink)
-    emitter.started(Started(_EVERYTHING, 50.0))
+    emitter.started(_EVERYTHING, 50.0)
     answers = Answers()
     series = PacketSeries(1 << 8, 4, 256.0)
     came = 0
@@ -91,7 +89,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.muse.driver.series.PacketSeries",
+    "biosensor_gateway.devices.muse.driver.sample_clock.PacketSeries",
     "_missing",
     always(-1),
 )

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.muse.driver.commands import (
+from biosensor_gateway.devices.muse.driver.protocol import (
     Answer,
     Answers,
     battery_percent,

@@ -14,11 +14,13 @@ from biosensor_gateway.devices.muse.driver.driver import DRIVER, identify, recog
 from biosensor_gateway.devices.muse.driver.session import (
     ATHENA_PRESETS,
     CLASSIC_PRESETS,
+    MuseSettings,
     athena_preset,
     classic_preset,
+    identify,
     model_of,
+    recognise,
 )
-from biosensor_gateway.devices.muse.driver.settings import MuseSettings
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from biosensor_gateway.transports.tap import What

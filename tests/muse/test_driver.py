@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.muse.driver.gatt import EEG, FRAMES
+from biosensor_gateway.devices.muse.driver.protocol import EEG, FRAMES
 from biosensor_gateway.devices.muse.simulator import SimulatedAthena, SimulatedMuse
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.transports.ble import BleLink

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.muse.driver.classic_emitter import PATIENCE, RowAssembler, Rows
-from biosensor_gateway.devices.muse.driver.packets import (
+from biosensor_gateway.devices.muse.driver.emitter import PATIENCE, RowAssembler, Rows
+from biosensor_gateway.devices.muse.driver.protocol import (
     ACC_G,
     GYRO_DPS,
     Packet,

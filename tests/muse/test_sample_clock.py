@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.muse.driver.sample_clock import SampleClock
-from biosensor_gateway.devices.muse.driver.series import PacketSeries
+from biosensor_gateway.devices.muse.driver.sample_clock import PacketSeries, SampleClock
 
 SECONDS = 60.0
 STAMP_LIMIT_S = 0.02

@@ -8,9 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.muse.driver.classic_emitter import ClassicEmitter
-from biosensor_gateway.devices.muse.driver.gatt import EEG, PPG, TELEMETRY
-from biosensor_gateway.devices.muse.driver.packets import EEG_UV, Floats
+from biosensor_gateway.devices.muse.driver.emitter import ClassicEmitter
+from biosensor_gateway.devices.muse.driver.protocol import EEG, EEG_UV, PPG, TELEMETRY, Floats
 from biosensor_gateway.system.device_log import DeviceLog
 from tests.rigs.emitter_sink import EmitterSink
 

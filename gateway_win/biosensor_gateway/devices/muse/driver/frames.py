@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from biosensor_gateway.devices.muse.driver.packets import ACC_G, GYRO_DPS, Floats
+from biosensor_gateway.devices.muse.driver.protocol import ACC_G, GYRO_DPS, Floats
 
 COUNTERS, NUMBERS = 1 << 16, 1 << 8
 _HEADER_BYTES, _BLOCK_HEADER_BYTES = 9, 5

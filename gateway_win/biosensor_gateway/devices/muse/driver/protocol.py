@@ -1,10 +1,14 @@
-"""Commands to a headband and its answers; no I/O and no clock.
+"""Characteristics, commands and answers of a headband, and packets of those before the Athena.
 
 A command is a byte that counts what follows, then ASCII that ends with a line feed. The answer
 is a JSON object with a return code ``rc``, 0 for success, in pieces of up to 20 bytes: each
 begins with the count of its characters [1]_, in the lower five bits [2]_.
 
-.. [1] muse-js, `muse-utils.ts`, and muse-lsl, `muse.py`.
+Each characteristic sends packets of 20 bytes: a number, then samples of one channel or of three
+axes, all big-endian; the number counts the packets of its characteristic [1]_.
+
+.. [1] muse-js, `muse-utils.ts` and `muse-parse.ts`; muse-lsl, `muse.py` and `constants.py`, which
+   also have the UUIDs, as BrainFlow has.
 .. [2] The package openble-muse, `replies.py`.
 """
 
@@ -12,7 +16,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def _uuid(number: int) -> str:
+    return f"273e{number:04x}-4c4d-454d-96be-f03bac821358"
+
+
+SERVICE = "0000fe8d-0000-1000-8000-00805f9b34fb"
+CONTROL = _uuid(0x01)
+EEG = (_uuid(0x03), _uuid(0x04), _uuid(0x05), _uuid(0x06))
+"""TP9, AF7, AF8, TP10."""
+AUX = _uuid(0x07)
+GYRO, ACC, TELEMETRY = _uuid(0x09), _uuid(0x0A), _uuid(0x0B)
+PPG = (_uuid(0x0F), _uuid(0x10), _uuid(0x11))
+"""Ambient, infrared, red."""
+FRAMES = (_uuid(0x13), _uuid(0x14))
+"""Of an Athena, which sends everything on them; firmware may have the first one only."""
 
 HALT = "h"
 STATUS = "s"
@@ -106,3 +129,81 @@ def _first_of(text: str) -> tuple[Answer, str] | None:
     except (ValueError, RecursionError):
         return None
     return (cast("Answer", found), text[end:]) if isinstance(found, dict) else None
+
+
+NUMBERS = 1 << 16
+_BYTES, _NUMBER_BYTES = 20, 2
+EEG_SAMPLES, LIGHT_SAMPLES, MOTION_SAMPLES = 12, 6, 3
+EEG_UV = 2000 / 4096
+"""Of a count: 12 bits hold 2 mV."""
+EEG_ZERO = 2048
+ACC_G = 1 / 16384
+GYRO_DPS = 245 / 32768
+"""245 degrees per second in 15 bits: the 0.0074768 of muse-lsl and muse-js."""
+CHARGE_PERCENT = 1 / 512
+
+Floats = NDArray[np.float64]
+
+FULLEST_PERCENT = 105
+"""A full battery says a little more than 100."""
+
+
+class Packet(NamedTuple):
+    """One packet.
+
+    Attributes
+    ----------
+    number
+        Counts packets of the characteristic, modulo `NUMBERS`.
+    samples : ndarray of float64
+        Shape (n,) of a channel, (n, 3) of axes.
+    """
+
+    number: int
+    samples: Floats
+
+
+def parse_eeg(data: bytes) -> Packet | None:
+    """Read twelve samples of an electrode [uV]; None if it is no packet."""
+    if len(data) != _BYTES:
+        return None
+    triples = np.frombuffer(data, np.uint8, offset=_NUMBER_BYTES).reshape(-1, 3).astype(np.int32)
+    high = triples[:, 0] << 4 | triples[:, 1] >> 4
+    low = (triples[:, 1] & 0xF) << 8 | triples[:, 2]
+    counts = np.stack((high, low), axis=1).reshape(-1)
+    return Packet(_number(data), (counts - EEG_ZERO).astype(np.float64) * EEG_UV)
+
+
+def parse_light(data: bytes) -> Packet | None:
+    """Read six samples of a photodiode [counts of 24 bits]; None if it is no packet."""
+    if len(data) != _BYTES:
+        return None
+    triples = np.frombuffer(data, np.uint8, offset=_NUMBER_BYTES).reshape(-1, 3).astype(np.int32)
+    counts = triples[:, 0] << 16 | triples[:, 1] << 8 | triples[:, 2]
+    return Packet(_number(data), counts.astype(np.float64))
+
+
+def parse_motion(data: bytes, unit: float) -> Packet | None:
+    """Read three samples of X, Y, Z; None if it is no packet.
+
+    Parameters
+    ----------
+    unit
+        What a count is: `ACC_G` or `GYRO_DPS`.
+    """
+    if len(data) != _BYTES:
+        return None
+    counts = np.frombuffer(data, ">i2", offset=_NUMBER_BYTES).reshape(MOTION_SAMPLES, 3)
+    return Packet(_number(data), counts * unit)
+
+
+def parse_charge(data: bytes) -> float | None:
+    """Read the battery's state of charge [percent] of a telemetry packet; None if it is none."""
+    if len(data) != _BYTES:
+        return None
+    percent = int.from_bytes(data[2:4], "big") * CHARGE_PERCENT
+    return min(100.0, percent) if percent <= FULLEST_PERCENT else None
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data[:_NUMBER_BYTES], "big")
