@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.ble_heart_rate.simulator.heart import BeatDetector
-from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import (
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
     HeartRateMeasurement,
     damaged,
     encode,
 )
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import Pulse
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import BeatDetector, Pulse
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
     GROUP,
     HOLD_LIMIT_S,
     Beat,

@@ -9,8 +9,7 @@ import pytest
 
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Kind, Untidiness
-from biosensor_gateway.simulation.link import IMPOSSIBLE, Link
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import IMPOSSIBLE, Link, VirtualDevice
 from tests.contracts.conftest import class_of, every, is_recording
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until

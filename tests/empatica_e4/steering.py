@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
-from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
+from biosensor_gateway.devices.empatica_e4.simulator.e4 import Mishaps, Tear
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
 from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.simulator.delivery import damaged_line
+from biosensor_gateway.devices.empatica_e4.simulator.e4 import damaged_line
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.empatica_e4.steering import SteeredE4

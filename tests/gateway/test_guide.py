@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.settings.editor import add_device
 from biosensor_gateway.settings.file import load_settings

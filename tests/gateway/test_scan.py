@@ -19,7 +19,7 @@ import pytest
 from keyring.backends import fail
 
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.emotiv_insight.simulator import (
     Circumstances,
     SimulatedCortex,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.emitter import FrameTimeline, PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
@@ -20,7 +20,6 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rotation,
     parse_frame,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
 from tests.fuzz.breaking import Fault
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
@@ -77,7 +76,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.polar_h10.driver.protocol.timeline",
+    "biosensor_gateway.devices.polar_h10.driver.emitter",
     "RATE_TOLERANCE",
     lambda _: math.inf,
 )

@@ -19,7 +19,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Wanted
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
+from biosensor_gateway.devices.polar_h10.driver.driver import Plan, PolarDriver, PolarSession
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
@@ -29,7 +29,6 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     parse_settings,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
-from biosensor_gateway.devices.polar_h10.driver.session import Plan, PolarSession
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK

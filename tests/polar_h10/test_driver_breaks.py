@@ -11,7 +11,6 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
-from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
@@ -123,7 +122,7 @@ async def test_a_short_stall_only_delays(sensor: MakeSensor) -> None:
 async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session_module, "DUE", {"hr": 2.0})
+    monkeypatch.setattr(driver_module, "DUE", {"hr": 2.0})
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(2, "hr"))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline, Placed
+from biosensor_gateway.devices.polar_h10.driver.emitter import FrameTimeline, Placed
 
 _FOLDER = Path(__file__).parent / "vectors"
 (VECTOR,) = [

@@ -11,13 +11,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.driver.battery import charge_percent
 from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
+from biosensor_gateway.devices.shimmer.driver.conversation import Kind
+from biosensor_gateway.devices.shimmer.driver.driver import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer.driver.exg import GAINS, Exg, Use, registers_for
-from biosensor_gateway.devices.shimmer.driver.kind import Kind
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Calibration,
@@ -28,10 +28,10 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Packet,
     PressureChip,
     PressureCoefficients,
+    ReplyForm,
 )
+from biosensor_gateway.devices.shimmer.driver.packets import charge_percent
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS, ShimmerProtocol
-from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
-from biosensor_gateway.devices.shimmer.driver.setup import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.signals import (
     air_signals,
     compensation,

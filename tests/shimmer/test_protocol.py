@@ -21,11 +21,11 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Message,
     Nack,
     Packet,
+    ReplyForm,
     Status,
     StatusFlag,
 )
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 
 LAYOUT = Layout([0x12, 0x1C])
 MODES = list(CrcMode)

@@ -13,8 +13,9 @@ import pytest
 from biosensor_gateway.devices.shimmer.driver import exg
 from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.conversation import Kind
+from biosensor_gateway.devices.shimmer.driver.driver import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, microvolts, registers_for
-from biosensor_gateway.devices.shimmer.driver.kind import Kind
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Firmware,
     Inquiry,
@@ -23,7 +24,6 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     PressureCoefficients,
 )
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer.driver.setup import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.signals import are_real, compensation, motion_signals
 
 Vector = dict[str, Any]

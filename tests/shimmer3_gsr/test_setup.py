@@ -11,8 +11,7 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.commands import CrcMode
-from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer.driver.kind import Kind, identify
+from biosensor_gateway.devices.shimmer.driver.conversation import Conversation, Kind, identify
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     DaughterCard,
@@ -20,10 +19,10 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     FirmwareKind,
     Hardware,
     Inquiry,
+    ReplyForm,
     Status,
     StatusFlag,
 )
-from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 from biosensor_gateway.devices.shimmer3_gsr.driver.driver import Wanted, set_up
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
 

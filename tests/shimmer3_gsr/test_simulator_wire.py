@@ -14,18 +14,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.shimmer.simulator import battery
+from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.device import Conversation
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
 from biosensor_gateway.devices.shimmer.simulator.memory import Flash
-from biosensor_gateway.devices.shimmer.simulator.packets import channels_of, data_packet
 from biosensor_gateway.devices.shimmer.simulator.streaming import Sampling, samples
 from biosensor_gateway.devices.shimmer.simulator.wire import (
     Command,
     CommandReader,
     Firmware,
     Opcode,
+    channels_of,
     crc16,
+    data_packet,
     sealed,
 )
 from biosensor_gateway.devices.shimmer3_gsr.simulator.shimmer3 import (
@@ -180,7 +181,7 @@ def test_pulse_voltages_are_those_of_the_vectors(vector: dict[str, Any]) -> None
 @of_kind("vbatt")
 def test_battery_readings_are_those_of_the_vectors(vector: dict[str, Any]) -> None:
     expected = vector["expected"]
-    assert battery.percent_of(expected["adc"]) == pytest.approx(expected["percent"])
+    assert wire.percent_of(expected["adc"]) == pytest.approx(expected["percent"])
     bench = BareInterpreter()
     bench.counts = expected["adc"]
     assert bench.say("95").startswith("ff8a94" + vector["hex"][:4])
@@ -191,15 +192,15 @@ def test_the_charger_is_unknown_out_of_the_dock_then_charging_then_full() -> Non
     assert bench.say("95") == "ff8a94560aff"
     bench.interpreter.docked = True
     assert bench.say("95") == "ff8a94560a80"
-    bench.counts = battery.counts_at(100)
+    bench.counts = wire.counts_at(100)
     assert bench.say("95")[-2:] == "40"
 
 
 @given(st.floats(0, 100))
 def test_a_charge_comes_back_from_the_reading_it_makes(percent: float) -> None:
-    counts = battery.counts_at(percent)
+    counts = wire.counts_at(percent)
     # The curve is steepest where 3.9 percent lie within 3.6 mV, 2.5 counts.
-    assert battery.percent_of(counts) == pytest.approx(percent, abs=1.0)
+    assert wire.percent_of(counts) == pytest.approx(percent, abs=1.0)
 
 
 def test_the_check_is_the_vendors() -> None:

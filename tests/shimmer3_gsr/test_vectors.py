@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 from biosensor_gateway.devices.shimmer.driver import commands
-from biosensor_gateway.devices.shimmer.driver.adc import millivolts
-from biosensor_gateway.devices.shimmer.driver.battery import (
-    battery_volts,
-    charge_percent,
-    percent,
-)
+from biosensor_gateway.devices.shimmer.driver.calibration import millivolts
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
 from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S, CrcMode, crc16
 from biosensor_gateway.devices.shimmer.driver.messages import (
@@ -27,10 +22,16 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Message,
     Nack,
     Packet,
+    ReplyForm,
+    decode_reply,
 )
-from biosensor_gateway.devices.shimmer.driver.packets import TickTimeline
+from biosensor_gateway.devices.shimmer.driver.packets import (
+    TickTimeline,
+    battery_volts,
+    charge_percent,
+    percent,
+)
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm, decode_reply
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import (
     LARGEST_OPEN_ADC,
     clamped_kohm,

@@ -27,8 +27,7 @@ from bleak.exc import (
     BleakGATTProtocolError,
 )
 
-from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.transceiver import Transceiver
+from biosensor_gateway.simulation.radio import Radio, Transceiver
 from biosensor_gateway.simulation.world import World
 from tests.rigs.bluez import FakeBluez
 from tests.rigs.polling import until

@@ -11,7 +11,7 @@ import typer
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.devices import print_outcome
 from biosensor_gateway.cli.output import can_ask, menu, say, several
-from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.doctor.device_test import run_device_test

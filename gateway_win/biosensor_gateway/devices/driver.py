@@ -1,4 +1,4 @@
-"""The interface of drivers, and how a sensor offers its own."""
+"""The interface of drivers, how a sensor offers its own, and how its devices are found."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo, SensorSpec
-from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.silence import PATIENCE_S
@@ -17,6 +16,47 @@ from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 if TYPE_CHECKING:
     # Brings the keyring, which few sensors need.
     from biosensor_gateway.settings.secrets import SecretName
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A device that could be added to the settings.
+
+    Attributes
+    ----------
+    name
+        What a person calls it: the advertised name, an id.
+    settings
+        ``unit`` and whatever else leads the driver to it; scalars only.
+    """
+
+    sensor: str
+    name: str
+    settings: Mapping[str, str | int | float | bool]
+    rssi_dbm: int | None = None
+
+
+def by_advertisement(
+    sensor: str, identify: Callable[[Advertisement], str | None]
+) -> Callable[[Advertisement | SerialPort], Found | None]:
+    """Return what recognises a Bluetooth LE sensor among all that is within reach.
+
+    Parameters
+    ----------
+    identify
+        Returns what tells one device of the sensor from another, which becomes its unit; empty
+        where only its address does, None for devices that are not of the sensor.
+    """
+
+    def recognise(seen: Advertisement | SerialPort) -> Found | None:
+        identity = identify(seen) if isinstance(seen, Advertisement) else None
+        if not isinstance(seen, Advertisement) or identity is None:
+            return None
+        settings = {"unit": identity or seen.address, "device": seen.address}
+        return Found(sensor, seen.name.strip() or seen.address, settings, seen.rssi_dbm)
+
+    return recognise
+
 
 _Settings = TypeVar("_Settings", bound=DeviceSettings)
 

@@ -12,8 +12,7 @@ import structlog
 from pydantic import BaseModel, Field
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import DriverEntry
+from biosensor_gateway.devices.driver import DriverEntry, Found
 from biosensor_gateway.devices.registry import declaration, driver, sensor, sensor_names
 from biosensor_gateway.settings.editor import table_lines
 from biosensor_gateway.settings.models import DeviceSettings

@@ -19,8 +19,7 @@ from bumble.hci import Address
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
-from biosensor_gateway.simulation.radio import MAX_MTU, Radio
-from biosensor_gateway.simulation.transceiver import Transceiver
+from biosensor_gateway.simulation.radio import MAX_MTU, Radio, Transceiver
 
 # bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
 _BUMBLE_UNITS = 0.625

@@ -5,7 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
+from bumble import hci, ll
+from bumble.controller import Connection as AirConnection
+from bumble.controller import Controller
+from bumble.core import PhysicalTransport
 from bumble.device import Connection, Device, DeviceConfiguration
 from bumble.hci import Address
 from bumble.host import Host
@@ -13,8 +18,170 @@ from bumble.keys import KeyStore
 from bumble.link import LocalLink
 from bumble.pairing import PairingConfig, PairingDelegate
 
-from biosensor_gateway.simulation.transceiver import Transceiver
 from biosensor_gateway.simulation.world import World
+
+_EXTENDED = hci.LeFeatureMask.LE_EXTENDED_ADVERTISING | hci.LeFeatureMask.LE_PERIODIC_ADVERTISING
+_ACTIVE_SCAN = 0x01
+_REPORT = hci.HCI_LE_Advertising_Report_Event
+
+
+@dataclass
+class _Scannable(ll.AdvInd):
+    """An advertisement as it is heard: how strong, and what a scan request brings besides."""
+
+    scan_response: bytes
+    rssi_dbm: int
+
+
+class Transceiver(Controller):
+    """A controller on the air.
+
+    bumble's own repeats the advertisement as scan response, hears everything at
+    -50 dBm, cannot cancel a connection attempt and lets a central believe in a
+    connection that the peripheral did not accept.
+
+    Parameters
+    ----------
+    name
+        For logs.
+    air
+        The medium that it shares with others.
+
+    Attributes
+    ----------
+    rssi_dbm
+        How strong others hear it.
+    audible
+        Whether what it advertises is heard, and a connection to it comes about.
+    deaf
+        Whether it hears no advertisement.
+    """
+
+    # Legacy advertising has a scan response of its own, which the sensors use.
+    le_features = Controller.le_features & ~_EXTENDED
+    # One fragment per notification, and no burst of a device waits in its host.
+    le_acl_data_packet_length = 0xFFFF
+    total_num_le_acl_data_packets = 0xFF
+
+    def __init__(self, name: str, air: LocalLink) -> None:
+        # bumble leaves a parameter without a type.
+        super().__init__(name, link=air)  # pyright: ignore[reportUnknownMemberType]
+        self.air = air
+        self.rssi_dbm = -58
+        self.audible = True
+        self.deaf = False
+        self._stalled = False
+        self._held: list[tuple[hci.Address, PhysicalTransport, bytes]] = []
+
+    @property
+    def stalled(self) -> bool:
+        """Whether data that arrives waits; it is delivered in order when this ends."""
+        return self._stalled
+
+    @stalled.setter
+    def stalled(self, stalled: bool) -> None:
+        self._stalled = stalled
+        if not stalled:
+            held, self._held = self._held, []
+            for sender, transport, data in held:
+                self.on_link_acl_data(sender, transport, data)
+
+    def lose_links(self) -> None:
+        """Lose every connection on both sides, as by supervision timeout."""
+        reason = hci.HCI_ErrorCode.CONNECTION_TIMEOUT_ERROR
+        for connection in list(self.le_connections.values()):
+            peer = self.air.find_le_controller(connection.peer_address)
+            self.on_le_disconnected(connection, reason)
+            if peer and (other := peer.le_connections.get(connection.self_address)):
+                peer.on_le_disconnected(other, reason)
+
+    def on_le_disconnected(self, connection: AirConnection, reason: int) -> None:
+        """Forget what waits with the connection."""
+        self._held.clear()
+        super().on_le_disconnected(connection, reason)
+
+    def send_advertising_pdu(self, packet: ll.AdvertisingPdu) -> None:
+        """Add strength and scan response to an advertisement, or swallow it."""
+        if isinstance(packet, ll.AdvInd):
+            if not self.audible:
+                return
+            response = self.le_legacy_advertiser.scan_response_data
+            packet = _Scannable(
+                packet.advertiser_address, packet.data, bytes(response), self.rssi_dbm
+            )
+        super().send_advertising_pdu(packet)
+
+    def on_advertising_pdu(self, pdu: ll.AdvInd | ll.AdvExtInd) -> None:
+        """Report an advertisement and, in an active scan, its scan response."""
+        if self.deaf or not isinstance(pdu, _Scannable):
+            return
+        if self.le_scan_enable:
+            self._report(_REPORT.EventType.ADV_IND, pdu, pdu.data)
+            if self.le_scan_type == _ACTIVE_SCAN:
+                self._report(_REPORT.EventType.SCAN_RSP, pdu, pdu.scan_response)
+        pending = self.pending_le_connection
+        if pending and pending.peer_address == pdu.advertiser_address:
+            self.create_le_connection(pdu.advertiser_address)
+
+    def on_le_connect_ind(self, packet: ll.ConnectInd) -> None:
+        """Accept a connection, or have the central notice that nobody did."""
+        if packet.advertiser_address != self.random_address:
+            return
+        if self.audible and self.le_legacy_advertiser.enabled:
+            super().on_le_connect_ind(packet)
+            return
+        reason = hci.HCI_ErrorCode.CONNECTION_FAILED_TO_BE_ESTABLISHED_ERROR
+        self.air.send_ll_control_pdu(
+            packet.advertiser_address, packet.initiator_address, ll.TerminateInd(reason)
+        )
+
+    def on_ll_control_pdu(self, sender_address: hci.Address, packet: ll.ControlPdu) -> None:
+        """Ignore what crossed the end of its connection on the air."""
+        if sender_address in self.le_connections:
+            super().on_ll_control_pdu(sender_address, packet)
+
+    def on_link_acl_data(
+        self, sender_address: hci.Address, transport: PhysicalTransport, data: bytes
+    ) -> None:
+        """Take data of a connection, or hold it while stalled."""
+        if sender_address not in self.le_connections:
+            return
+        if self._stalled:
+            self._held.append((sender_address, transport, data))
+        else:
+            super().on_link_acl_data(sender_address, transport, data)
+
+    def on_hci_le_create_connection_cancel_command(
+        self, _command: hci.HCI_SyncCommand[hci.HCI_StatusReturnParameters]
+    ) -> hci.HCI_StatusReturnParameters:
+        """Give a connection attempt up (Core 5.4 Vol 4 Part E, 7.8.13)."""
+        if pending := self.pending_le_connection:
+            self.pending_le_connection = None
+            self.send_hci_packet(
+                hci.HCI_LE_Connection_Complete_Event(
+                    status=hci.HCI_ErrorCode.UNKNOWN_CONNECTION_IDENTIFIER_ERROR,
+                    connection_handle=0,
+                    role=hci.Role.CENTRAL,
+                    peer_address_type=pending.peer_address.address_type,
+                    peer_address=pending.peer_address,
+                    connection_interval=0,
+                    peripheral_latency=0,
+                    supervision_timeout=0,
+                    central_clock_accuracy=0,
+                )
+            )
+        return hci.HCI_StatusReturnParameters(hci.HCI_ErrorCode.SUCCESS)
+
+    def _report(self, kind: _REPORT.EventType, pdu: _Scannable, data: bytes) -> None:
+        report = _REPORT.Report(
+            event_type=kind,
+            address_type=pdu.advertiser_address.address_type,
+            address=pdu.advertiser_address,
+            data=data,
+            rssi=pdu.rssi_dbm,
+        )
+        self.send_hci_packet(_REPORT([report]))
+
 
 MAX_MTU = 517
 """What BlueZ asks for; the largest attribute value (512 bytes) fits."""

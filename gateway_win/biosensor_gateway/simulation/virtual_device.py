@@ -5,18 +5,118 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from enum import Enum, unique
 from math import isfinite
 from types import MappingProxyType, TracebackType
-from typing import Any, ClassVar, NamedTuple, Self, Unpack
+from typing import Any, ClassVar, NamedTuple, Self, TypedDict, Unpack
 
 from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import USUALLY_IMPOSSIBLE, Expected
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Kind, Untidiness
-from biosensor_gateway.simulation.link import IMPOSSIBLE, Link
-from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
+
+_IN_ORDER = "what carries its bytes keeps their order"
+_HELD_BY_HOST = "nothing but the computer itself holds its bytes up for seconds, as when it sleeps"
+_NO_NAME = "nobody finds it by a name on the air"
+_NO_ADDRESS = "its settings say where it is, and that is not asked of the air"
+
+
+@unique
+class Link(Enum):
+    """What lies between a device and its driver."""
+
+    BLUETOOTH_LE = "Bluetooth LE"
+    SERIAL = "a serial port"
+    """Also that of Bluetooth Classic."""
+    TCP = "TCP"
+    WEB_SOCKET = "a WebSocket"
+    UDP = "UDP"
+
+
+IMPOSSIBLE: Mapping[Link, Mapping[Kind, str]] = MappingProxyType(
+    {
+        Link.BLUETOOTH_LE: {
+            Untidiness.OVERTAKEN: "a link of Bluetooth LE repeats a packet until it is "
+            "acknowledged, before it sends the next one",
+            Untidiness.GLUED: "a notification comes as a whole and by itself",
+        },
+        Link.SERIAL: {
+            Untidiness.BUNDLED: _HELD_BY_HOST,
+            Untidiness.OVERTAKEN: _IN_ORDER,
+            Untidiness.NAMELESS: _NO_NAME,
+            Untidiness.READDRESSED: _NO_ADDRESS,
+        },
+        Link.TCP: {
+            Untidiness.BUNDLED: _HELD_BY_HOST,
+            Untidiness.OVERTAKEN: _IN_ORDER,
+            Untidiness.NAMELESS: _NO_NAME,
+            Untidiness.READDRESSED: _NO_ADDRESS,
+        },
+        Link.WEB_SOCKET: {
+            Untidiness.BUNDLED: _HELD_BY_HOST,
+            Untidiness.OVERTAKEN: _IN_ORDER,
+            Untidiness.GLUED: "a message of a WebSocket comes as a whole and by itself",
+            Untidiness.NAMELESS: _NO_NAME,
+            Untidiness.READDRESSED: _NO_ADDRESS,
+        },
+        Link.UDP: {
+            Untidiness.BUNDLED: _HELD_BY_HOST,
+            Untidiness.GLUED: "a datagram comes as a whole and by itself",
+            Untidiness.NAMELESS: _NO_NAME,
+            Untidiness.READDRESSED: "who it is says its number in what it sends, whatever the "
+            "address",
+        },
+    }
+)
+"""By link, what nothing on it can do, and why."""
+
+
+class SpecimenOptions(TypedDict, total=False):
+    """The parameters of `Specimen`, for constructors that pass them on."""
+
+    wearer: Wearer | None
+    seed: int
+    drift_ppm: float
+    jitter_s: float
+    kept: int | None
+
+
+class Specimen:
+    """One device of its kind: who wears it, and how far it is from a perfect one.
+
+    Parameters
+    ----------
+    wearer
+        Who wears it; somebody made from ``seed`` by default.
+    seed
+        Of delays and garbage.
+    drift_ppm
+        By how much its oscillator runs too fast at first [ppm].
+    jitter_s
+        What it sends leaves up to so much late [s].
+    kept
+        Limit of its truth [samples of each stream]; None = all.
+    """
+
+    __slots__ = ("drift_ppm", "jitter_s", "kept", "seed", "wearer")
+
+    def __init__(
+        self,
+        *,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+    ) -> None:
+        self.wearer = wearer or Wearer(seed)
+        self.seed = seed
+        self.drift_ppm = drift_ppm
+        self.jitter_s = jitter_s
+        self.kept = kept
+
 
 LATE_LASTS_S = 30.0
 _AT_ONCE: frozenset[Kind] = frozenset(

@@ -10,8 +10,7 @@ from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link

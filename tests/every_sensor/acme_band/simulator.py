@@ -16,10 +16,8 @@ from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import NO_INTERVALS, ONE_RATE, Expected
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.glue import glued
-from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 _PERIOD_S = 0.02

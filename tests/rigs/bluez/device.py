@@ -11,8 +11,7 @@ from dbus_fast.signature import Variant
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.simulation.advertising import Advertised
-from biosensor_gateway.simulation.central import Heard
-from biosensor_gateway.simulation.gatt_link import GattLink
+from biosensor_gateway.simulation.central import GattLink, Heard
 from tests.rigs.bluez.errors import (
     BluezError,
     failed,

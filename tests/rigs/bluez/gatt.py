@@ -15,7 +15,7 @@ from dbus_fast.signature import Variant
 
 from biosensor_common.errors import TransportError
 from biosensor_gateway.simulation.advertising import uuid_string
-from biosensor_gateway.simulation.gatt_link import GattLink
+from biosensor_gateway.simulation.central import GattLink
 from tests.rigs.bluez.errors import (
     BluezError,
     att_error,

@@ -23,8 +23,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HEART_RATE_SERVICE,
 )
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink

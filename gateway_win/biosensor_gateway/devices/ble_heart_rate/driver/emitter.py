@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
+    Beat,
+    PlacedBeat,
+    StoredBeats,
+)
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HeartRateMeasurement,
     parse_battery_level,
     parse_measurement,
-)
-from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
-    Beat,
-    PlacedBeat,
-    StoredBeats,
 )
 from biosensor_gateway.devices.sink import Sink
 

@@ -12,8 +12,7 @@ from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink

@@ -14,8 +14,8 @@ from bumble.att import Attribute
 from bumble.core import UUID
 from bumble.gatt import Characteristic, Service
 
-from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED as ANY_STRAP
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import EXPECTED as ANY_STRAP
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     STRAP_EFFECTS,
     Strap,
@@ -26,7 +26,7 @@ from biosensor_gateway.simulation.expected import NO_INTERVALS
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.specimen import SpecimenOptions
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 

@@ -18,8 +18,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
 from biosensor_gateway.devices.emotibit.driver.link import (
     ADVERTISING_PORT,

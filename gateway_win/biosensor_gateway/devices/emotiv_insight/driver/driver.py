@@ -13,8 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import IRREGULAR, DeviceInfo
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.emotiv_insight.driver import account as accounts
 from biosensor_gateway.devices.emotiv_insight.driver import protocol
 from biosensor_gateway.devices.emotiv_insight.driver.account import (

@@ -67,10 +67,8 @@ from biosensor_gateway.simulation.expected import (
     Gap,
 )
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
+from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 APP = App("virtual-app", "virtual-secret-0123456789")

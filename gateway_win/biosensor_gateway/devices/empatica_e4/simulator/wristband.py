@@ -29,8 +29,8 @@ from biosensor_gateway.devices.empatica_e4.simulator.wire import (
     as_sent,
 )
 from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.virtual_device import Specimen
 from biosensor_gateway.simulation.wearer import PULSE_TRANSIT_S, Floats, Wearer
 
 Rows = list[tuple[float, ...]]

@@ -7,20 +7,14 @@ import errno
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import isnan
 from typing import Protocol
 
-from biosensor_common.errors import (
-    ProtocolError,
-    ProtocolReason,
-    TransportError,
-    TransportReason,
-)
+from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
-from biosensor_gateway.devices.line_sensor.driver.in_order import InOrder
-from biosensor_gateway.devices.line_sensor.driver.line_rate import LineRate
 from biosensor_gateway.devices.line_sensor.driver.openearable import Asked, OpenEarableLink
 from biosensor_gateway.devices.line_sensor.driver.protocol import (
     BadLine,
@@ -33,7 +27,7 @@ from biosensor_gateway.devices.line_sensor.driver.protocol import (
     RowProtocol,
     checked_format,
 )
-from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
+from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.device_log import DeviceLog, Once
@@ -44,6 +38,133 @@ from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.tap import byte_link_of, text_link_of
 from biosensor_gateway.transports.udp_port import UdpPort
 from biosensor_gateway.transports.websocket import WebSocketLink
+
+PATIENCE_S = 0.35
+"""So long a line waits for one before it, as those of other senders of datagrams do."""
+MOST_AHEAD = 32
+"""What is further ahead overtook nothing: lines before it were lost, or the device counts again."""
+
+
+class InOrder:
+    """Hands lines out by their count.
+
+    Parameters
+    ----------
+    at_count
+        Where in a row the count is; None where there is none, or what carries lines keeps order.
+
+    Attributes
+    ----------
+    is_needed
+        Whether anything ever waits.
+    """
+
+    def __init__(self, at_count: int | None) -> None:
+        self.is_needed = at_count is not None
+        self._at_count = at_count
+        self._last: float | None = None
+        self._waiting: dict[float, tuple[Row, float]] = {}
+
+    def take(self, rows: Iterable[Row], arrival_s: float) -> Iterator[tuple[Row, float]]:
+        """Take in rows that came; return those whose turn it is, each with its own arrival."""
+        for row in rows:
+            if self._at_count is None or isnan(row[self._at_count]):
+                yield row, arrival_s
+            else:
+                yield from self._placed(row, row[self._at_count], arrival_s)
+
+    def end(self) -> list[tuple[Row, float]]:
+        """Return what still waits; whatever comes next is the first."""
+        left = [self._hand_out(count) for count in sorted(self._waiting)]
+        self._last = None
+        return left
+
+    def _placed(self, row: Row, count: float, arrival_s: float) -> Iterator[tuple[Row, float]]:
+        ahead = 1.0 if self._last is None else count - self._last
+        if count in self._waiting or -MOST_AHEAD <= ahead < 1:
+            # A copy, or later than anybody waits: who counts the lines says which.
+            yield row, arrival_s
+            return
+        if ahead > MOST_AHEAD or ahead < 1:
+            yield from self.end()
+        self._waiting[count] = row, arrival_s
+        while self._waiting and self._is_ripe(min(self._waiting), arrival_s):
+            yield self._hand_out(min(self._waiting))
+
+    def _is_ripe(self, count: float, now_s: float) -> bool:
+        is_next = self._last is None or count == self._last + 1
+        return is_next or now_s - self._waiting[count][1] > PATIENCE_S
+
+    def _hand_out(self, count: float) -> tuple[Row, float]:
+        self._last = count
+        return self._waiting.pop(count)
+
+
+WINDOW_S = 5.0
+TOLERANCE = 0.1
+"""Sketches that wait between their lines are a little slower than they were meant to be."""
+
+
+class LineRate:
+    """Measures how often lines come, by their count and time where they have them.
+
+    Parameters
+    ----------
+    settings
+        With the rate that should be; 0 is none, and nothing is compared.
+
+    Attributes
+    ----------
+    complaint
+        What is wrong with the rate, and what to do; empty if nothing is, or while it is unknown.
+    """
+
+    def __init__(self, settings: LineSettings) -> None:
+        self._nominal_hz = settings.rate_hz
+        self._at_count = settings.position(settings.sequence_column)
+        self._at_time = settings.position(settings.time_column)
+        self._tick_s = 1.0
+        if self._at_time is not None:
+            self._tick_s = TICKS_S[settings.parsed_columns[self._at_time].unit]
+        self.complaint = ""
+        self.begin()
+
+    def begin(self) -> None:
+        """Measure again, as from the first line of a connection on."""
+        self._first: tuple[float, float] | None = None
+        self._lines = 0
+        self._wrong_hz = 0.0
+        self.complaint = ""
+
+    def take(self, rows: Sequence[Row], arrival_s: float) -> None:
+        """Take in rows that came together."""
+        if not self._nominal_hz or not rows:
+            return  # nothing is dropped: this only looks on
+        self._lines += len(rows)
+        last = rows[-1]
+        count = self._lines if self._at_count is None else last[self._at_count]
+        time_s = arrival_s if self._at_time is None else last[self._at_time] * self._tick_s
+        if isnan(count) or isnan(time_s):
+            return  # nothing is dropped: this only looks on
+        first_count, first_s = self._first or (count, time_s)
+        if self._first is None or count < first_count or time_s < first_s:
+            self._first = count, time_s
+        elif time_s - first_s >= WINDOW_S:
+            self._judge((count - first_count) / (time_s - first_s))
+            self._first = count, time_s
+
+    def _judge(self, hz: float) -> None:
+        """Believe a wrong rate at the second time: what waited somewhere comes faster, once."""
+        if abs(hz / self._nominal_hz - 1) <= TOLERANCE:
+            self._wrong_hz, self.complaint = 0.0, ""
+            return
+        if self._wrong_hz and abs(hz / self._wrong_hz - 1) <= TOLERANCE:
+            self.complaint = (
+                f"lines come {hz:.3g} times a second, and the setting `rate_hz` is "
+                f"{self._nominal_hz:g}; set `rate_hz = {hz:.3g}`"
+            )
+        self._wrong_hz = hz
+
 
 FIRST_LINE_LIMIT_S = 6.0
 """An Arduino that is reset by opening its port begins after two."""

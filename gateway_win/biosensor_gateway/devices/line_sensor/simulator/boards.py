@@ -28,10 +28,8 @@ from biosensor_gateway.devices.line_sensor.simulator.ways import (
 from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting
 from biosensor_gateway.simulation.expected import NO_INTERVALS, Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 _DIGITS = 4

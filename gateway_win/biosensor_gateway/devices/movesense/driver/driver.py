@@ -12,8 +12,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.ble_session import BleSession
-from biosensor_gateway.devices.discovery import by_advertisement
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.movesense.driver import protocol
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
 from biosensor_gateway.devices.movesense.driver.protocol import (

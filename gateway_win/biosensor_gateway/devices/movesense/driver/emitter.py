@@ -8,14 +8,14 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from biosensor_common.clocks import TIMELINE_GAIN
-from biosensor_gateway.devices.ble_heart_rate.driver.emitter import (
-    NO_INTERVAL_LIMIT_S,
-    StrapEmitter,
-)
-from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
     Beat,
     PlacedBeat,
     StoredBeats,
+)
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import (
+    NO_INTERVAL_LIMIT_S,
+    StrapEmitter,
 )
 from biosensor_gateway.devices.movesense.driver.protocol import (
     HEART_RATE,

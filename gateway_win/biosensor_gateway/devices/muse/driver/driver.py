@@ -13,8 +13,7 @@ from pydantic import Field
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_session import BleSession
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.muse.driver import protocol
 from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter
 from biosensor_gateway.devices.muse.driver.protocol import (

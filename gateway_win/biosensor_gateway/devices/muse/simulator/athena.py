@@ -1,36 +1,142 @@
-"""A virtual Muse S Athena: frames of blocks, which wait for each other."""
+"""A virtual Muse S Athena: frames of blocks, which wait for each other.
+
+Sources: recordings of OpenMuse for the frame, with 16 bits of counter and 48 bits of
+milliseconds as the package openble-muse reads them; OpenMuse (`decode.py`) and BrainFlow
+(`muse_athena.cpp`) for tags, lengths, packing and scales of blocks.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Coroutine, Iterable, Mapping
+from collections.abc import Coroutine, Iterable, Mapping, Sequence
+from enum import IntEnum
 from itertools import count
 from types import MappingProxyType
 from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from biosensor_gateway.devices.muse.simulator import athena_wire as wire
-from biosensor_gateway.devices.muse.simulator.expected import ATHENA
-from biosensor_gateway.devices.muse.simulator.headband import Headband
+from biosensor_gateway.devices.muse.simulator.headband import ATHENA, Headband, uuid
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.virtual_device import Filled
+from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
+
+DATA_UUIDS = (uuid(0x13), uuid(0x14))
+
+
+class Tag(IntEnum):
+    """Of a block: a code of its rate, and what it holds."""
+
+    EEG4 = 0x11
+    EEG8 = 0x12
+    LIGHT4 = 0x34
+    LIGHT8 = 0x35
+    LIGHT16 = 0x36
+    MOTION = 0x47
+    REFERENCE = 0x53
+    BATTERY = 0x98
+
+
+SAMPLES = {
+    Tag.EEG4: 4,
+    Tag.EEG8: 2,
+    Tag.LIGHT4: 3,
+    Tag.LIGHT8: 2,
+    Tag.LIGHT16: 1,
+    Tag.MOTION: 3,
+    Tag.REFERENCE: 6,
+    Tag.BATTERY: 1,
+}
+WIDTHS = {Tag.EEG4: 4, Tag.EEG8: 8, Tag.LIGHT4: 4, Tag.LIGHT8: 8, Tag.LIGHT16: 16}
+LONGEST_FRAME = 230
+HEADER_BYTES, BLOCK_HEADER_BYTES = 9, 5
+_UV, _G, _DPS = 1450 / 16383, 1 / 16384, -245 / 32768
+
+
+class Block(NamedTuple):
+    """A block of one frame.
+
+    Attributes
+    ----------
+    stamp_us
+        The device's clock when it was handed on.
+    """
+
+    tag: int
+    number: int
+    stamp_us: int
+    payload: bytes
+
+    @property
+    def length(self) -> int:
+        """In bytes, with its header."""
+        return BLOCK_HEADER_BYTES + len(self.payload)
+
+
+def frame(counter: int, blocks: Sequence[Block]) -> bytes:
+    """Return a frame of blocks: milliseconds of the first one, its rest, and distances to it."""
+    first_us = blocks[0].stamp_us
+    offsets = [first_us % 1000, *(each.stamp_us - first_us for each in blocks[1:])]
+    body = b"".join(
+        bytes((block.tag, block.number & 0xFF)) + offset.to_bytes(3, "little", signed=True)
+        + block.payload
+        for block, offset in zip(blocks, offsets, strict=True)
+    )  # fmt: skip
+    clock = (counter & 0xFFFF).to_bytes(2, "little") + (first_us // 1000).to_bytes(6, "little")
+    return bytes((1 + len(clock) + len(body),)) + clock + body
+
+
+def eeg(microvolts: Floats) -> tuple[bytes, Floats]:
+    """Return samples of 4 or 8 electrodes, and the values that they hold [uV]."""
+    counts = np.clip(np.rint(microvolts / _UV) + 8192, 0, (1 << 14) - 1).astype(int)
+    return _packed(counts, 14), (counts - 8192) * _UV
+
+
+def light(values: Floats) -> tuple[bytes, Floats]:
+    """Return samples of light, and the values that they hold [counts]."""
+    counts = np.clip(np.rint(values), 0, (1 << 20) - 1).astype(int)
+    return _packed(counts, 20), counts.astype(float)
+
+
+def motion(g: Floats, degrees_per_s: Floats) -> tuple[bytes, Floats, Floats]:
+    """Return samples of acceleration and rotation, and the values that they hold."""
+    units = np.array([_G] * 3 + [_DPS] * 3)
+    counts = np.rint(np.concatenate((g, degrees_per_s), axis=1) / units)
+    raw = np.clip(counts, -32768, 32767).astype("<i2")
+    held = raw * units
+    return raw.tobytes(), held[:, :3], held[:, 3:]
+
+
+def charge(percent: float) -> tuple[bytes, float]:
+    """Return the battery's state of charge, and the percentage that it holds.
+
+    Of a full one, a headband was seen to say 100.5 %.
+    """
+    raw = 25728 if percent >= 100 else round(percent * 256)
+    return raw.to_bytes(2, "little") + bytes(18), min(100.0, raw / 256)
+
+
+def _packed(counts: np.ndarray[tuple[int, ...], np.dtype[np.int64]], width: int) -> bytes:
+    """Pack values one after the other, each from its lowest bit on."""
+    bits = 0
+    for place, each in enumerate(counts.reshape(-1)):
+        bits |= int(each) << (width * place)
+    return bits.to_bytes((width * counts.size + 7) // 8, "little")
+
 
 _EPOCH_US = 1_733_145_684_908_000
 """Its clock was never set, and says some day of the past."""
 _TICK_S = 0.01
 _BLOCK_US = 61
 _ELECTRODES = ("TP9", "AF7", "AF8", "TP10", "AUX1", "AUX2", "AUX3", "AUX4")
-_PRESETS = {
-    "p21": (wire.EEG4, 0),
-    "p1034": (wire.EEG4, wire.LIGHT8),
-    "p1035": (wire.EEG4, wire.LIGHT4),
-    "p1041": (wire.EEG8, wire.LIGHT16),
-    "p1043": (wire.EEG8, wire.LIGHT8),
-    "p1045": (wire.EEG8, wire.LIGHT4),
+_PRESETS: Mapping[str, tuple[Tag, Tag | None]] = {
+    "p21": (Tag.EEG4, None),
+    "p1034": (Tag.EEG4, Tag.LIGHT8),
+    "p1035": (Tag.EEG4, Tag.LIGHT4),
+    "p1041": (Tag.EEG8, Tag.LIGHT16),
+    "p1043": (Tag.EEG8, Tag.LIGHT8),
+    "p1045": (Tag.EEG8, Tag.LIGHT4),
 }
 _INNER = slice(4, 8)
 
@@ -48,7 +154,7 @@ class _Source(NamedTuple):
         It hands on what it has at every so many ticks of the processor.
     """
 
-    tag: int
+    tag: Tag
     rate_hz: float
     ticks: int
 
@@ -56,7 +162,7 @@ class _Source(NamedTuple):
 class _Waiting(NamedTuple):
     """A block that waits for its frame, and what it holds."""
 
-    block: wire.Block
+    block: Block
     times: Floats
     rows: Rows
 
@@ -96,7 +202,7 @@ class SimulatedAthena(Headband):
             patience_s=patience_s,
             **specimen,
         )
-        self._offer(wire.DATA_UUIDS)
+        self._offer(DATA_UUIDS)
 
     @classmethod
     def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
@@ -112,9 +218,9 @@ class SimulatedAthena(Headband):
         sources = [
             _Source(eeg, 256.3, 12),
             *([_Source(light, 64.2, 4)] if light else []),
-            _Source(wire.MOTION, 51.97, 3),
-            _Source(wire.REFERENCE, 32.0, 13),
-            _Source(wire.BATTERY, 1.0, 100),
+            _Source(Tag.MOTION, 51.97, 3),
+            _Source(Tag.REFERENCE, 32.0, 13),
+            _Source(Tag.BATTERY, 1.0, 100),
         ]
         begin_s, left_s = self._oscillator.now(), 0.0
         numbers: Counter[int] = Counter()
@@ -124,7 +230,7 @@ class SimulatedAthena(Headband):
             now_s = await self._oscillator.reach(begin_s + tick * _TICK_S)
             for each in self._handed_on(sources, tick, begin_s, numbers):
                 length = sum(other.block.length for other in waiting)
-                if wire.HEADER_BYTES + length + each.block.length > wire.LONGEST_FRAME:
+                if HEADER_BYTES + length + each.block.length > LONGEST_FRAME:
                     left_s = await self._leave(now_s, left_s)
                     await self._send_frame(counter, waiting)
                     counter, waiting = counter + 1, []
@@ -136,7 +242,7 @@ class SimulatedAthena(Headband):
         """Return the blocks that are complete, of the sources whose turn it is."""
         stamp_us = _EPOCH_US + round((begin_s + tick * _TICK_S) * 1e6)
         for source in sources:
-            samples = wire.SAMPLES[source.tag]
+            samples = SAMPLES[source.tag]
             while not tick % source.ticks:
                 first = numbers[source.tag] * samples
                 device_s = begin_s + (first + 1 + np.arange(samples)) / source.rate_hz
@@ -144,42 +250,42 @@ class SimulatedAthena(Headband):
                     break
                 times = np.array([self._oscillator.true_time(float(each)) for each in device_s])
                 payload, rows = self._measure(source.tag, times)
-                block = wire.Block(source.tag, numbers[source.tag], stamp_us, payload)
+                block = Block(source.tag, numbers[source.tag], stamp_us, payload)
                 numbers[source.tag] += 1
                 stamp_us += _BLOCK_US
                 yield _Waiting(block, times, rows)
 
     async def _send_frame(self, counter: int, waiting: list[_Waiting]) -> None:
-        uuid = wire.DATA_UUIDS[0]
+        uuid = DATA_UUIDS[0]
         if not self._peripheral.subscribed(self._characteristics[uuid]):
             return
-        sent = await self._notify(uuid, wire.frame(counter, [each.block for each in waiting]))
+        sent = await self._notify(uuid, frame(counter, [each.block for each in waiting]))
         for each in waiting:
             for name, samples in each.rows.items():
                 self._note(name, each.times, samples, sent=sent)
 
-    def _measure(self, tag: int, times: Floats) -> tuple[bytes, Rows]:
+    def _measure(self, tag: Tag, times: Floats) -> tuple[bytes, Rows]:
         """Return the bytes of a block, and its samples by data name."""
         match tag:
-            case wire.EEG4 | wire.EEG8:
-                names = _ELECTRODES[: wire.WIDTHS[tag]]
+            case Tag.EEG4 | Tag.EEG8:
+                names = _ELECTRODES[: WIDTHS[tag]]
                 potentials = [self._signals.eeg_uv(times, name) for name in names]
-                payload, held = wire.eeg(np.stack(potentials, axis=1))
-                return payload, {"eeg": held[:, :4], **({"aux": held[:, 4:]} if tag == wire.EEG8
+                payload, held = eeg(np.stack(potentials, axis=1))
+                return payload, {"eeg": held[:, :4], **({"aux": held[:, 4:]} if tag == Tag.EEG8
                     else {})}  # fmt: skip
-            case wire.LIGHT4 | wire.LIGHT8 | wire.LIGHT16:
-                payload, held = wire.light(self._light(times, wire.WIDTHS[tag]))
+            case Tag.LIGHT4 | Tag.LIGHT8 | Tag.LIGHT16:
+                payload, held = light(self._light(times, WIDTHS[tag]))
                 rows = np.full((len(times), 16), np.nan)
-                rows[:, _INNER if tag == wire.LIGHT4 else slice(0, held.shape[1])] = held
+                rows[:, _INNER if tag == Tag.LIGHT4 else slice(0, held.shape[1])] = held
                 return payload, {"optics": rows}
-            case wire.MOTION:
+            case Tag.MOTION:
                 signals = self._signals
-                payload, acceleration, rotation = wire.motion(
+                payload, acceleration, rotation = motion(
                     signals.acceleration_g(times), signals.rotation_dps(times)
                 )
                 return payload, {"acc": acceleration, "gyro": rotation}
-            case wire.BATTERY:
-                payload, percent = wire.charge(self._percent)
+            case Tag.BATTERY:
+                payload, percent = charge(self._percent)
                 return payload, {"bat": np.array([[percent]])}
             case _:
                 return bytes(24), {}
@@ -196,4 +302,4 @@ class SimulatedAthena(Headband):
         wrong = (
             bytes((250,)) + noise if number % 2 else bytes((21, 0, 0)) + noise[:6] + b"\x0f" * 12
         )
-        return wire.DATA_UUIDS[0], wrong
+        return DATA_UUIDS[0], wrong

@@ -1,10 +1,16 @@
-"""Base of all virtual headbands: power, commands, faults."""
+"""Base of all virtual headbands: power, commands and answers, faults, and what an agent can know.
+
+Sources: muse-lsl (`constants.py`, `muse.py`), muse-js (`muse-utils.ts`) and OpenMuse (`muse.py`)
+for UUIDs, framing and the fields of answers.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import json
 from abc import abstractmethod
-from collections.abc import Coroutine, Iterable, Mapping, Sequence
+from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import cycle
 from types import MappingProxyType
 from typing import Any, ClassVar, Unpack
@@ -15,18 +21,121 @@ from bumble.core import UUID
 from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
-from biosensor_gateway.devices.muse.simulator import wire
 from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.expected import (
+    NO_INTERVALS,
+    ONE_RATE,
+    USUALLY_IMPOSSIBLE,
+    Expected,
+    Gap,
+    LossTolerance,
+)
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
-from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
+
+CLASSIC = Expected(
+    # It comes without a time.
+    unstamped_s={"bat": 0.0},
+    # Each connection begins to count again, and is placed by its arrival.
+    loss_tolerance=LossTolerance(over_break=48, by_arrival=True),
+    impossible={
+        FaultKind.OFF_BODY: "it does not tell whether anybody wears it",
+        FaultKind.REPEAT: NO_INTERVALS,
+        Untidiness.RATE: ONE_RATE,
+        Untidiness.APART: "packets leave in the order of their electrodes; one of which none "
+        "leave is a loss",
+    },
+)
+ATHENA = replace(
+    CLASSIC,
+    unstamped_s={},
+    impossible={
+        **CLASSIC.impossible,
+        Untidiness.APART: USUALLY_IMPOSSIBLE[Untidiness.APART],
+        FaultKind.DENY: "all that it measures comes by one characteristic",
+    },
+    # Each connection begins to count again, and is placed by the device's clock.
+    loss_tolerance=LossTolerance(over_break=48),
+    # Its clock begins again.
+    gaps={FaultKind.RESTART: Gap.STOPPED},
+)
+
+
+SERVICE = "fe8d"
+_BASE = "273e{:04x}-4c4d-454d-96be-f03bac821358"
+_PIECE_BYTES = 20
+
+
+def uuid(number: int) -> str:
+    """Return the UUID of a characteristic by the part that differs."""
+    return _BASE.format(number)
+
+
+CONTROL = uuid(0x0001)
+
+
+def command_text(written: bytes) -> str | None:
+    """Return the command in what a host wrote, None if it is none."""
+    if len(written) < 2 or written[0] != len(written) - 1 or written[-1:] != b"\n":
+        return None
+    return written[1:-1].decode("ascii", "replace")
+
+
+def pieces(
+    answers: Iterable[Mapping[str, object]], cuts: np.random.Generator | None = None
+) -> Iterator[bytes]:
+    """Cut answers into notifications: a count, so many characters, zeros.
+
+    Parameters
+    ----------
+    answers
+        One behind the other.
+    cuts
+        Makes pieces of any length; None fills them.
+    """
+    text = b"".join(json.dumps(each, separators=(",", ":")).encode("ascii") for each in answers)
+    room = _PIECE_BYTES - 1
+    while text:
+        length = room if cuts is None else int(cuts.integers(1, room, endpoint=True))
+        piece, text = text[:length], text[length:]
+        yield bytes((len(piece),)) + piece.ljust(room, b"\0")
+
+
+def version(firmware: str, protocol: int) -> dict[str, object]:
+    """Return what a headband says of its firmware."""
+    return {
+        "ap": "headset",
+        "sp": "RevE",
+        "tp": "consumer",
+        "hw": "3.1",
+        "bn": 27,
+        "fw": firmware,
+        "bl": "1.2.3",
+        "pv": protocol,
+        "rc": 0,
+    }
+
+
+def status(name: str, serial: str, percent: float, preset: str) -> dict[str, object]:
+    """Return what a headband says of its state."""
+    return {
+        "hn": name,
+        "sn": serial,
+        "ma": "00-55-da-b0-3a-1f",
+        "id": "06473435 32313630 00280034",
+        "bp": round(percent, 2),
+        "ts": 0,
+        "ps": int(preset[1:], 16),
+        "rc": 0,
+    }
+
 
 _P = Characteristic.Properties
 _REFUSED = 1
@@ -132,14 +241,14 @@ class Headband(VirtualDevice):
         self._heard_s = 0.0
         self._characteristics: dict[str, Characteristic[bytes]] = {}
         self._control = Characteristic[bytes](
-            wire.CONTROL,
+            CONTROL,
             _P.NOTIFY | _P.WRITE | _P.WRITE_WITHOUT_RESPONSE,
             Attribute.Permissions.READABLE | Attribute.Permissions.WRITEABLE,
             CharacteristicValue(write=self._hear),
         )
         name = f"{self.kind}-{self._number}"
         self._peripheral = Peripheral(
-            radio, address, name, service_uuids=[wire.SERVICE], rssi_dbm=rssi_dbm
+            radio, address, name, service_uuids=[SERVICE], rssi_dbm=rssi_dbm
         )
         self._peripheral.on_connected.append(self._note_signal)
         self._peripheral.on_disconnected.append(self._lose_host)
@@ -173,7 +282,7 @@ class Headband(VirtualDevice):
 
     async def _power_on(self) -> None:
         self._oscillator = Oscillator(self.world.clock, self._drift_ppm)
-        service = UUID.from_16_bits(int(wire.SERVICE, 16))
+        service = UUID.from_16_bits(int(SERVICE, 16))
         offered = [self._control, *self._characteristics.values()]
         await self._peripheral.power_on([Service(service, offered)])
 
@@ -183,7 +292,7 @@ class Headband(VirtualDevice):
 
     def _hear(self, _connection: Connection, written: bytes) -> None:
         self._heard_s = self.world.clock()
-        self._run(self._answer(wire.command_text(written)), self._tasks)
+        self._run(self._answer(command_text(written)), self._tasks)
 
     async def _answer(self, command: str | None) -> None:
         if self._answer_delay_s:
@@ -194,15 +303,15 @@ class Headband(VirtualDevice):
         # Such as to a command to stay awake, which is answered together with this one.
         answers = [answer, {"rc": 0}] if self._glues else [answer]
         cuts = self._rng if self._glues else None
-        for piece in wire.pieces(answers, cuts):
+        for piece in pieces(answers, cuts):
             await self._peripheral.notify(self._control, piece)
 
     def _carry_out(self, command: str) -> Mapping[str, object]:
         """Return the answer to a command."""
         if command.startswith("v"):
-            return wire.version("1.2.13", self.protocol)
+            return version("1.2.13", self.protocol)
         if command == "s":
-            return wire.status(self._peripheral.name, self._serial, self._percent, self._preset)
+            return status(self._peripheral.name, self._serial, self._percent, self._preset)
         if command in self.presets:
             self._preset = command
         elif command == "h":
@@ -328,7 +437,7 @@ class Headband(VirtualDevice):
 
     async def _send_answers(self, count: int) -> None:
         for _ in range(count):
-            for piece in wire.pieces([{"rc": 0}], None):
+            for piece in pieces([{"rc": 0}], None):
                 await self._peripheral.notify(self._control, piece)
 
     def deny(self) -> None:

@@ -15,8 +15,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.polar_broadcast.driver.emitter import BroadcastEmitter
 from biosensor_gateway.devices.polar_broadcast.driver.protocol import COMPANY, parse
 from biosensor_gateway.devices.sink import Sink

@@ -12,9 +12,8 @@ from bumble.att import ATT_Error, Attribute, ErrorCode
 from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
-from biosensor_gateway.devices.ble_heart_rate.simulator.heart import BeatDetector
-from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import RR_TICKS_PER_S
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import RR_TICKS_PER_S
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import BeatDetector, Strap
 from biosensor_gateway.devices.polar_h10.simulator import pmd
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ATT_HEADER_BYTES,

@@ -9,11 +9,10 @@ from typing import Literal
 from pydantic import Field
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.discovery import by_advertisement
-from biosensor_gateway.devices.driver import DriverEntry, own_settings
+from biosensor_gateway.devices.driver import DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.polar_h10.driver import driver as polar
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Wanted
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
+from biosensor_gateway.devices.polar_h10.driver.driver import Plan, PolarDriver, PolarSession
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Measurement,
     Setting,
@@ -21,7 +20,6 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     start,
     stop,
 )
-from biosensor_gateway.devices.polar_h10.driver.session import Plan, PolarSession
 from biosensor_gateway.devices.polar_verity_sense.driver.emitter import DATA_NAMES, OpticalEmitter
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import nan
 
-from biosensor_gateway.devices.ble_heart_rate.driver.beats import walk_back
-from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
     Beat,
     PlacedBeat,
     StoredBeats,
+    walk_back,
 )
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import PulseInterval, PulseIntervals

@@ -1,9 +1,10 @@
-"""Calibration of a Shimmer's motion sensors: the device's own, or its chips' typical values.
+"""Counts to units: the converter of a Shimmer3, and the calibration of its motion sensors.
 
-A block of the device's memory is 21 bytes: offset and sensitivity of each axis, three signed
-words each with the high byte first, and the alignment matrix in hundredths, nine signed bytes,
-row by row. A sensor's reading u becomes R^-1 K^-1 (u - b). Layout and typical values are those
-of Shimmer's firmware (log-and-stream-common, Calibration).
+The converter has 12 bits of 3 V. Motion sensors have the device's own calibration, or their chips'
+typical values. A block of the device's memory is 21 bytes: offset and sensitivity of each axis,
+three signed words each with the high byte first, and the alignment matrix in hundredths, nine
+signed bytes, row by row. A sensor's reading u becomes R^-1 K^-1 (u - b). Layout and typical values
+are those of Shimmer's firmware (log-and-stream-common, Calibration).
 """
 
 from __future__ import annotations
@@ -14,10 +15,21 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from biosensor_gateway.devices.shimmer.driver.adc import Floats
-from biosensor_gateway.devices.shimmer.driver.replies import BLOCK_BYTES
+from biosensor_gateway.devices.shimmer.driver.messages import BLOCK_BYTES
+
+ADC_MAX = 4095
+ADC_VOLTS = 3.0
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def millivolts(raw: ArrayLike) -> Floats:
+    """Return ADC values as voltages at the pin [mV]."""
+    return np.asarray(raw, np.float64) * (1000 * ADC_VOLTS / ADC_MAX)
+
 
 STANDARD_GRAVITY_MS2 = 9.80665
 

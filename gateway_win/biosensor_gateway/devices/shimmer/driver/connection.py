@@ -14,8 +14,7 @@ from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer.driver.kind import Kind, identify
+from biosensor_gateway.devices.shimmer.driver.conversation import Conversation, Kind, identify
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Hardware,

@@ -1,32 +1,35 @@
-"""Commands and their answers over a byte link, one at a time."""
+"""The conversation with a Shimmer: questions, what kind it is, and what its flash keeps."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
-from biosensor_common.errors import (
-    ProtocolError,
-    ProtocolReason,
-    TransportError,
-    TransportReason,
-)
+import structlog
+
+from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.commands import STOP_STREAMING, CrcMode
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
+    BatteryReading,
+    DaughterCard,
     ExpansionPower,
     Firmware,
+    FirmwareKind,
     GsrRange,
     Hardware,
+    Inquiry,
     Nack,
     Reply,
+    ReplyForm,
     Stamped,
+    Status,
 )
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 from biosensor_gateway.transports.dialogue import Dialogue
 from biosensor_gateway.transports.link import ByteLink, Received
 
@@ -270,3 +273,184 @@ class Conversation:
     def _noted(self, found: list[Stamped]) -> list[Stamped]:
         self._has_heard_messages = self._has_heard_messages or bool(found)
         return found
+
+
+SHIMMER3, SHIMMER3R = 3, 10
+
+_FIRST_LOG_AND_STREAM = (0, 5, 4)
+"""Before, timestamps had two bytes and turned every two seconds; so had BtStream's."""
+_FIRST_BT_STREAM = (0, 7, 3)
+_FIRST_BATTERY = (0, 5, 9)
+_FIRST_CRC = (0, 13, 7)
+_FIRST_BARE_STATUS = (0, 15, 4)
+_FIRST_PRESSURE_CHIP = (0, 16, 6)
+_FIRST_3R_WITH_TWO_STATUS_BYTES = (1, 0, 24)
+_UPDATE = "install LogAndStream 0.13.7 or later with Shimmer's Consensys"
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Which Shimmer this is."""
+
+    hardware: int
+    firmware: Firmware
+
+    @property
+    def has_status(self) -> bool:
+        """Whether it tells its status and battery: BtStream does not."""
+        return self._is_log_and_stream(_FIRST_BATTERY)
+
+    @property
+    def has_crc(self) -> bool:
+        """Whether it can append checksums."""
+        return self._is_log_and_stream(_FIRST_CRC)
+
+    @property
+    def has_bare_status(self) -> bool:
+        """Whether it can leave out the ACK before an unasked status."""
+        return self._is_log_and_stream(_FIRST_BARE_STATUS)
+
+    @property
+    def tells_pressure_chip(self) -> bool:
+        """Whether it says which pressure sensor it has, with its coefficients."""
+        is_3r = self.hardware == SHIMMER3R
+        return is_3r or self._is_log_and_stream(_FIRST_PRESSURE_CHIP)
+
+    @property
+    def form(self) -> ReplyForm:
+        """Sizes of its answers."""
+        if self.hardware != SHIMMER3R:
+            return ReplyForm()
+        two_bytes = self.firmware.version >= _FIRST_3R_WITH_TWO_STATUS_BYTES
+        return ReplyForm(setup_bytes=7, status_bytes=2 if two_bytes else 1, calibration_blocks=6)
+
+    def layout(self, channels: Iterable[int]) -> Layout:
+        """Return the layout of its data packets, channels in the order of an inquiry."""
+        return Layout(channels, is_3r=self.hardware == SHIMMER3R)
+
+    def _is_log_and_stream(self, first: tuple[int, int, int]) -> bool:
+        firmware = self.firmware
+        return firmware.kind == FirmwareKind.LOG_AND_STREAM and firmware.version >= first
+
+
+async def identify(talk: Conversation, name: str) -> Kind:
+    """Ask what the device is, and switch on what makes its messages safe.
+
+    Raises
+    ------
+    ProtocolError
+        ``UNSUPPORTED``, or as :meth:`Conversation.ask`.
+    TransportError
+        As :meth:`Conversation.ask`.
+    """
+    hardware = await talk.ask(commands.GET_HARDWARE, Hardware)
+    firmware = await talk.ask(commands.GET_FIRMWARE, Firmware)
+    kind = Kind(hardware.version, firmware)
+    fault = _unsupported(kind)
+    if fault:
+        raise ProtocolError(ProtocolReason.UNSUPPORTED, f"{name}: {fault}")
+    talk.use_form(kind.form)
+    if kind.has_bare_status:
+        await talk.tell(commands.NO_ACK_BEFORE_STATUS)
+    if kind.has_crc:
+        await talk.use_crc(CrcMode.FULL)
+    return kind
+
+
+def _unsupported(kind: Kind) -> str:
+    """Say why the driver cannot use a device, and what to do; empty if it can."""
+    firmware = kind.firmware
+    first = {
+        FirmwareKind.LOG_AND_STREAM.value: _FIRST_LOG_AND_STREAM,
+        FirmwareKind.BT_STREAM.value: _FIRST_BT_STREAM,
+    }.get(firmware.kind)
+    if kind.hardware not in {SHIMMER3, SHIMMER3R}:
+        return f"Shimmer hardware {kind.hardware} is not supported; use a Shimmer3 or Shimmer3R"
+    if first is None:
+        return f"{firmware} is not supported; {_UPDATE}"
+    return f"{firmware} is too old; {_UPDATE}" if firmware.version < first else ""
+
+
+_log = structlog.get_logger("biosensor_gateway.shimmer")
+
+
+async def ask_for_the_state(talk: Conversation, kind: Kind) -> dict[str, str]:
+    """Ask for status and battery, which whoever listens notes.
+
+    Returns
+    -------
+    dict of str to str
+        By data name, why the device does not tell.
+
+    Raises
+    ------
+    ProtocolError, TransportError
+        As :meth:`Conversation.ask`, but that the battery may be refused.
+    """
+    if kind.has_status:
+        await talk.ask(commands.GET_STATUS, Status)
+        try:
+            await talk.ask(commands.GET_BATTERY, BatteryReading)
+        except ProtocolError as error:
+            if error.reason is not ProtocolReason.REFUSED:
+                raise
+            return {"bat": "it does not take the question for its voltage"}
+    return {}
+
+
+async def expansion_board(talk: Conversation, name: str) -> int | None:
+    """Return the number of the expansion board; None if the device does not tell.
+
+    Raises
+    ------
+    TransportError
+        As :meth:`Conversation.ask`.
+    """
+    try:
+        card = await talk.ask(commands.GET_DAUGHTER_CARD, DaughterCard)
+    except ProtocolError as error:
+        _log.warning("the expansion board is unknown", port=name, cause=str(error))
+        return None
+    return card.data[0] if card.data else None
+
+
+async def make_right(
+    talk: Conversation, changes_to: Callable[[Inquiry], Mapping[str, bytes]], name: str
+) -> Inquiry:
+    """Change what an inquiry shows to be wrong; return how the device is set up then.
+
+    Parameters
+    ----------
+    changes_to
+        Returns the commands that are needed, by what they set.
+    name
+        What error messages call the device.
+
+    Raises
+    ------
+    ProtocolError
+        ``REFUSED`` if it does not take a setting, or as :meth:`Conversation.ask`.
+    TransportError
+        As :meth:`Conversation.ask`.
+    """
+    present = await talk.ask(commands.INQUIRY, Inquiry)
+    changes = changes_to(present)
+    for command in changes.values():
+        await talk.tell(command)
+    if changes:
+        present = await talk.ask(commands.INQUIRY, Inquiry)
+        refuse_if_left(changes_to(present), name)
+    return present
+
+
+def refuse_if_left(changes: Mapping[str, bytes], name: str) -> None:
+    """Say what the device did not take.
+
+    Raises
+    ------
+    ProtocolError
+        ``REFUSED`` if anything is left to be changed.
+    """
+    if changes:
+        message = f"{name}: the device did not take {', '.join(changes)}; switch it off and on"
+        raise ProtocolError(ProtocolReason.REFUSED, message)

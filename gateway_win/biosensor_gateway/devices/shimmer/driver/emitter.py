@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.driver.battery import emit_charge
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
 from biosensor_gateway.devices.shimmer.driver.exg import electrodes_on
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
-from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes, emit_charge
 from biosensor_gateway.devices.shimmer.driver.signals import Signal
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from biosensor_gateway.devices.shimmer.driver.adc import Floats
+from biosensor_gateway.devices.shimmer.driver.calibration import Floats
 
 REGISTERS = 10
 _CONFIG1, _CONFIG2, _LOFF, _CH1SET, _CH2SET, _RLD_SENS, _LOFF_SENS = range(7)

@@ -20,15 +20,13 @@ from dataclasses import replace
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.messages import (
+    IN_STREAM,
     Ack,
     Message,
     Nack,
     Packet,
-    Stamped,
-)
-from biosensor_gateway.devices.shimmer.driver.replies import (
-    IN_STREAM,
     ReplyForm,
+    Stamped,
     decode_reply,
     reply_size,
 )

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.driver.adc import Floats
 from biosensor_gateway.devices.shimmer.driver.calibration import (
     STANDARD_GRAVITY_MS2,
     Block,
+    Floats,
     Kinematic,
 )
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout

@@ -12,10 +12,9 @@ from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.simulator import battery
+from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
 from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
-from biosensor_gateway.devices.shimmer.simulator.packets import channels_of
 from biosensor_gateway.devices.shimmer.simulator.streaming import (
     Meter,
     Sample,
@@ -30,18 +29,17 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     CommandReader,
     Firmware,
     Opcode,
+    channels_of,
     in_unknown_kind,
     sealed,
 )
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.glue import glued
-from biosensor_gateway.simulation.link import Link
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.patient_port import PatientPort
-from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 _TX_QUEUE_BYTES = 256
@@ -249,7 +247,7 @@ class SimulatedShimmer(VirtualDevice):
 
     def battery_counts(self) -> int:
         """Read the battery's voltage, in counts of the converter."""
-        return battery.counts_at(self._battery_percent)
+        return wire.counts_at(self._battery_percent)
 
     async def _start(self) -> None:
         self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
@@ -287,7 +285,7 @@ class SimulatedShimmer(VirtualDevice):
 
     def _obeyed(self, opcode: Opcode, answered: bool) -> None:
         if opcode is Opcode.GET_BATTERY and answered:
-            percent = battery.percent_of(self.battery_counts())
+            percent = wire.percent_of(self.battery_counts())
             self.truth.sent("bat", [self.world.clock()], [[percent]])
         self._follow_sensing()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from biosensor_gateway.devices.shimmer.simulator import battery
+from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.memory import (
     BMP180,
     BMP280,
@@ -17,15 +17,16 @@ from biosensor_gateway.devices.shimmer.simulator.memory import (
     Flash,
     Memory,
 )
-from biosensor_gateway.devices.shimmer.simulator.packets import SHIMMER3R, channels_of
 from biosensor_gateway.devices.shimmer.simulator.wire import (
     ACK,
     IN_STREAM,
     NACK,
+    SHIMMER3R,
     TICKS_PER_S,
     Command,
     Firmware,
     Opcode,
+    channels_of,
 )
 
 MAX_RATE_HZ = 4096
@@ -135,7 +136,7 @@ class Interpreter:
             Opcode.GET_EXG_REGISTERS: self._get_exg,
             Opcode.GET_FIRMWARE_VERSION: lambda _: self._version(),
             Opcode.GET_CHARGE_LED: lambda _: bytes(
-                (0x31, battery.led_level(self._hardware.battery_counts()))
+                (0x31, wire.led_level(self._hardware.battery_counts()))
             ),
             Opcode.GET_SHIMMER_VERSION: lambda _: self._version_of_hardware(),
             Opcode.SET_EXPANSION_POWER: self._set_expansion_power,
@@ -263,7 +264,7 @@ class Interpreter:
 
     def _battery(self) -> bytes:
         counts = self._hardware.battery_counts()
-        charger = battery.charger_byte(counts, docked=self.docked)
+        charger = wire.charger_byte(counts, docked=self.docked)
         return IN_STREAM + b"\x94" + _u16(counts) + bytes((charger,))
 
     def _daughter_card(self, arguments: bytes) -> bytes | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from biosensor_gateway.devices.shimmer.simulator.packets import SHIMMER3, Model
+from biosensor_gateway.devices.shimmer.simulator.wire import SHIMMER3, Model
 
 REGISTERS = 10
 """Of each ExG chip."""

@@ -9,8 +9,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.simulator.packets import SHIMMER3, Model, data_packet
-from biosensor_gateway.devices.shimmer.simulator.wire import TICKS_PER_S
+from biosensor_gateway.devices.shimmer.simulator.wire import (
+    SHIMMER3,
+    TICKS_PER_S,
+    Model,
+    data_packet,
+)
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.system.clock import Clock

@@ -17,7 +17,6 @@ import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
 from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
-from biosensor_gateway.devices.shimmer.simulator.packets import OLDER_SHIMMER3, SHIMMER3R
 from biosensor_gateway.devices.shimmer.simulator.sensors import (
     CHANNELS_16,
     CHANNELS_24,
@@ -46,6 +45,7 @@ from biosensor_gateway.devices.shimmer.simulator.sensors import (
     voltages,
 )
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block
+from biosensor_gateway.devices.shimmer.simulator.wire import OLDER_SHIMMER3, SHIMMER3R
 from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import (
     NO_INTERVALS,

@@ -10,18 +10,17 @@ from typing import Literal, NamedTuple
 import structlog
 from pydantic import Field
 
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Channel
 from biosensor_gateway.devices.shimmer.driver.connection import Prepared, ShimmerDriver
-from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer.driver.flash import (
+from biosensor_gateway.devices.shimmer.driver.conversation import (
+    Conversation,
+    Kind,
     ask_for_the_state,
     expansion_board,
     make_right,
 )
-from biosensor_gateway.devices.shimmer.driver.kind import Kind
 from biosensor_gateway.devices.shimmer.driver.messages import Inquiry
 from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import WAVEFORMS, GsrEmitter, Measurement

@@ -12,18 +12,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from biosensor_gateway.devices.shimmer.driver.adc import (
+from biosensor_gateway.devices.shimmer.driver.calibration import (
     ADC_MAX,
     ADC_VOLTS,
     Floats,
     Ints,
     millivolts,
 )
-from biosensor_gateway.devices.shimmer.driver.battery import emit_charge
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
 from biosensor_gateway.devices.shimmer.driver.commands import AUTO_RANGE, TICKS_PER_S
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
-from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes, emit_charge
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.pulses.elgendi import Pulses
 from biosensor_gateway.system.device_log import DeviceLog

@@ -29,9 +29,8 @@ from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
-from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock

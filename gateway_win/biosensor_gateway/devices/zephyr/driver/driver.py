@@ -9,8 +9,7 @@ from collections.abc import Callable, Sequence
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import (

@@ -33,9 +33,7 @@ from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_po
 from biosensor_gateway.simulation.effects import Effect, flag, lasting
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.glue import glued
-from biosensor_gateway.simulation.link import Link
-from biosensor_gateway.simulation.specimen import SpecimenOptions
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock
 

@@ -28,8 +28,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
 )
 from biosensor_gateway.simulation.expected import USUALLY_IMPOSSIBLE, Expected
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.link import IMPOSSIBLE
-from biosensor_gateway.simulation.virtual_device import Filled
+from biosensor_gateway.simulation.virtual_device import IMPOSSIBLE, Filled
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock

@@ -31,8 +31,8 @@ from biosensor_gateway.simulation.effects import Effect, lasting, level
 from biosensor_gateway.simulation.expected import ONE_RATE, Expected, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.virtual_device import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock
