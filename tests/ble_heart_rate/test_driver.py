@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.ble_heart_rate.driver import driver as driver_module
+from biosensor_gateway.devices.ble_heart_rate import driver as driver_module
+from biosensor_gateway.devices.ble_heart_rate.driver import HeartRateStrapDriver
 from biosensor_gateway.devices.ble_heart_rate.driver import strap as strap_module
-from biosensor_gateway.devices.ble_heart_rate.driver.driver import HeartRateStrapDriver
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio

@@ -5,7 +5,7 @@ Nothing raises; samples have the declared shape; each value is read as of every 
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.bluetooth_health.driver.driver import HealthEmitter
+from biosensor_gateway.devices.bluetooth_health.driver import HealthEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, long_float, sfloat
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink

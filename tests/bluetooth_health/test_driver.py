@@ -9,7 +9,7 @@ import pytest
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.bluetooth_health.driver.driver import recognise
+from biosensor_gateway.devices.bluetooth_health.driver import recognise
 from biosensor_gateway.devices.bluetooth_health.driver.services import SPOT_CHECK
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.bluetooth_health.declaration import SPEC
+from biosensor_gateway.devices.bluetooth_health import SPEC
 from biosensor_gateway.devices.bluetooth_health.driver.services import (
     ROWS,
     Revolutions,

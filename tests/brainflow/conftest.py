@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.devices.brainflow.driver.driver import DRIVER, BrainFlowSettings
+from biosensor_gateway.devices.brainflow.driver import DRIVER, BrainFlowSettings
 from tests.rigs.driver_run import NotedSink, Run
 
 ENVIRONMENT = Path(__file__).parents[2] / ".venv-peers"

@@ -15,9 +15,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import GatewayError, ProtocolError, TransportError
-from biosensor_gateway.devices.brainflow.declaration import board_spec, board_streams
-from biosensor_gateway.devices.brainflow.driver import driver as process_module
-from biosensor_gateway.devices.brainflow.driver.driver import DRIVER, BrainFlowSettings
+from biosensor_gateway.devices.brainflow import board_spec, board_streams
+from biosensor_gateway.devices.brainflow import driver as process_module
+from biosensor_gateway.devices.brainflow.driver import DRIVER, BrainFlowSettings
 from tests.brainflow.conftest import ENVIRONMENT, BoardRun, board_settings
 from tests.rigs.driver_run import NotedSink, supervised
 from tests.rigs.polling import until
@@ -117,7 +117,7 @@ async def test_no_process_outlives_an_agent_that_is_killed(tmp_path: Path) -> No
     program = (
         "import os, sys, time\n"
         "from tests.brainflow.conftest import board_settings\n"
-        "from biosensor_gateway.devices.brainflow.driver.driver import _order, start\n"
+        "from biosensor_gateway.devices.brainflow.driver import _order, start\n"
         "settings = board_settings()\n"
         "process = start(settings, 'stream')\n"
         "process.stdin.write(_order(settings, (0,)))\n"

@@ -14,8 +14,8 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.agent.state import State
+from biosensor_gateway.devices.emotibit.driver import EmotiBitSettings, find
 from biosensor_gateway.devices.emotibit.driver import link as link_module
-from biosensor_gateway.devices.emotibit.driver.driver import EmotiBitSettings, find
 from biosensor_gateway.devices.emotibit.simulator import wire
 from biosensor_gateway.devices.emotibit.simulator.rounds import Rounds
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
@@ -140,10 +140,10 @@ async def test_the_one_that_is_wanted_is_chosen(emotibit: MakeEmotiBit) -> None:
 async def test_those_in_the_network_are_found_with_their_settings(
     emotibit: MakeEmotiBit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("biosensor_gateway.devices.emotibit.driver.driver._LISTEN_S", 0.7)
+    monkeypatch.setattr("biosensor_gateway.devices.emotibit.driver._LISTEN_S", 0.7)
     device = emotibit()
     port = device.settings["port"]
-    monkeypatch.setattr("biosensor_gateway.devices.emotibit.driver.driver.ADVERTISING_PORT", port)
+    monkeypatch.setattr("biosensor_gateway.devices.emotibit.driver.ADVERTISING_PORT", port)
     (found,) = await find([])
     assert found.settings == {"unit": "MD-V5-0000123", "device": "MD-V5-0000123"}
     own = EmotiBitSettings(sensor="emotibit", unit="1", host="127.0.0.1", port=port)

@@ -19,8 +19,13 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.emotiv_insight.driver import account, driver, session
-from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER, EmotivInsightSettings
+from biosensor_gateway.devices.emotiv_insight import driver
+from biosensor_gateway.devices.emotiv_insight.driver import (
+    DRIVER,
+    EmotivInsightSettings,
+    account,
+    session,
+)
 from tests.rigs.driver_run import NotedSink, Run, supervised
 
 DEADLINE_S = 30.0

@@ -24,8 +24,8 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.emotiv_insight.driver import driver
-from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER, find
+from biosensor_gateway.devices.emotiv_insight import driver
+from biosensor_gateway.devices.emotiv_insight.driver import DRIVER, find
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 from tests.rigs.kept_logging import kept_logging

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from biosensor_gateway.devices.emotiv_insight.driver.driver import (
+from biosensor_gateway.devices.emotiv_insight.driver import (
     DEFAULT_URL,
     EmotivInsightSettings,
     is_loopback,

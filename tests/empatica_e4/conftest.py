@@ -16,8 +16,8 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
-from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
+from biosensor_gateway.devices.empatica_e4 import driver as driver_module
+from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming import silence as silence_module

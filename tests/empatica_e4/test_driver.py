@@ -13,7 +13,7 @@ import pytest
 
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.driver import Found
-from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
+from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
 from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.devices.empatica_e4.declaration import SPEC
+from biosensor_gateway.devices.empatica_e4 import SPEC
 from biosensor_gateway.devices.empatica_e4.driver.emitter import WINDOW_S, E4Emitter
 from biosensor_gateway.devices.empatica_e4.driver.protocol import Sample, Stream
 from tests.rigs.emitter_sink import EmitterSink

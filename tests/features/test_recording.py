@@ -21,8 +21,8 @@ from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec, StreamSpec
 from biosensor_common.table import channels, raw
 from biosensor_gateway.cli.features import compute_recording, features
-from biosensor_gateway.devices.emotibit.declaration import SPEC as EMOTIBIT
-from biosensor_gateway.devices.empatica_e4.declaration import SPEC as EMPATICA_E4
+from biosensor_gateway.devices.emotibit import SPEC as EMOTIBIT
+from biosensor_gateway.devices.empatica_e4 import SPEC as EMPATICA_E4
 from biosensor_gateway.features.outputs import features_of
 from tests.features import signals
 from tests.xdf import xdf_file as made

@@ -12,8 +12,8 @@ import pytest
 
 from biosensor_common import child
 from biosensor_common.child import LONGEST_DELAY_S, STABLE_AFTER_S, Backoff
-from biosensor_gateway.devices.brainflow.driver import driver as board
-from biosensor_gateway.devices.brainflow.driver.driver import BrainFlowSettings
+from biosensor_gateway.devices.brainflow import driver as board
+from biosensor_gateway.devices.brainflow.driver import BrainFlowSettings
 from biosensor_gateway.system.child import start_beside
 
 WAITS = [sys.executable, "-c", "import sys; sys.stdin.read()"]

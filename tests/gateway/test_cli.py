@@ -20,7 +20,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli.app import app
 from biosensor_gateway.demo import virtual_devices as simulate
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Settings
+from biosensor_gateway.devices.polar_h10.driver import PolarH10Settings
 from biosensor_gateway.devices.registry import sensor, sensor_names
 
 if TYPE_CHECKING:

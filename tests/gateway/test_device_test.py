@@ -19,7 +19,7 @@ import pytest
 from biosensor_gateway.devices.driver import Connected, Driver, DriverEntry
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.devices.zephyr.driver.driver import ZephyrSettings
+from biosensor_gateway.devices.zephyr.driver import ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr
 from biosensor_gateway.doctor import device_test
 from biosensor_gateway.settings.models import DeviceSettings

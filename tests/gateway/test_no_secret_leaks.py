@@ -21,9 +21,9 @@ from rich.traceback import Traceback
 
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver import cortex as cortex_client
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import request_text
-from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.simulator import App, Circumstances, Timing
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import LogSettings

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.spec import FROM_DEVICE, DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.zephyr.declaration import SPEC
+from biosensor_gateway.devices.zephyr import SPEC
 from biosensor_gateway.streaming import outlets as module
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet

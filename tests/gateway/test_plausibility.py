@@ -19,7 +19,7 @@ from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.bluetooth_health.driver.driver import HealthEmitter
+from biosensor_gateway.devices.bluetooth_health.driver import HealthEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.counters import Counters

@@ -13,7 +13,7 @@ import struct
 from collections.abc import Sequence
 from functools import cache
 
-from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
+from biosensor_gateway.devices.line_sensor.driver import row_protocol
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
 from biosensor_gateway.devices.line_sensor.driver.protocol import MAX_LINE_BYTES, BadLine, Row
 from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings

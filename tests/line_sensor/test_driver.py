@@ -13,8 +13,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.devices.line_sensor.driver import driver as driver_module
-from biosensor_gateway.devices.line_sensor.driver.driver import DRIVER
+from biosensor_gateway.devices.line_sensor import driver as driver_module
+from biosensor_gateway.devices.line_sensor.driver import DRIVER
 from biosensor_gateway.devices.line_sensor.simulator import (
     OpenEarableLineSensor,
     SimulatedLineSensor,

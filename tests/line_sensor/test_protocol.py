@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
+from biosensor_gateway.devices.line_sensor.driver import row_protocol
 from biosensor_gateway.devices.line_sensor.driver.protocol import CHECKSUMS, BadLine, Flaw, Row
-from biosensor_gateway.devices.line_sensor.simulator.boards import crc16
+from biosensor_gateway.devices.line_sensor.simulator import crc16
 from tests.line_sensor.conftest import line_settings
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=32)

@@ -9,7 +9,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType, MessageType
-from biosensor_gateway.devices.line_sensor.declaration import column
+from biosensor_gateway.devices.line_sensor import column
 from biosensor_gateway.devices.registry import declared, settings_models
 from biosensor_gateway.settings.file import settings_of
 from tests.line_sensor.conftest import line_settings

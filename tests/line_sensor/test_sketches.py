@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
+from biosensor_gateway.devices.line_sensor.driver import row_protocol
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
 from biosensor_gateway.devices.line_sensor.driver.protocol import BadLine, Row
 from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings

@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.movesense.declaration import SPEC
+from biosensor_gateway.devices.movesense import SPEC
 from biosensor_gateway.devices.movesense.driver.protocol import COMMAND
 from biosensor_gateway.devices.movesense.simulator import Firmware
 from biosensor_gateway.simulation.faults import Fault, FaultKind

@@ -18,8 +18,8 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.polar_h10.driver import Plan, PolarDriver, PolarSession
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Wanted
-from biosensor_gateway.devices.polar_h10.driver.driver import Plan, PolarDriver, PolarSession
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,

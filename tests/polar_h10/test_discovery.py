@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Settings, identify, recognise
+from biosensor_gateway.devices.polar_h10.driver import PolarH10Settings, identify, recognise
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 HEART_RATE = frozenset({"0000180d-0000-1000-8000-00805f9b34fb"})

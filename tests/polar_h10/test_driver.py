@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices import ble_session as session_module
-from biosensor_gateway.devices.polar_h10.declaration import SPEC
+from biosensor_gateway.devices.polar_h10 import SPEC
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.products import Firmware, Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind

@@ -10,8 +10,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
+from biosensor_gateway.devices.polar_h10 import driver as driver_module
+from biosensor_gateway.devices.polar_h10.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind

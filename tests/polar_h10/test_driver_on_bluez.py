@@ -10,7 +10,7 @@ from bleak import BleakClient
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
+from biosensor_gateway.devices.polar_h10 import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import CONTROL_POINT
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.products import Quirks

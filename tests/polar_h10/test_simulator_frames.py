@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.simulator import pmd
-from biosensor_gateway.devices.polar_h10.simulator.device import manufacturer_data
+from biosensor_gateway.devices.polar_h10.simulator import manufacturer_data, pmd
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     Measurement,
     PulseInterval,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.polar_verity_sense.driver.driver import (
+from biosensor_gateway.devices.polar_verity_sense.driver import (
     PolarVeritySenseSettings,
     identify,
     recognise,

@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import pytest
 import serial
 
-from biosensor_gateway.devices.line_sensor.driver import driver as line_driver
+from biosensor_gateway.devices.line_sensor import driver as line_driver
 from biosensor_gateway.simulation import async_serial
 from biosensor_gateway.simulation.async_serial import TcpSerialPort
 from biosensor_gateway.system.clock import LSL_CLOCK

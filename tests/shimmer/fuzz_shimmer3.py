@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from biosensor_gateway.devices.shimmer.driver import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.conversation import Kind
-from biosensor_gateway.devices.shimmer.driver.driver import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer.driver.exg import GAINS, Exg, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.messages import (

@@ -13,8 +13,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.shimmer.driver import conversation
-from biosensor_gateway.devices.shimmer.driver.driver import Shimmer3Settings
+from biosensor_gateway.devices.shimmer.driver import Shimmer3Settings, conversation
 from biosensor_gateway.devices.shimmer.simulator import (
     SimulatedEmgUnit,
     SimulatedExgUnit,

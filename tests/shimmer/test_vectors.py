@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.shimmer.driver import exg
+from biosensor_gateway.devices.shimmer.driver import exg, typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.conversation import Kind
-from biosensor_gateway.devices.shimmer.driver.driver import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, microvolts, registers_for
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Firmware,

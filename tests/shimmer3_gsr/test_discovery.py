@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from biosensor_gateway.devices.driver import Found
-from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings, recognise
+from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings, recognise
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 

@@ -19,7 +19,7 @@ from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.shimmer.driver import connection as module
 from biosensor_gateway.devices.shimmer.driver import conversation
-from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
+from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World

@@ -23,7 +23,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Status,
     StatusFlag,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.driver import Wanted, set_up
+from biosensor_gateway.devices.shimmer3_gsr.driver import Wanted, set_up
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
 
 WANTED = Wanted(256, 4)

@@ -29,7 +29,7 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     data_packet,
     sealed,
 )
-from biosensor_gateway.devices.shimmer3_gsr.simulator.shimmer3 import (
+from biosensor_gateway.devices.shimmer3_gsr.simulator import (
     AUTO_RANGE,
     Conditions,
     GsrAmplifier,

@@ -11,7 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.vernier_respiration_belt.driver import driver as driver_module
+from biosensor_gateway.devices.vernier_respiration_belt import driver as driver_module
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
 from biosensor_gateway.simulation.faults import Fault, FaultKind

@@ -21,9 +21,9 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.naming import source_id
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.zephyr.declaration import SPEC
-from biosensor_gateway.devices.zephyr.driver import driver as module
-from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrDriver, ZephyrSettings
+from biosensor_gateway.devices.zephyr import SPEC
+from biosensor_gateway.devices.zephyr import driver as module
+from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.simulator import wire
 from biosensor_gateway.devices.zephyr.simulator.bioharness import Outgoing

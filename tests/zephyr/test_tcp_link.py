@@ -12,7 +12,7 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings
+from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.socket_link import TcpLink

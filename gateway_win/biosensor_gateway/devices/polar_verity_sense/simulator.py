@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from biosensor_gateway.devices.polar_h10.simulator.device import EXPECTED as STRAP
-from biosensor_gateway.devices.polar_h10.simulator.device import SimulatedPolarH10, Usual
+from biosensor_gateway.devices.polar_h10.simulator import EXPECTED as STRAP
+from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10, Usual
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ACC_COMPRESSED_COUNTS,
     PPG_OF_TWO_DIODES,

@@ -1,1 +1,152 @@
-"""Leads the conversation with the device, and turns what it sends into samples."""
+"""The conversation with a heart-rate strap of any make."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+
+import structlog
+from pydantic import Field
+
+from biosensor_common.errors import (
+    CredentialError,
+    CredentialReason,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+)
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
+    HEART_RATE_MEASUREMENT,
+    HEART_RATE_SERVICE,
+)
+from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+GOODBYE_LIMIT_S = 0.4
+_log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
+_ADVICE = "put it on with wet electrodes, and end its connection to phones and watches"
+
+
+class HeartRateStrapSettings(DeviceSettings):
+    """Settings of one heart-rate strap."""
+
+    device: str = Field(
+        default="",
+        max_length=64,
+        description="Bluetooth address of the strap, as scan shows it, or its name, which another "
+        "strap may have, too; empty takes the only one in range that no other table uses.",
+        examples=["C0:FF:EE:12:34:56"],
+    )
+    pair: PairSetting = Field(default="auto", description=PAIR_DESCRIPTION)
+
+
+class HeartRateStrapDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # A few stop while they are not worn.
+    silence_limit_s = 15.0
+
+    def __init__(self, link: BleLink, emitter: StrapEmitter, pairing: Pairing) -> None:
+        self._link = link
+        self._pairing = pairing
+        self._emitter = emitter
+        self._strap = Strap(link, emitter)
+        self._seen: tuple[Advertisement, float] | None = None
+
+    async def connect(self) -> Connected:
+        """Connect and subscribe; see the protocol class."""
+        self._seen = await self._link.open(), self._link.clock()
+        self._emitter.reconnected()
+        if not self._link.has(HEART_RATE_MEASUREMENT):
+            message = f"{self._link.what} measures no heart rate; choose another `device`"
+            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        info = await self._start()
+        return Connected(info, denied=await self._strap.ask_for_battery(), due=DUE)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Subscribe to the heart rate once more."""
+        del streams
+        await self._strap.subscribe_again()
+
+    async def stream(self) -> None:
+        """Emit what the strap sends, which the link has kept so far."""
+        if self._seen is not None:
+            advertisement, seen_s = self._seen
+            self._emitter.signal_strength(advertisement.rssi_dbm, seen_s)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._read_forever())
+
+    async def close(self) -> None:
+        """Unsubscribe, for a moment, and disconnect."""
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                await self._strap.stop()
+        await self._link.close()
+
+    async def _start(self) -> DeviceInfo:
+        try:
+            return await self._strap.start()
+        except AttError as error:
+            if not self._pairing.helps(error, is_unanswered=True):
+                raise
+            _log.info("pairing, because the strap does not answer unpaired", cause=str(error))
+            self._pairing.note_demand()
+        await self._link.pair()
+        try:
+            return await self._strap.start()
+        except AttError as error:
+            message = (
+                f"{self._link.what} answers only when paired, and pairing does not help: remove it "
+                "in the system's Bluetooth settings, then start again"
+            )
+            raise CredentialError(CredentialReason.REJECTED, message) from error
+
+    async def _read_forever(self) -> None:
+        while True:
+            self._strap.take(await self._link.next())
+
+
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDriver]:
+    """Share emitter and choice of the device between all connections."""
+    own = own_settings(HeartRateStrapSettings, settings)
+    emitter = StrapEmitter(sink)
+    kind = identify_any if own.device else identify
+    choice = Choice(kind, "heart-rate strap", own.device, _ADVICE, is_generic=True)
+    pairing = Pairing(own.pair)
+
+    def make() -> HeartRateStrapDriver:
+        return HeartRateStrapDriver(BleLink(choice, sink.clock, pairing=pairing), emitter, pairing)
+
+    return make
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the address of a device that advertises the Heart Rate service, else None."""
+    return seen.address if HEART_RATE_SERVICE in seen.service_uuids else None
+
+
+def identify_any(seen: Advertisement) -> str | None:
+    """Return the address of any device: some straps do not say that they are one."""
+    return seen.address
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is a strap; one that another driver knows better is left to that one."""
+    if not isinstance(seen, Advertisement) or identify(seen) is None:
+        return None
+    settings = {"unit": seen.address, "device": seen.address}
+    return Found("ble_heart_rate", seen.name or seen.address, settings, seen.rssi_dbm)
+
+
+DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

@@ -1,5 +1,92 @@
-"""Virtual heart-rate straps."""
+"""A virtual heart-rate strap of no particular make."""
 
-from biosensor_gateway.devices.ble_heart_rate.simulator.device import SimulatedHeartRateStrap
+from __future__ import annotations
 
-__all__ = ["SimulatedHeartRateStrap"]
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Unpack
+
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    EXPECTED,
+    STRAP_EFFECTS,
+    Strap,
+    StrapDevice,
+)
+from biosensor_gateway.simulation.effects import flag, lasting, on_part
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+
+class SimulatedHeartRateStrap(StrapDevice):
+    """Heart Rate, Battery and Device Information services, and nothing else.
+
+    Its measurements tell whether the strap touches the skin and carry R-R intervals.
+    Without contact the rate is 0 and there are no intervals.
+
+    Parameters
+    ----------
+    world, radio
+        Where it lives, and the air that it is heard on.
+    address, name
+        As advertised.
+    rssi_dbm
+        How strongly it is heard.
+    demands_pairing
+        Tells its heart rate only to a host that has paired.
+    **specimen
+        As for every virtual device: see `Specimen`.
+    """
+
+    sensor = "ble_heart_rate"
+    effects = MappingProxyType(
+        on_part(
+            "_strap",
+            {
+                **STRAP_EFFECTS,
+                FaultKind.REPEAT: flag("pulse.repeats"),
+                FaultKind.DENY: lasting(Strap.deny, Strap.allow),
+            },
+        )
+    )
+    expected = EXPECTED
+    on_air = True
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str = "C8:25:00:00:00:01",
+        name: str = "Heart Strap 0001",
+        rssi_dbm: int = -61,
+        demands_pairing: bool = False,
+        **specimen: Unpack[SpecimenOptions],
+    ) -> None:
+        super().__init__(world, **specimen)
+        self._address = address
+        peripheral = Peripheral(radio, address, name, service_uuids=("180d",), rssi_dbm=rssi_dbm)
+        self._strap = Strap(
+            peripheral,
+            self.truth,
+            self.specimen,
+            identity=Identity("Virtual Straps", "Heart Strap", "0001", firmware="1.0"),
+        )
+        if demands_pairing:
+            peripheral.demand_pairing = True
+            self._strap.heart_rate.demand_pairing()
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address of its own, too."""
+        own = {"address": f"C8:25:00:00:01:{number:02X}", "name": f"Heart Strap {number + 1:04}"}
+        return {**super().worn_by(wearer, number), **own}
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Fields that lead a driver to it."""
+        return {"device": self._address}

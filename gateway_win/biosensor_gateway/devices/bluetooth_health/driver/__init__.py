@@ -1,1 +1,221 @@
-"""Leads the conversation with the device, and turns what it sends into samples."""
+"""The conversation with any device that has one of the services."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+from pydantic import Field
+
+from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
+from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
+from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+GOODBYE_LIMIT_S = 0.4
+KIND = "health device"
+_ADVICE = "switch it on or put it on, and end its connection to phones"
+
+
+class HealthDeviceSettings(DeviceSettings):
+    """Settings of one health or sports device."""
+
+    device: str = Field(
+        default="",
+        max_length=64,
+        description="Bluetooth address of the device, as scan shows it, or its name; empty takes "
+        "the only one in range that no other table uses.",
+        examples=["C0:FF:EE:12:34:56"],
+    )
+    wheel_mm: int = Field(
+        default=2105,
+        ge=100,
+        le=5000,
+        description="Circumference of the wheel in millimetres, for the speed of a bicycle.",
+    )
+    pair: bool = Field(
+        default=False, description="Pair before connecting, for devices that demand it."
+    )
+
+
+class HealthEmitter:
+    """Turns values into samples; one instance a device, over all its connections.
+
+    These services stamp nothing, or by a clock that somebody set by hand: times are those of
+    arrival.
+
+    Attributes
+    ----------
+    strap
+        Emits battery and signal strength.
+
+    Parameters
+    ----------
+    wheel_m
+        Circumference of the wheel.
+    """
+
+    def __init__(self, sink: Sink, wheel_m: float) -> None:
+        self.strap = StrapEmitter(sink)
+        self._sink = sink
+        self._wheel_m = wheel_m
+        self.reconnected()
+
+    def reconnected(self) -> None:
+        """Prepare for a new connection of the same device."""
+        self._samples = {row.characteristic: row.sample(self._wheel_m) for row in ROWS}
+
+    def take(self, row: Row, data: bytes, arrival_s: float) -> None:
+        """Emit what a value holds; one that is cut short is counted and dropped."""
+        found = row.parse(data)
+        if found is None:
+            self._sink.dropped_bytes += len(data)
+            return
+        self._sink.heard(row.stream)
+        sample = self._samples[row.characteristic](found, arrival_s)
+        contact = row.contact(found) if row.contact is not None else None
+        if sample is not None and contact is not False:
+            self._sink.emit_at(row.stream, [sample], [arrival_s])
+            self._sink.note_arrival(row.stream, arrival_s)
+        if contact is not None:
+            self._sink.emit_at("quality", [[float(contact)]], [arrival_s])
+
+
+class HealthDeviceDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # Some say nothing until somebody measures; a link that is lost is noticed by itself.
+    silence_limit_s = 3600.0
+
+    def __init__(self, link: BleLink, emitter: HealthEmitter) -> None:
+        self._link = link
+        self._emitter = emitter
+        self._strap = Strap(link, emitter.strap)
+        self._seen: tuple[Advertisement, float] | None = None
+
+    async def connect(self) -> Connected:
+        """Connect and subscribe; see the protocol class."""
+        self._seen = await self._link.open(), self._link.clock()
+        self._emitter.reconnected()
+        rows = [row for row in ROWS if self._link.has(row.characteristic)]
+        if not rows:
+            raise self._has_none()
+        info = await self._strap.identify()
+        errors = {row: await self._subscribe(row) for row in rows}
+        denied = {
+            row.stream: f"its service lets nobody subscribe: ATT error 0x{error.code:02X}"
+            for row, error in errors.items()
+            if error is not None
+        }
+        if len(denied) == len(rows):
+            raise self._refusal(errors)
+        denied |= await self._strap.ask_for_battery()
+        refused = frozenset(row.stream for row in ROWS) - {row.stream for row in rows}
+        due = {row.stream: row.due_s for row in rows if row.due_s and row.stream not in denied}
+        return Connected(info, refused=refused, denied=denied, due=due)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Subscribe once more to everything: what comes rarely may be missing, too."""
+        del streams
+        for row in ROWS:
+            if self._link.has(row.characteristic):
+                with suppress(AttError):
+                    await self._link.unsubscribe(row.characteristic)
+                await self._subscribe(row)
+
+    async def stream(self) -> None:
+        """Emit what the device sends, which the link has kept so far."""
+        if self._seen is not None:
+            advertisement, seen_s = self._seen
+            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._read_forever())
+
+    async def close(self) -> None:
+        """Unsubscribe, for a moment, and disconnect."""
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                for row in ROWS:
+                    if self._link.has(row.characteristic):
+                        await self._link.unsubscribe(row.characteristic)
+        await self._link.close()
+
+    async def _subscribe(self, row: Row) -> AttError | None:
+        """Subscribe; return the error of a refusal."""
+        try:
+            await self._link.subscribe(row.characteristic)
+        except AttError as error:
+            return error
+        return None
+
+    def _has_none(self) -> ProtocolError:
+        message = f"{self._link.what} has none of the services; choose another `device`"
+        if self._link.has(SPOT_CHECK):
+            message = (
+                f"{self._link.what} has only spot checks, one value when a measurement is over; "
+                "choose an oximeter that measures all the time"
+            )
+        return ProtocolError(ProtocolReason.UNSUPPORTED, message)
+
+    def _refusal(self, errors: Mapping[Row, AttError | None]) -> ProtocolError:
+        """Return why nothing at all can be had of it."""
+        found = [error for error in errors.values() if error is not None]
+        if any(error.wants_pairing or error.code == UNLIKELY_ERROR for error in found):
+            message = f"{self._link.what} answers only when paired; set pair = true for it"
+            return ProtocolError(ProtocolReason.REFUSED, message)
+        return found[0]
+
+    async def _read_forever(self) -> None:
+        rows = {row.characteristic: row for row in ROWS}
+        while True:
+            notification = await self._link.next()
+            row = rows.get(notification.uuid)
+            if row is None:
+                self._strap.take(notification)
+            else:
+                self._emitter.take(row, notification.data, notification.arrival)
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the address of a device that advertises one of the services, else None."""
+    return None if _title(seen) is None else seen.address
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is such a device; one that another driver knows is left to that one."""
+    if not isinstance(seen, Advertisement) or identify(seen) is None:
+        return None
+    settings = {"unit": seen.address, "device": seen.address}
+    return Found("bluetooth_health", seen.name or seen.address, settings, seen.rssi_dbm)
+
+
+def _title(seen: Advertisement) -> str | None:
+    titles = (row.title for row in ROWS if row.service in seen.service_uuids)
+    return next(titles, None)
+
+
+def _any(seen: Advertisement) -> str:
+    return seen.address
+
+
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HealthDeviceDriver]:
+    """Share emitter and choice of the device between all connections."""
+    own = own_settings(HealthDeviceSettings, settings)
+    emitter = HealthEmitter(sink, own.wheel_mm / 1000)
+    kind = _any if own.device else identify
+    pairing = Pairing("yes" if own.pair else "no")
+    choice = Choice(kind, KIND, own.device, _ADVICE, is_generic=True)
+    return lambda: HealthDeviceDriver(BleLink(choice, sink.clock, pairing=pairing), emitter)
+
+
+DRIVER = DriverEntry(HealthDeviceSettings, _make, recognise=recognise)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.device_clock import DeviceClock
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.brainflow.declaration import BoardStream, Description
+from biosensor_gateway.devices.brainflow import BoardStream, Description
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 

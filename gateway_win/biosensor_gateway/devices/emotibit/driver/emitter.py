@@ -9,7 +9,7 @@ from statistics import linear_regression
 from typing import NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
-from biosensor_gateway.devices.emotibit.declaration import (
+from biosensor_gateway.devices.emotibit import (
     CONDUCTANCE_HZ,
     MOTION_HZ,
     TEMPERATURE_HZ,

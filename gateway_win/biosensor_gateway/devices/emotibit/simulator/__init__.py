@@ -1,5 +1,443 @@
-"""A virtual EmotiBit."""
+"""A virtual EmotiBit in the Wi-Fi of this computer."""
 
-from biosensor_gateway.devices.emotibit.simulator.emotibit import SimulatedEmotiBit
+from __future__ import annotations
 
-__all__ = ["SimulatedEmotiBit"]
+import asyncio
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple, Unpack
+
+import numpy as np
+
+from biosensor_gateway.devices.emotibit.simulator import wire
+from biosensor_gateway.devices.emotibit.simulator.rounds import (
+    ROUND_S,
+    ROUNDS_EFFECTS,
+    Measured,
+    Round,
+    Rounds,
+)
+from biosensor_gateway.devices.emotibit.simulator.wire import Host
+from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, level, on_part
+from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.oscillator import Oscillator
+from biosensor_gateway.simulation.tcp_port import LOOPBACK
+from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOptions, VirtualDevice
+from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.clock import Clock
+
+_FORGOTTEN_S = 10.0
+"""A host that does not ask for so long is gone."""
+_UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
+
+_UNAWARE = "nothing in it knows whether it is worn"
+
+EXPECTED = Expected(
+    by_agent=frozenset({"st"}),
+    gaps={
+        # Its clock begins again, so nobody knows how long it was off.
+        FaultKind.RESTART: Gap.UNKNOWN,
+    },
+    # Across a gap, samples are told by times at which they were read, up to a period late.
+    loss_tolerance=LossTolerance(over_break=2),
+    impossible={
+        FaultKind.OFF_BODY: _UNAWARE,
+        FaultKind.DENY: "it sends what it measures without being asked for signals",
+        Untidiness.STRAY: "a packet with a number of its own is a loss to who does not know it",
+        FaultKind.REPEAT: "an interval that it finds it sends once, with its own number",
+    },
+)
+
+Address = tuple[str, int]
+
+
+class _Wifi(asyncio.DatagramProtocol):
+    """The advertising channel, and how good the air is.
+
+    Parameters
+    ----------
+    asked
+        Gets each packet of a host, with its address.
+    host, port
+        Address and UDP port on which it can be asked; 0 takes a free one.
+
+    Attributes
+    ----------
+    host
+        Its address.
+    is_there
+        Whether it is in the Wi-Fi.
+    to_lose
+        So many datagrams of data do not come through.
+    overtakes
+        Whether each third datagram comes behind the next one.
+    """
+
+    def __init__(
+        self, asked: Callable[[wire.Message, Address], None], host: str, port: int
+    ) -> None:
+        self._asked = asked
+        self.host = host
+        self._port = port
+        self._transport: asyncio.DatagramTransport | None = None
+        self._number = 0
+        self.is_there = True
+        self.to_lose = 0
+        self.overtakes = False
+        self._datagrams = 0
+        self._overtaken: bytes | None = None
+
+    @property
+    def port(self) -> int:
+        """The UDP port on which it can be asked."""
+        if self._transport is None:
+            raise RuntimeError("the virtual EmotiBit is not switched on")
+        return int(self._transport.get_extra_info("sockname")[1])
+
+    async def open(self) -> None:
+        """Be in the Wi-Fi."""
+        loop = asyncio.get_running_loop()
+        self._transport, _ = await loop.create_datagram_endpoint(
+            lambda: self, (self.host, self._port)
+        )
+
+    def close(self) -> None:
+        """Leave the Wi-Fi."""
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
+
+    def is_let_through(self) -> bool:
+        """Whether the next datagram of data arrives."""
+        if self.to_lose:
+            self.to_lose -= 1
+            return False
+        return True
+
+    def in_turn(self, datagram: bytes) -> list[bytes]:
+        """Return what of the data arrives now: usually the datagram, as long as none overtakes."""
+        self._datagrams += 1
+        overtaken, self._overtaken = self._overtaken, None
+        if overtaken is not None:
+            return [datagram, overtaken]
+        if self.overtakes and self._datagrams % 3 == 0:
+            self._overtaken = datagram
+            return []
+        return [datagram]
+
+    def tell(self, time_ms: int, tag: str, payload: list[str], address: Address) -> None:
+        """Send a host a packet."""
+        if self._transport is not None and self.is_there:
+            self._transport.sendto(wire.packet(time_ms, self._number, tag, payload), address)
+            self._number += 1
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        """Hand a host's packet on; one a datagram, as the firmware has it."""
+        if self.is_there:
+            self._asked(wire.heard(data.split(b"\n")[0]), (addr[0], addr[1]))
+
+    def error_received(self, exc: Exception) -> None:
+        """Pass over a host that is gone."""
+
+
+def _overtake(wifi: _Wifi) -> None:
+    wifi.overtakes = True
+
+
+def _keep_order(wifi: _Wifi) -> None:
+    wifi.overtakes = False
+
+
+WIFI_EFFECTS: Effects[_Wifi] = MappingProxyType(
+    {Untidiness.OVERTAKEN: lasting(_overtake, _keep_order)}
+)
+
+
+class OnItsWay(NamedTuple):
+    """A datagram, to whom, and the samples in it."""
+
+    host: Host
+    datagram: bytes
+    samples: Sequence[Measured]
+
+
+class _Sending:
+    """Puts datagrams out after a delay, none before one that was sent earlier.
+
+    Parameters
+    ----------
+    clock
+        Of the world.
+    rng, jitter_s
+        Makes delays, from 0 to the longest.
+    put_out
+        Called when one is through.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        rng: np.random.Generator,
+        jitter_s: float,
+        put_out: Callable[[OnItsWay], None],
+    ) -> None:
+        self._clock, self._rng, self._jitter_s = clock, rng, jitter_s
+        self._put_out = put_out
+        self._pending: set[asyncio.TimerHandle] = set()
+        self._waiting: deque[OnItsWay] = deque()
+        self._until_s = 0.0
+
+    def send(self, host: Host, datagram: bytes, samples: Sequence[Measured]) -> None:
+        """Put one on its way."""
+        delay_s = self._jitter_s * float(self._rng.random())
+        self._until_s = max(self._until_s, self._clock() + delay_s)
+
+        def arrive() -> None:
+            self._pending.discard(timer)
+            # Timers of the same moment come in any order.
+            self._put_out(self._waiting.popleft())
+
+        self._waiting.append(OnItsWay(host, datagram, samples))
+        loop = asyncio.get_running_loop()
+        timer = loop.call_later(max(0.0, self._until_s - self._clock()), arrive)
+        self._pending.add(timer)
+
+    def forget(self) -> None:
+        """Drop what is on its way."""
+        for timer in self._pending:
+            timer.cancel()
+        self._pending.clear()
+        self._waiting.clear()
+        self._until_s = 0.0
+
+
+class SimulatedEmotiBit(VirtualDevice):
+    """The device.
+
+    Its `truth` holds what was sent to a host that was connected, with the times at which the
+    sensors measured it.
+
+    Parameters
+    ----------
+    device
+        Its id.
+    host, port
+        Address and UDP port on which hosts ask for it; 0 takes a free one. A real one has 3131.
+    ppg_hz
+        Of its firmware.
+    battery_percent
+        Charge at power-on.
+    **specimen
+        As for every virtual device: see `Specimen`. The drift is that of its processor's clock.
+    """
+
+    sensor = "emotibit"
+    link = Link.UDP
+    expected = EXPECTED
+    rates_hz = MappingProxyType({"ppg": 25.0})
+    filled = MappingProxyType(
+        {
+            "quality": Filled(None, "nothing is clipped"),
+            "st": Filled(1, "the driver looks first which thermometers there are"),
+        }
+    )
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        device: str = "MD-V5-0000123",
+        host: str = LOOPBACK,
+        port: int = 0,
+        ppg_hz: float = 25.0,
+        battery_percent: float = 80.0,
+        **specimen: Unpack[SpecimenOptions],
+    ) -> None:
+        super().__init__(world, **specimen)
+        self.device = device
+        self._ppg_hz = self._rate_hz = ppg_hz
+        self._rng = np.random.default_rng(self.specimen.seed)
+        self._battery_percent = battery_percent
+        self._oscillator = Oscillator(world.clock, self.specimen.drift_ppm)
+        self._worn_since_s = world.clock()
+        self._rounds = self._switched_on()
+        self._wifi = _Wifi(self._asked, host, port)
+        self._host: Host | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._sending = _Sending(world.clock, self._rng, self.specimen.jitter_s, self._put_out)
+        self._answer_delay_s = 0.0
+        self._stalled = self._refuses = self._sleeps = self._is_unreadable = False
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The fields ``host`` and ``port``."""
+        return {"host": self._wifi.host, "port": self._wifi.port}
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a host has it."""
+        return self._host is not None
+
+    def lose(self, count: int) -> None:
+        """Send the next datagrams into nowhere."""
+        self.world.call(lambda: setattr(self._wifi, "to_lose", count))
+
+    async def _start(self) -> None:
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
+        self._worn_since_s = self.world.clock()
+        self._rounds = self._switched_on()
+        await self._wifi.open()
+        self._running = asyncio.create_task(self._run())
+
+    async def _stop(self) -> None:
+        if self._running is not None:
+            self._running.cancel()
+        self._leave()
+        self._wifi.close()
+
+    def _switched_on(self) -> Rounds:
+        return Rounds(self._oscillator, self.specimen.wearer, self._worn_since_s, self._rate_hz)
+
+    async def _run(self) -> None:
+        due_s = ROUND_S
+        while True:
+            await self._oscillator.reach(due_s)
+            if self._host is not None and self.world.clock() - self._host.pinged_s > _FORGOTTEN_S:
+                self._leave()
+            made = self._rounds.next(due_s, self._battery_percent)
+            self._send(made)
+            due_s += ROUND_S
+
+    def _send(self, made: Round) -> None:
+        if self._host is None or self._sleeps:
+            return
+        place = 0
+        for packets in wire.datagrams(made.packets):
+            inside = range(place, place + len(packets))
+            samples = [made.samples[each] for each in inside if each in made.samples]
+            self._sending.send(self._host, b"".join(packets), samples)
+            place += len(packets)
+
+    def _put_out(self, on_its_way: OnItsWay) -> None:
+        host, datagram, samples = on_its_way
+        if self._stalled or host is not self._host:
+            return
+        if self._is_unreadable:
+            host.send(datagram.replace(b",", b";"))
+            return
+        is_sent = self._wifi.is_let_through() and all(map(host.send, self._wifi.in_turn(datagram)))
+        for data_name, times, values in samples:
+            if is_sent:
+                note = self.truth.told if data_name == "bat" else self.truth.sent
+                note(data_name, times, values)
+            else:
+                self.truth.unsent(data_name, len(times))
+
+    def _asked(self, message: wire.Message, address: tuple[str, int]) -> None:
+        if not self._stalled:
+            self.world.loop.call_later(self._answer_delay_s, self._answer, message, address)
+
+    def _answer(self, message: wire.Message, address: tuple[str, int]) -> None:
+        match message.tag:
+            case wire.HELLO:
+                port = self._host.data_port if self._host is not None else -1
+                # Who refuses is somebody else's.
+                port = 3132 if self._refuses else port
+                self._tell(wire.HERE, ["DP", str(port), "DI", self.device], address)
+            case wire.CONNECT if self._host is None and not self._refuses:
+                control, data = message.behind("CP"), message.behind("DP")
+                if control is not None and data is not None:
+                    self._host = Host(
+                        self._wifi.host, address[0], control, data, self._obey, self._leave
+                    )
+                    self._host.pinged_s = self.world.clock()
+                    self._host.connect(lambda: self._tell_pong(address))
+            case wire.PING if self._host is not None:
+                if message.behind("DP") == self._host.data_port:
+                    self._host.pinged_s = self.world.clock()
+                    self._tell_pong(address)
+            case _:
+                return
+
+    def _tell_pong(self, address: tuple[str, int]) -> None:
+        if self._host is not None:
+            self._tell(wire.PONG, ["DP", str(self._host.data_port)], address)
+
+    def _tell(self, tag: str, payload: list[str], address: tuple[str, int]) -> None:
+        if not self._stalled:
+            self._wifi.tell(int(self._oscillator.now() * 1000), tag, payload, address)
+
+    def _obey(self, message: wire.Message) -> None:
+        """Do what a host says on the control channel, or write down what it says of the time."""
+        if self._stalled:
+            return
+        match message.tag:
+            case wire.DISCONNECT:
+                self._leave()
+            case wire.NORMAL_POWER:
+                self._sleeps = False
+            case mode if mode in wire.QUIET:
+                self._sleeps = True
+            case wire.TIME_LOCAL | wire.TIME_UTC | wire.ACKNOWLEDGED:
+                if self._host is not None:
+                    noted = self._rounds.note(message.tag, list(message.payload))
+                    self._sending.send(self._host, noted, ())
+            case _:
+                return
+
+    def _leave(self) -> None:
+        self._sending.forget()
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def _vanish(self) -> None:
+        self._leave()
+        self._wifi.is_there = False
+
+    def _return(self) -> None:
+        self._wifi.is_there = not _UNREACHABLE & self._lasting.keys()
+
+    def _power_cycle(self) -> None:
+        self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
+        self._rounds = self._switched_on()
+        self._sleeps = False
+        if self._running is not None:
+            self._running.cancel()
+        self._running = asyncio.create_task(self._run())
+        self._return()
+
+    def _babble(self, count: float) -> None:
+        if self._host is not None:
+            self._host.send(self._rng.bytes(int(count)))
+
+    def _drift(self, ppm: float) -> None:
+        self._oscillator.set_drift(ppm)
+
+    def _change_rate(self, hz: float) -> None:
+        self._rate_hz = hz
+        self._vanish()
+        self._power_cycle()
+
+    def _usual_rate(self) -> None:
+        self._change_rate(self._ppg_hz)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_vanish, _return),
+            FaultKind.RESTART: lasting(_vanish, _power_cycle),
+            FaultKind.STALL: flag("_stalled"),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: flag("_refuses", then=_leave),
+            FaultKind.LATE: level("_answer_delay_s", 0.0, then=_leave),
+            FaultKind.FORGET: flag("_sleeps"),
+            FaultKind.UNREADABLE: flag("_is_unreadable"),
+            FaultKind.LOW_BATTERY: level("_battery_percent"),
+            FaultKind.DRIFT: Effect(_drift),
+            **on_part("_rounds", ROUNDS_EFFECTS),
+            **on_part("_wifi", WIFI_EFFECTS),
+            Untidiness.RATE: Effect(_change_rate, _usual_rate),
+        }
+    )

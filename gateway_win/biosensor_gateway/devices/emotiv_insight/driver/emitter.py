@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import structlog
 
 from biosensor_common.device_clock import LONGEST_DELAY_S
-from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
+from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
 from biosensor_gateway.devices.sink import Sink
 

@@ -20,7 +20,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
+from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver import protocol
 from biosensor_gateway.devices.emotiv_insight.driver.account import Account
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError, until

@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
+from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator.account import Session
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Columns, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client

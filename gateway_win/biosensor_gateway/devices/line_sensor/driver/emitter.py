@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, unique
 from math import isnan
 
-from biosensor_gateway.devices.line_sensor.declaration import streams_of
+from biosensor_gateway.devices.line_sensor import streams_of
 from biosensor_gateway.devices.line_sensor.driver.protocol import (
     Row,
     checked_format,

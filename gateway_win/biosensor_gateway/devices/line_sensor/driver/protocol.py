@@ -13,7 +13,7 @@ from math import isfinite, isnan, nan
 from types import MappingProxyType
 from typing import NamedTuple, Protocol, cast
 
-from biosensor_gateway.devices.line_sensor.declaration import SKIPPED, Column
+from biosensor_gateway.devices.line_sensor import SKIPPED, Column
 
 _SHOWN = 16
 # Python's codes of numbers; `x` is a byte that means nothing.

@@ -11,7 +11,7 @@ from biosensor_common.errors import SpecError
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.spec import SensorSpec, is_data_name
 from biosensor_gateway.devices import registry
-from biosensor_gateway.devices.line_sensor.declaration import (
+from biosensor_gateway.devices.line_sensor import (
     EXAMPLE_COLUMNS,
     NAME,
     Column,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_common.device_clock import LONGEST_DELAY_S
-from biosensor_gateway.devices.muse.declaration import (
+from biosensor_gateway.devices.muse import (
     EEG_HZ,
     LIGHT_HZ,
     LIGHT_LABELS,

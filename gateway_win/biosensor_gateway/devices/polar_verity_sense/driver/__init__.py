@@ -1,1 +1,248 @@
-"""Leads the conversation with the device; what it shares with the strap is that one's."""
+"""The conversation with a Polar Verity Sense, OH1 or 360."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+from pydantic import Field
+
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.driver import DriverEntry, by_advertisement, own_settings
+from biosensor_gateway.devices.polar_h10 import driver as polar
+from biosensor_gateway.devices.polar_h10.driver import Plan, PolarDriver, PolarSession
+from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Wanted
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
+    Measurement,
+    Setting,
+    Status,
+    start,
+    stop,
+)
+from biosensor_gateway.devices.polar_verity_sense.driver.emitter import DATA_NAMES, OpticalEmitter
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.system.device_log import DeviceLog
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
+from biosensor_gateway.transports.nearby import Advertisement
+
+_ADVICE = "switch it on to its heart-rate mode, and close the apps that use it"
+MODELS = frozenset({"Sense", "Verity Sense", "OH1", "360"})
+"""As they advertise: a Verity Sense is a ``Polar Sense``."""
+
+
+class PolarVeritySenseSettings(DeviceSettings):
+    """Settings of one Verity Sense, OH1 or 360."""
+
+    device: str = Field(
+        default="",
+        max_length=64,
+        description="Bluetooth address of the sensor, as scan shows it, or the id printed on it (8 "
+        "characters); empty takes the only one in range.",
+        examples=["A1B2C3D4"],
+    )
+    sdk_mode: bool = Field(
+        default=False,
+        description="Switch the sensor's SDK mode on: more rates and ranges, but neither heart "
+        "rate nor pulse intervals.",
+    )
+    ppi: bool = Field(
+        default=True,
+        description="Whether the sensor sends the intervals between pulse waves, the first after "
+        "25 s. With them the heart rate comes every 5 s, without them every second.",
+    )
+    ppg: bool = Field(default=True, description="Whether the sensor sends its light signals.")
+    ppg_rate_hz: int = Field(
+        default=55,
+        ge=1,
+        le=1000,
+        description="Samples of light per second; the next lower rate that the sensor offers is "
+        "taken. In the SDK mode, a Verity Sense has 28, 44, 55, 135 and 176.",
+    )
+    acc: bool = Field(default=True, description="Whether the sensor sends its acceleration.")
+    acc_rate_hz: int = Field(
+        default=52,
+        ge=1,
+        le=1000,
+        description="Samples of acceleration per second; the next lower rate that the sensor "
+        "offers is taken. In the SDK mode, a Verity Sense has 26, 52, 104, 208 and 416.",
+    )
+    acc_range_g: Literal[2, 4, 8, 16] = Field(
+        default=8,
+        description="Largest acceleration that can be measured, in g; 8 outside the SDK mode.",
+    )
+    gyro: bool = Field(
+        default=True,
+        description="Whether the sensor sends how it turns; a Verity Sense can.",
+    )
+    gyro_rate_hz: int = Field(
+        default=52,
+        ge=1,
+        le=1000,
+        description="Samples of the gyroscope per second, as for acc_rate_hz.",
+    )
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = Field(
+        default=2000,
+        description="Fastest turn that can be measured, in deg/s; 2000 outside the SDK mode.",
+    )
+    mag: bool = Field(
+        default=True,
+        description="Whether the sensor sends the magnetic field; a Verity Sense can.",
+    )
+    mag_rate_hz: Literal[10, 20, 50, 100] = Field(
+        default=50, description="Samples of the magnetic field per second."
+    )
+    pair: PairSetting = Field(default="auto", description=PAIR_DESCRIPTION)
+
+
+_VERSION_NUMBER = re.compile(r"\d+")
+_VERITY_BEGIN, _VERITY_END = (1, 1, 5), (2, 1, 0)
+
+
+def true_ppg_rates(info: DeviceInfo, *, sdk_mode: bool) -> Mapping[int, int]:
+    """Return the rates at which light is really sampled, by those that a device says [Hz].
+
+    A Verity Sense with firmware from 1.1.5 to before 2.1.0 says 135 Hz and sends 55, an OH1
+    says 130 Hz and sends 135 [1]_. In the SDK mode rates are said right.
+
+    Parameters
+    ----------
+    info
+        What the device says of itself.
+
+    References
+    ----------
+    .. [1] Polar BLE SDK, documentation/KnownIssues.md.
+    """
+    if sdk_mode:
+        return {}
+    if "OH1" in info.model:
+        return {130: 135}
+    if "Sense" in info.model and _VERITY_BEGIN <= _version(info) < _VERITY_END:
+        return {135: 55}
+    return {}
+
+
+def _version(info: DeviceInfo) -> tuple[int, ...]:
+    """Return the firmware's version; nothing if it is not told, which is before all others."""
+    return tuple(int(number) for number in _VERSION_NUMBER.findall(info.firmware_version)[:3])
+
+
+# The SDK mode has more rates and ranges, and neither heart rate nor intervals.
+_LEAVE_SDK_MODE = stop(Measurement.SDK_MODE)
+_ENTER_SDK_MODE = start(Measurement.SDK_MODE, {})
+
+
+class _SdkMode:
+    """Brings a device into the mode that is wanted, before its measurements start.
+
+    A device is taken out of the mode, too: a host before us may have left it there, and then
+    no heart rate would come.
+    """
+
+    def __init__(self, *, is_wanted: bool, log: DeviceLog) -> None:
+        self._is_wanted = is_wanted
+        self._log = log
+
+    async def prepare(self, control: ControlPoint, offered: frozenset[int]) -> None:
+        """Switch the mode.
+
+        Parameters
+        ----------
+        offered
+            Numbers of what the device can measure, or switch like a measurement.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        AttError
+            The device refuses to take a command.
+        ProtocolError
+            ``NO_REPLY``.
+        """
+        if Measurement.SDK_MODE not in offered:
+            if self._is_wanted:
+                self._log.warn_once("it has no SDK mode; set sdk_mode = false, or update it")
+            return
+        command = _ENTER_SDK_MODE if self._is_wanted else _LEAVE_SDK_MODE
+        reply = await control.request(command)
+        if reply.status == Status.INVALID_STATE:
+            # The mode cannot change while something runs, which a host before us left on.
+            for measurement in sorted(offered & _MEASUREMENTS):
+                await control.request(stop(Measurement(measurement)))
+            reply = await control.request(command)
+        is_there = reply.status in (Status.SUCCESS, Status.ALREADY_IN_STATE)
+        if self._is_wanted and not is_there:
+            self._log.warn_once("it refuses the SDK mode", cause=reply.status_text)
+
+
+_MEASUREMENTS = frozenset(Measurement) - {Measurement.SDK_MODE}
+
+
+def wanted_of(own: PolarVeritySenseSettings, info: DeviceInfo) -> Sequence[Wanted]:
+    """Return the measurements that the settings ask for, of a device that tells this of itself."""
+    rate, reach = Setting.SAMPLE_RATE, Setting.RANGE
+    light = Wanted(
+        Measurement.PPG,
+        {rate: own.ppg_rate_hz},
+        true_ppg_rates(info, sdk_mode=own.sdk_mode),
+    )
+    wanted = [
+        light,
+        Wanted(Measurement.ACCELERATION, {rate: own.acc_rate_hz, reach: own.acc_range_g}),
+        Wanted(Measurement.GYROSCOPE, {rate: own.gyro_rate_hz, reach: own.gyro_range_deg_s}),
+        Wanted(Measurement.MAGNETOMETER, {rate: own.mag_rate_hz}),
+        Wanted(Measurement.PULSE_INTERVALS),
+    ]
+    off = off_by(own)
+    return [each for each in wanted if DATA_NAMES[each.measurement] not in off]
+
+
+def off_by(own: PolarVeritySenseSettings) -> frozenset[str]:
+    """Return the data names of the streams that the settings switch off."""
+    on = {"ppi": own.ppi, "ppg": own.ppg, "acc": own.acc, "gyro": own.gyro, "mag": own.mag}
+    off = {name for name, is_on in on.items() if not is_on}
+    return frozenset(off | {"hr", "ppi"} if own.sdk_mode else off)
+
+
+def _asked_rates(own: PolarVeritySenseSettings) -> Mapping[str, float]:
+    """Return the rates of the settings, by data name."""
+    return {
+        "ppg": own.ppg_rate_hz,
+        "acc": own.acc_rate_hz,
+        "gyro": own.gyro_rate_hz,
+        "mag": own.mag_rate_hz,
+    }
+
+
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
+    """Share emitter and choice of the device between all connections."""
+    own = own_settings(PolarVeritySenseSettings, settings)
+    emitter = OpticalEmitter(sink)
+    choice = Choice(identify, "Polar optical sensor", own.device, _ADVICE)
+    plan = Plan(
+        lambda info: wanted_of(own, info),
+        _SdkMode(is_wanted=own.sdk_mode, log=emitter.log).prepare,
+        farewell=[_LEAVE_SDK_MODE] if own.sdk_mode else [],
+        has_heart_rate=not own.sdk_mode,
+    )
+
+    pairing = Pairing(own.pair)
+
+    def meet() -> PolarSession:
+        return PolarSession(BleLink(choice, sink.clock, pairing=pairing), emitter, plan)
+
+    return lambda: PolarDriver(meet, pairing, emitter, off_by(own), _asked_rates(own))
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the id printed on a Verity Sense, an OH1 or a 360, None for anything else."""
+    return polar.identify(seen, MODELS)
+
+
+recognise = by_advertisement("polar_verity_sense", identify)
+DRIVER = DriverEntry(PolarVeritySenseSettings, _make, recognise=recognise)

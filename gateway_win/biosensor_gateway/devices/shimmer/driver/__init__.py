@@ -1,1 +1,409 @@
-"""Leads the conversation with the device, and turns what it sends into samples."""
+"""The driver of a Shimmer3 or Shimmer3R: its settings, and how a device is set up by them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Literal, NamedTuple
+
+import structlog
+from pydantic import Field, field_validator
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.shimmer import SPEC
+from biosensor_gateway.devices.shimmer.driver import calibration, commands, exg
+from biosensor_gateway.devices.shimmer.driver.calibration import Kinematic, Typical
+from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
+from biosensor_gateway.devices.shimmer.driver.commands import divisor_for
+from biosensor_gateway.devices.shimmer.driver.connection import Prepared, ShimmerDriver
+from biosensor_gateway.devices.shimmer.driver.conversation import (
+    SHIMMER3R,
+    Conversation,
+    Kind,
+    ask_for_the_state,
+    expansion_board,
+    make_right,
+    refuse_if_left,
+)
+from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
+from biosensor_gateway.devices.shimmer.driver.exg import Exg, Registers, Use
+from biosensor_gateway.devices.shimmer.driver.messages import (
+    Calibration,
+    ExgRegisters,
+    Inquiry,
+    PressureChip,
+    PressureCoefficients,
+)
+from biosensor_gateway.devices.shimmer.driver.signals import (
+    MOTION,
+    SENSORS,
+    Signal,
+    air_signals,
+    are_real,
+    compensation,
+    exg_signal,
+    has_air,
+    has_exg,
+    motion_on,
+    motion_signals,
+    sensor,
+    status_places,
+)
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+EXG_BOARDS = frozenset({37, 47, 59})
+
+_log = structlog.get_logger("biosensor_gateway.shimmer")
+
+_OLDER_CHIPS: Mapping[str, Typical] = {
+    "acc_low_noise": calibration.KXRB5_ACCEL,
+    "acc_wide_range": calibration.LSM303DLHC_ACCEL,
+    "gyro": calibration.MPU9150_GYRO,
+    "mag": calibration.LSM303DLHC_MAG,
+}
+_NEWER_CHIPS: Mapping[str, Typical] = {
+    "acc_low_noise": calibration.KXTC9_ACCEL,
+    "acc_wide_range": calibration.LSM303AH_ACCEL,
+    "gyro": calibration.MPU9150_GYRO,
+    "mag": calibration.LSM303AH_MAG,
+}
+_CHIPS_OF_3R: Mapping[str, Typical] = {
+    "acc_low_noise": calibration.LSM6DSV_ACCEL,
+    "acc_wide_range": calibration.LIS2DW12_ACCEL,
+    "gyro": calibration.LSM6DSV_GYRO,
+    "mag": calibration.LIS2MDL_MAG,
+}
+
+
+async def _pressure_coefficients(talk: Conversation, kind: Kind) -> PressureCoefficients | None:
+    """Return the coefficients of the device's pressure sensor; None if it does not tell.
+
+    Raises
+    ------
+    TransportError
+        As :meth:`Conversation.ask`.
+    """
+    asked = [commands.GET_BMP180_COEFFICIENTS, commands.GET_BMP280_COEFFICIENTS]
+    if kind.tells_pressure_chip:
+        asked = [commands.GET_PRESSURE_COEFFICIENTS]
+    try:
+        for command in asked:
+            coefficients = await talk.ask(command, PressureCoefficients)
+            # One that needs no coefficients has none.
+            if coefficients.chip == PressureChip.BMP581 or are_real(coefficients):
+                return coefficients
+    except ProtocolError as error:
+        _log.warning("the pressure sensor is unknown", cause=str(error))
+    return None
+
+
+async def _motion_calibrations(
+    talk: Conversation,
+    kind: Kind,
+    layout: Layout,
+    present: Inquiry,
+    air: PressureCoefficients | None,
+) -> list[tuple[str, Kinematic]]:
+    """Return the calibration of each motion sensor of which packets have values.
+
+    It is the one in the device's memory; what has none there gets the typical values of its
+    chip, which is said.
+
+    Parameters
+    ----------
+    talk, kind, layout
+    present
+        How the device is set up, with the ranges of its sensors.
+    air
+        Tells which generation of chips it is, if known.
+
+    Raises
+    ------
+    TransportError
+        As :meth:`Conversation.ask`.
+    """
+    names = motion_on(layout)
+    memory = await _memory(talk) if names else b""
+    found = {name: calibration.stored(memory, MOTION[name].block) for name in names}
+    without = [name for name, each in found.items() if each is None]
+    if without:
+        _log.warning("typical values calibrate what was never calibrated", streams=without)
+    typical = typical_calibrations(kind, layout, present, air)
+    return [(name, found[name] or each) for name, each in typical]
+
+
+def typical_calibrations(
+    kind: Kind, layout: Layout, present: Inquiry, air: PressureCoefficients | None
+) -> list[tuple[str, Kinematic]]:
+    """Return what the makers say of the chips of which packets have values, in their ranges.
+
+    Parameters are those of `_motion_calibrations`.
+    """
+    chips, ranges = _chips(kind, layout, air), _ranges(kind, present)
+    return [(name, chips[name].at(ranges[name])) for name in motion_on(layout)]
+
+
+async def _memory(talk: Conversation) -> bytes:
+    try:
+        return (await talk.ask(commands.GET_ALL_CALIBRATION, Calibration)).data
+    except ProtocolError as error:
+        _log.warning("the device does not tell its calibration", cause=str(error))
+        return b""
+
+
+def _chips(kind: Kind, layout: Layout, air: PressureCoefficients | None) -> Mapping[str, Typical]:
+    if kind.hardware == SHIMMER3R:
+        return _CHIPS_OF_3R
+    has_newer_mag = Channel.MAG_X in layout.channels and not layout.has_older_mag
+    # Both were replaced at once.
+    has_newer_air = air is not None and air.chip == PressureChip.BMP280
+    return _NEWER_CHIPS if has_newer_mag or has_newer_air else _OLDER_CHIPS
+
+
+def _ranges(kind: Kind, present: Inquiry) -> dict[str, int]:
+    """Return the settings of the ranges; the layout is that of the firmware's configuration."""
+    setup = present.setup
+    gyro = setup[2] & 3
+    is_3r = kind.hardware == SHIMMER3R
+    if is_3r:
+        gyro |= (setup[4] >> 2 & 1) << 2
+    return {
+        "acc_low_noise": setup[3] >> 6 if is_3r else 0,
+        "acc_wide_range": setup[0] >> 2 & 3,
+        "gyro": gyro,
+        "mag": 0 if is_3r else setup[2] >> 5,
+    }
+
+
+class Wanted(NamedTuple):
+    """How to measure.
+
+    Attributes
+    ----------
+    sensors
+        Names of `SENSORS`; None leaves on what is on.
+    divisor
+        32768 Hz divided by the sampling rate; None leaves it.
+    bits, gain, lead_off
+        Of the ExG where `sensors` has one.
+    """
+
+    sensors: frozenset[str] | None = None
+    divisor: int | None = None
+    bits: int = 24
+    gain: int | None = None
+    lead_off: bool = False
+
+    @property
+    def use(self) -> Use | None:
+        """What the ExG chips are wanted for."""
+        return next((use for use in Use if use in (self.sensors or ())), None)
+
+
+async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> Measurement:
+    """Make the device measure as wanted, and find out how it measures; it does not start yet.
+
+    Settings are written to the device's flash, so what is right already is left alone.
+
+    Raises
+    ------
+    ProtocolError
+        ``REFUSED`` if it does not take a setting; ``UNSUPPORTED`` if nothing is on that can be
+        read; or as :meth:`Conversation.ask`.
+    TransportError
+        As :meth:`Conversation.ask`.
+    """
+    denied = await ask_for_the_state(talk, kind)
+    present = await make_right(talk, partial(_changes, wanted=wanted), name)
+    if wanted.use is not None:
+        await _set_exg_up(talk, wanted, wanted.use, present, name)
+    layout = kind.layout(present.channels)
+    signals = await _calibrated(talk, kind, layout, present)
+    chips = Exg(await _registers(talk)) if has_exg(layout) else None
+    if chips is not None:
+        signals.insert(0, exg_signal(layout, chips))
+        if chips.is_test_signal:
+            _log.warning("the ExG measures a test signal", port=name)
+    if not signals:
+        message = f"{name}: none of its sensors is on that can be read; set sensors"
+        raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+    tells = chips is not None and chips.detects_lead_off and chips.use is Use.ECG
+    status_at = status_places(layout) if tells else None
+    return Measurement(layout, present.divisor, tuple(signals), status_at, denied)
+
+
+async def _calibrated(
+    talk: Conversation, kind: Kind, layout: Layout, present: Inquiry
+) -> list[Signal]:
+    """Return the streams of motion and air sensors, calibrated from the device's memory."""
+    air = await _pressure_coefficients(talk, kind) if has_air(layout) else None
+    motion = await _motion_calibrations(talk, kind, layout, present, air)
+    signals = motion_signals(layout, motion)
+    compensate = air and compensation(air, present.pressure_oversampling)
+    if compensate:
+        signals += air_signals(layout, compensate)
+    return signals
+
+
+def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
+    """Return the commands that are needed, by what they set."""
+    changes: dict[str, bytes] = {}
+    if wanted.sensors is not None:
+        on = [sensor(each, wanted.bits) for each in sorted(wanted.sensors)]
+        if set(present.channels) != {channel for each in on for channel in each.channels}:
+            changes["sensors"] = commands.set_sensors(sum(each.mask for each in on))
+    if wanted.divisor not in (None, present.divisor):
+        changes["sampling rate"] = commands.set_sampling_rate(wanted.divisor)
+    return changes
+
+
+async def _registers(talk: Conversation) -> Registers:
+    first = await talk.ask(commands.get_exg_registers(0), ExgRegisters)
+    second = await talk.ask(commands.get_exg_registers(1), ExgRegisters)
+    return first.data.ljust(exg.REGISTERS, b"\0"), second.data.ljust(exg.REGISTERS, b"\0")
+
+
+async def _set_exg_up(
+    talk: Conversation, wanted: Wanted, use: Use, present: Inquiry, name: str
+) -> None:
+    board = await expansion_board(talk, name)
+    if board is not None and board not in EXG_BOARDS:
+        # It measures, but nothing that makes sense.
+        _log.warning("the expansion board is no ExG board", port=name, board=board)
+    gain = wanted.gain or exg.DEFAULT_GAIN[use]
+    rate_hz = commands.TICKS_PER_S / present.divisor
+    right = exg.registers_for(use, gain, rate_hz, lead_off=wanted.lead_off)
+    changes = _exg_changes(await _registers(talk), right)
+    for command in changes.values():
+        await talk.tell(command)
+    if changes:
+        refuse_if_left(_exg_changes(await _registers(talk), right), name)
+
+
+def _exg_changes(present: Registers, right: Registers) -> dict[str, bytes]:
+    return {
+        f"ExG chip {chip + 1}": commands.set_exg_registers(chip, right[chip])
+        for chip in (0, 1)
+        if not exg.are_same(present[chip], right[chip])
+    }
+
+
+WAVEFORMS = frozenset(stream.data_name for stream in SPEC.streams if stream.is_regular)
+
+AS_IT_IS = "device"
+SLOWEST_HZ, FASTEST_HZ = 1.0, 2048.0
+_NAME = re.compile(r"Shimmer3R?-([0-9A-Fa-f]{4})(?:-BT)?")
+
+
+class Shimmer3Settings(DeviceSettings):
+    """Settings of one Shimmer3 or Shimmer3R."""
+
+    port: str = Field(
+        min_length=1,
+        description="Serial port of the paired Shimmer, COM7 or /dev/rfcomm0 for instance, or its "
+        "Bluetooth address, 00:06:66:AA:BB:CC for instance, or socket://HOST:NUMBER.",
+        examples=["/dev/rfcomm0"],
+    )
+    sensors: str = Field(
+        default=AS_IT_IS,
+        max_length=100,
+        description="Which sensors are on: device for those that the Shimmer was set up with, or "
+        f"names with commas between them, of {', '.join(SENSORS)}; ecg and emg exclude each other.",
+    )
+    rate_hz: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=FASTEST_HZ,
+        description="Sampling rate of all sensors in Hz, 1 to 2048, of which the device takes the "
+        "nearest that divides 32768; 0 leaves the one that the Shimmer was set up with.",
+    )
+    exg_bits: Literal[16, 24] = Field(
+        default=24, description="Resolution of the ecg or emg that sensors names."
+    )
+    exg_gain: Literal["usual", 1, 2, 3, 4, 6, 8, 12] = Field(
+        default="usual",
+        description="Amplification of the ecg or emg that sensors names; the usual is 4 for ecg "
+        "and 12 for emg.",
+    )
+    lead_off: bool = Field(
+        default=False,
+        description="Whether the ecg that sensors names tells of electrodes that came off; for "
+        "that a current of 22 nA flows through them.",
+    )
+
+    @field_validator("sensors")
+    @classmethod
+    def _known(cls, text: str) -> str:
+        if text == AS_IT_IS:
+            return text
+        names = _names(text)
+        for name in names:
+            if name not in SENSORS:
+                known = ", ".join(SENSORS)
+                raise ValueError(f"should be {AS_IT_IS}, or of {known}, but has {name!r}")
+        if names >= set(Use):
+            raise ValueError("should have ecg or emg, which need the same chips, but has both")
+        return text
+
+    @field_validator("rate_hz")
+    @classmethod
+    def _possible(cls, rate_hz: float) -> float:
+        if 0 < rate_hz < SLOWEST_HZ:
+            raise ValueError("should be 0, or from 1 to 2048")
+        return rate_hz
+
+    @property
+    def wanted(self) -> Wanted:
+        """How to measure."""
+        return Wanted(
+            None if self.sensors == AS_IT_IS else _names(self.sensors),
+            divisor_for(self.rate_hz) if self.rate_hz else None,
+            self.exg_bits,
+            None if self.exg_gain == "usual" else self.exg_gain,
+            self.lead_off,
+        )
+
+
+def _names(text: str) -> frozenset[str]:
+    return frozenset(name.strip() for name in text.split(","))
+
+
+def _connected(measurement: Measurement) -> Connected:
+    """Tell of all streams at which rate they would come, and which are off."""
+    off = WAVEFORMS - set(measurement.streams)
+    if measurement.status_at is None:
+        off |= {"quality"}
+    rates = dict.fromkeys(WAVEFORMS, measurement.rate_hz)
+    return Connected(rates=rates, silent=off, denied=measurement.denied)
+
+
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
+    """Share one emitter between all connections: it follows the device's clock across them."""
+    own = own_settings(Shimmer3Settings, settings)
+    emitter = ShimmerEmitter(sink)
+
+    async def prepare(talk: Conversation, kind: Kind) -> Prepared:
+        measurement = await set_up(talk, kind, own.wanted, own.port)
+        begin = partial(emitter.started, measurement)
+        known = _connected(measurement)
+        return Prepared(measurement.layout, measurement.divisor, begin, known)
+
+    return lambda: ShimmerDriver(own.port, sink, emitter, prepare)
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Return how to add a paired Shimmer; its unit is the number on the case."""
+    if not isinstance(seen, SerialPort):
+        return None
+    name = _NAME.fullmatch(seen.remote_name)
+    if name is None:
+        return None
+    settings = {"unit": name[1].upper(), "port": seen.port}
+    return Found("shimmer", seen.remote_name, settings)
+
+
+DRIVER = DriverEntry(Shimmer3Settings, _make, recognise=recognise)
