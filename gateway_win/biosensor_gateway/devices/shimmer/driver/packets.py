@@ -1,4 +1,4 @@
-"""What the emitters of all Shimmers share: times of packets, and the charge of the battery."""
+"""Times of packets and charge of the battery, for the emitters of all Shimmers."""
 
 from __future__ import annotations
 
