@@ -58,6 +58,26 @@ def by_advertisement(
     return recognise
 
 
+def by_port_name(sensor: str, pattern: str) -> Callable[[Advertisement | SerialPort], Found | None]:
+    """Return what recognises a paired device of Bluetooth Classic by its name.
+
+    Parameters
+    ----------
+    pattern
+        Of its whole name; the first group is the number on the case, its unit.
+    """
+    form = re.compile(pattern)
+
+    def recognise(seen: Advertisement | SerialPort) -> Found | None:
+        name = form.fullmatch(seen.remote_name) if isinstance(seen, SerialPort) else None
+        if not isinstance(seen, SerialPort) or name is None:
+            return None
+        settings = {"unit": name[1].upper(), "port": seen.port}
+        return Found(sensor, seen.remote_name, settings)
+
+    return recognise
+
+
 _Settings = TypeVar("_Settings", bound=DeviceSettings)
 
 

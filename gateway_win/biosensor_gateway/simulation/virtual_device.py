@@ -186,6 +186,8 @@ class VirtualDevice(ABC):
     """By data name, what takes its time; all else comes at once."""
     rates_hz: ClassVar[Mapping[str, float]] = MappingProxyType({})
     """By data name, the rates that the device says when it is connected."""
+    each_own: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Options of its constructor that differ between devices, with places for their number."""
     expected: ClassVar[Expected] = Expected()
     """What an agent can know of it."""
 
@@ -219,7 +221,10 @@ class VirtualDevice(ABC):
         number
             How many of its kind there are already, from which it can be told.
         """
-        return {"wearer": wearer, "seed": number}
+        own = {
+            name: form.format(number=number, next=number + 1) for name, form in cls.each_own.items()
+        }
+        return {"wearer": wearer, "seed": number, **own}
 
     @classmethod
     def impossible(cls) -> Mapping[Kind, str]:

@@ -27,7 +27,6 @@ from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _NOTIFY, _INDICATE = Characteristic.Properties.NOTIFY, Characteristic.Properties.INDICATE
@@ -121,6 +120,9 @@ class SimulatedHealthDevice(StrapDevice):
     """
 
     sensor = "bluetooth_health"
+    each_own = MappingProxyType(
+        {"address": "C8:26:00:00:01:{number:02X}", "name": "Health Device {next:04}"}
+    )
     expected = EXPECTED
     on_air = True
 
@@ -148,12 +150,6 @@ class SimulatedHealthDevice(StrapDevice):
         self._characteristics = {name: self._add(*each) for name, each in _SERVICES.items()}
         self._strap.deny_by_turns(list(self._characteristics.values()))
         self._strap.on_power_on.append(self._begin)
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"C8:26:00:00:01:{number:02X}", "name": f"Health Device {number + 1:04}"}
-        return {**super().worn_by(wearer, number), **own}
 
     @property
     def settings(self) -> Mapping[str, Any]:

@@ -22,7 +22,6 @@ from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 # Layout: polar-ble-sdk, class BlePolarHrAdvertisement.
@@ -67,6 +66,9 @@ class SimulatedPolarBroadcast(StrapDevice):
     """
 
     sensor = "polar_broadcast"
+    each_own = MappingProxyType(
+        {"address": "A0:9E:1A:00:01:{number:02X}", "device_id": "B00001{number:02X}"}
+    )
     expected = EXPECTED
     on_air = only_advertises = True
 
@@ -98,12 +100,6 @@ class SimulatedPolarBroadcast(StrapDevice):
         self._battery_ok = True
         self._stands_still = False
         self._begin()
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address and an id of its own, too."""
-        own = {"address": f"A0:9E:1A:00:01:{number:02X}", "device_id": f"B00001{number:02X}"}
-        return {**super().worn_by(wearer, number), **own}
 
     @property
     def settings(self) -> Mapping[str, Any]:

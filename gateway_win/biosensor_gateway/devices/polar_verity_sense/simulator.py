@@ -18,7 +18,6 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import (
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
 from biosensor_gateway.simulation.expected import Contact
 from biosensor_gateway.simulation.virtual_device import Filled
-from biosensor_gateway.simulation.wearer import Wearer
 
 EXPECTED = replace(
     STRAP,
@@ -131,13 +130,10 @@ class SimulatedPolarVeritySense(SimulatedPolarH10):
     """
 
     sensor = "polar_verity_sense"
+    each_own = MappingProxyType(
+        {"address": "A0:9E:1A:5E:46:{number:02X}", "device_id": "5E46{number:04X}"}
+    )
     usual = Usual(VERITY_SENSE, "A0:9E:1A:5E:45:E1", "5E45E001")
     expected = EXPECTED
     filled = MappingProxyType({"ppi": Filled(26, "it takes 25 s to find the first intervals")})
     rates_hz = MappingProxyType({"ppg": 55.0, "acc": 52.0, "gyro": 52.0, "mag": 50.0})
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"A0:9E:1A:5E:46:{number:02X}", "device_id": f"5E46{number:04X}"}
-        return {**super().worn_by(wearer, number), **own}

@@ -23,14 +23,14 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HEART_RATE_SERVICE,
 )
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
-from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.4
 _log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
@@ -141,12 +141,8 @@ def identify_any(seen: Advertisement) -> str | None:
     return seen.address
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is a strap; one that another driver knows better is left to that one."""
-    if not isinstance(seen, Advertisement) or identify(seen) is None:
-        return None
-    settings = {"unit": seen.address, "device": seen.address}
-    return Found("ble_heart_rate", seen.name or seen.address, settings, seen.rssi_dbm)
+# One that another driver knows better is left to that one.
+recognise = by_advertisement("ble_heart_rate", identify)
 
 
 DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

@@ -18,7 +18,6 @@ from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 
@@ -43,6 +42,9 @@ class SimulatedHeartRateStrap(StrapDevice):
     """
 
     sensor = "ble_heart_rate"
+    each_own = MappingProxyType(
+        {"address": "C8:25:00:00:01:{number:02X}", "name": "Heart Strap {next:04}"}
+    )
     effects = MappingProxyType(
         on_part(
             "_strap",
@@ -79,12 +81,6 @@ class SimulatedHeartRateStrap(StrapDevice):
         if demands_pairing:
             peripheral.demand_pairing = True
             self._strap.heart_rate.demand_pairing()
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"C8:25:00:00:01:{number:02X}", "name": f"Heart Strap {number + 1:04}"}
-        return {**super().worn_by(wearer, number), **own}
 
     @property
     def settings(self) -> Mapping[str, Any]:

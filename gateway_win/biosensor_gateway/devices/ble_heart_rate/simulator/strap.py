@@ -32,7 +32,7 @@ from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
-from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
+from biosensor_gateway.simulation.radio_device import RADIO_EFFECTS
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Specimen, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer

@@ -12,14 +12,14 @@ from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
-from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
 from biosensor_gateway.transports.ble_pairing import Pairing
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.4
 KIND = "health device"
@@ -191,12 +191,8 @@ def identify(seen: Advertisement) -> str | None:
     return None if _title(seen) is None else seen.address
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is such a device; one that another driver knows is left to that one."""
-    if not isinstance(seen, Advertisement) or identify(seen) is None:
-        return None
-    settings = {"unit": seen.address, "device": seen.address}
-    return Found("bluetooth_health", seen.name or seen.address, settings, seen.rssi_dbm)
+# One that another driver knows better is left to that one.
+recognise = by_advertisement("bluetooth_health", identify)
 
 
 def _title(seen: Advertisement) -> str | None:

@@ -397,6 +397,9 @@ class SimulatedMovesense(StrapDevice):
     """
 
     sensor = "movesense"
+    each_own = MappingProxyType(
+        {"address": "0C:8C:DC:10:F8:{number:02X}", "serial": "1746300002{number:02d}"}
+    )
     expected = EXPECTED
     on_air = True
     filled = MappingProxyType({"mag": Filled(None, "it is switched off unless the settings ask")})
@@ -436,12 +439,6 @@ class SimulatedMovesense(StrapDevice):
         self._service = _SensorDataService(
             self._strap, serial, is_old=firmware.is_old, deviation=deviation
         )
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"0C:8C:DC:10:F8:{number:02X}", "serial": f"1746300002{number:02d}"}
-        return {**super().worn_by(wearer, number), **own}
 
     @property
     def settings(self) -> Mapping[str, Any]:

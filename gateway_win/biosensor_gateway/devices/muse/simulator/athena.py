@@ -19,7 +19,7 @@ import numpy as np
 from biosensor_gateway.devices.muse.simulator.headband import ATHENA, Headband, uuid
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
-from biosensor_gateway.simulation.wearer import Floats, Wearer
+from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.simulation.world import World
 
 DATA_UUIDS = (uuid(0x13), uuid(0x14))
@@ -171,6 +171,9 @@ class SimulatedAthena(Headband):
     """A Muse S Athena; see `Headband`."""
 
     expected = ATHENA
+    each_own = MappingProxyType(
+        {"address": "00:55:DA:B9:FB:{number:02X}", "serial": "7001-FB{number:02X}-0002"}
+    )
     filled = MappingProxyType(
         {
             "aux": Filled(None, "it is switched off unless the settings ask"),
@@ -203,12 +206,6 @@ class SimulatedAthena(Headband):
             **specimen,
         )
         self._offer(DATA_UUIDS)
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"00:55:DA:B9:FB:{number:02X}", "serial": f"7001-FB{number:02X}-0002"}
-        return {**super().worn_by(wearer, number), **own}
 
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:
         yield self._send_all()

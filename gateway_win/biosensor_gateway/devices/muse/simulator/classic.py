@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable
 from itertools import count
 from types import MappingProxyType
 from typing import NamedTuple, Unpack
@@ -15,7 +15,7 @@ from biosensor_gateway.simulation.effects import lasting
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
-from biosensor_gateway.simulation.wearer import Floats, Wearer
+from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.simulation.world import World
 
 _EEG_HZ, _LIGHT_HZ, _MOTION_HZ = 256.0, 64.0, 52.0
@@ -102,6 +102,9 @@ class SimulatedMuse(Headband):
     """
 
     expected = CLASSIC
+    each_own = MappingProxyType(
+        {"address": "00:55:DA:B0:3B:{number:02X}", "serial": "4021-3B{number:02X}-0002"}
+    )
     effects = MappingProxyType(
         {**Headband.effects, FaultKind.DENY: lasting(Headband.deny, Headband.give)}
     )
@@ -149,12 +152,6 @@ class SimulatedMuse(Headband):
                 *LIGHT_UUIDS.values(),
             ]
         )
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"00:55:DA:B0:3B:{number:02X}", "serial": f"4021-3B{number:02X}-0002"}
-        return {**super().worn_by(wearer, number), **own}
 
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:
         yield self._send_all(_Source(_EEG_HZ, EEG_COUNT, self._eeg))

@@ -21,7 +21,7 @@ from bumble.core import UUID
 from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
-from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, flag, level
 from biosensor_gateway.simulation.expected import (
     NO_INTERVALS,
     ONE_RATE,
@@ -31,12 +31,10 @@ from biosensor_gateway.simulation.expected import (
     LossTolerance,
 )
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
-from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
+from biosensor_gateway.simulation.radio_device import RadioDevice
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -181,7 +179,7 @@ class _Signals:
         return np.stack([self._wearer.noise(t, 0.5, f"gyro{axis}") for axis in "xyz"], axis=1)
 
 
-class Headband(VirtualDevice):
+class Headband(RadioDevice):
     """A headband on the air, which streams when it is told to.
 
     Parameters
@@ -223,21 +221,20 @@ class Headband(VirtualDevice):
         patience_s: float = 120.0,
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, **specimen)
         self._number = address.replace(":", "")[-4:]
+        name = f"{self.kind}-{self._number}"
+        super().__init__(
+            world,
+            Peripheral(radio, address, name, service_uuids=[SERVICE], rssi_dbm=rssi_dbm),
+            **specimen,
+        )
         self._serial = serial
-        self._rng = np.random.default_rng(self.specimen.seed)
         self._signals = _Signals(self.specimen.wearer)
-        self._drift_ppm = self.specimen.drift_ppm
         self._patience_s = patience_s
         self._percent, self._preset = 87.0, "p21"
-        self._answer_delay_s = 0.0
         self._to_deny = cycle(self.deniable)
         self._refuses = self._is_unreadable = self._glues = False
-        self._oscillator = Oscillator(world.clock, self._drift_ppm)
-        self._power = PowerSwitch(self._power_on, self._power_off)
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._measuring: set[asyncio.Task[None]] = set()
+        self._measuring: list[asyncio.Task[None]] = []
         self._heard_s = 0.0
         self._characteristics: dict[str, Characteristic[bytes]] = {}
         self._control = Characteristic[bytes](
@@ -246,12 +243,6 @@ class Headband(VirtualDevice):
             Attribute.Permissions.READABLE | Attribute.Permissions.WRITEABLE,
             CharacteristicValue(write=self._hear),
         )
-        name = f"{self.kind}-{self._number}"
-        self._peripheral = Peripheral(
-            radio, address, name, service_uuids=[SERVICE], rssi_dbm=rssi_dbm
-        )
-        self._peripheral.on_connected.append(self._note_signal)
-        self._peripheral.on_disconnected.append(self._lose_host)
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -275,24 +266,15 @@ class Headband(VirtualDevice):
 
     async def _start(self) -> None:
         self._signals.origin_s = self.world.clock()
-        await self._power.want(True)
+        await super()._start()
 
-    async def _stop(self) -> None:
-        await self._power.want(False)
-
-    async def _power_on(self) -> None:
-        self._oscillator = Oscillator(self.world.clock, self._drift_ppm)
+    def _services(self) -> Sequence[Service]:
         service = UUID.from_16_bits(int(SERVICE, 16))
-        offered = [self._control, *self._characteristics.values()]
-        await self._peripheral.power_on([Service(service, offered)])
-
-    async def _power_off(self) -> None:
-        self._lose_host()
-        await self._peripheral.power_off()
+        return [Service(service, [self._control, *self._characteristics.values()])]
 
     def _hear(self, _connection: Connection, written: bytes) -> None:
         self._heard_s = self.world.clock()
-        self._run(self._answer(command_text(written)), self._tasks)
+        self._run(self._answer(command_text(written)))
 
     async def _answer(self, command: str | None) -> None:
         if self._answer_delay_s:
@@ -319,7 +301,7 @@ class Headband(VirtualDevice):
         elif command == self.start:
             self._halt()
             for stream in (*self._streams(), self._end_unheard()):
-                self._run(stream, self._measuring)
+                self._measuring.append(self._run(stream))
         elif command != "k":
             return {"rc": _REFUSED}
         return {"rc": 0}
@@ -329,7 +311,7 @@ class Headband(VirtualDevice):
         while left_s > 0:
             await asyncio.sleep(left_s)
             left_s = self._heard_s + self._patience_s - self.world.clock()
-        self._break_link()
+        self.break_link()
 
     async def _leave(self, measured_s: float, before_s: float) -> float:
         """Wait for the radio, behind the packet before; return when the packet left."""
@@ -352,88 +334,15 @@ class Headband(VirtualDevice):
         elif self._peripheral.connected:
             self.truth.unsent(name, len(stamps))
 
-    def _run(self, work: Coroutine[None, None, None], tasks: set[asyncio.Task[None]]) -> None:
-        task = asyncio.create_task(work)
-        tasks.add(task)
-        task.add_done_callback(tasks.discard)
-
     def _halt(self) -> None:
         for task in self._measuring:
             task.cancel()
+        self._measuring.clear()
 
-    def _lose_host(self) -> None:
-        self._halt()
-        for task in self._tasks:
-            task.cancel()
-
-    def _note_signal(self) -> None:
-        self.truth.sent("rssi", [self.world.clock()], [(self._peripheral.rssi_dbm,)])
-
-    async def _send_garbage(self, packets: int) -> None:
-        for number in range(packets):
+    async def _send_garbage(self, amount: int) -> None:
+        for number in range(amount):
             uuid, value = self._garbage(number)
             await self._peripheral.notify(self._characteristics[uuid], value)
-
-    def _break_link(self) -> None:
-        self._peripheral.drop()
-        self._peripheral.restore()
-
-    def _drop(self) -> None:
-        self._peripheral.drop()
-
-    def _restore(self) -> None:
-        self._peripheral.restore()
-
-    def _stall(self) -> None:
-        self._peripheral.stalled = True
-
-    def _resume(self) -> None:
-        self._peripheral.stalled = False
-
-    def _babble(self, packets: float) -> None:
-        self._run(self._send_garbage(round(packets)), self._tasks)
-
-    def _refuse(self) -> None:
-        self._refuses = True
-        self._break_link()
-
-    def _comply(self) -> None:
-        self._refuses = False
-
-    def _answer_late(self, seconds: float) -> None:
-        self._answer_delay_s = seconds
-        self._break_link()
-
-    def _answer_in_time(self) -> None:
-        self._answer_delay_s = 0.0
-
-    def _forget(self, _: float) -> None:
-        self._halt()
-
-    def _become_unreadable(self) -> None:
-        self._is_unreadable = True
-
-    def _become_readable(self) -> None:
-        self._is_unreadable = False
-
-    def _go_down(self) -> None:
-        self._power.hold_off(FaultKind.RESTART)
-
-    def _come_up(self) -> None:
-        self._power.release(FaultKind.RESTART)
-
-    def _discharge(self, percent: float) -> None:
-        self._percent = percent
-
-    def _drift(self, ppm: float) -> None:
-        self._drift_ppm = ppm
-        self._oscillator.set_drift(ppm)
-
-    def _glue(self) -> None:
-        self._glues = True
-
-    def _unglue(self) -> None:
-        self._glues = False
 
     async def _send_answers(self, count: int) -> None:
         for _ in range(count):
@@ -443,29 +352,22 @@ class Headband(VirtualDevice):
     def deny(self) -> None:
         """Break the link and let nobody subscribe to a characteristic, another each time."""
         self._peripheral.deny((UUID(next(self._to_deny)),))
-        self._break_link()
+        self.break_link()
 
     def give(self) -> None:
         """Let everybody subscribe to all again."""
         self._peripheral.deny(())
 
     def _answer_unasked(self, count: float) -> None:
-        self._run(self._send_answers(round(count)), self._tasks)
+        self._run(self._send_answers(round(count)))
 
     effects = MappingProxyType(
         {
-            FaultKind.DROP: lasting(_drop, _restore),
-            FaultKind.STALL: lasting(_stall, _resume),
-            FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.REFUSE: lasting(_refuse, _comply),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
-            FaultKind.FORGET: Effect(_forget),
-            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
-            FaultKind.RESTART: lasting(_go_down, _come_up),
-            FaultKind.LOW_BATTERY: Effect(_discharge),
-            FaultKind.DRIFT: Effect(_drift),
-            Untidiness.GLUED: lasting(_glue, _unglue),
+            **RadioDevice.effects,
+            FaultKind.REFUSE: flag("_refuses", then=RadioDevice.break_link),
+            FaultKind.UNREADABLE: flag("_is_unreadable"),
+            FaultKind.LOW_BATTERY: level("_percent"),
+            Untidiness.GLUED: flag("_glues"),
             Untidiness.STRAY: Effect(_answer_unasked),
-            **on_part("_peripheral", RADIO_EFFECTS),
         }
     )

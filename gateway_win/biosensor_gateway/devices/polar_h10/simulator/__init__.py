@@ -32,7 +32,6 @@ from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 EXPECTED = replace(
@@ -106,6 +105,9 @@ class SimulatedPolarH10(StrapDevice):
     """
 
     sensor = "polar_h10"
+    each_own = MappingProxyType(
+        {"address": "A0:9E:1A:A1:B3:{number:02X}", "device_id": "A1B3{number:04X}"}
+    )
     usual: ClassVar[Usual] = Usual(H10, "A0:9E:1A:A1:B2:C3", "A1B2C3D4")
     """What it is if nothing else is said."""
     expected = EXPECTED
@@ -148,12 +150,6 @@ class SimulatedPolarH10(StrapDevice):
             self._pmd = PmdService(self._strap, product, quirks)
         elif quirks.firmware is Firmware.OLD:
             self._strap.services.append(_file_transfer_service())
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"A0:9E:1A:A1:B3:{number:02X}", "device_id": f"A1B3{number:04X}"}
-        return {**super().worn_by(wearer, number), **own}
 
     @property
     def settings(self) -> Mapping[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Literal, NamedTuple
@@ -11,7 +10,7 @@ import structlog
 from pydantic import Field, field_validator
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, by_port_name, own_settings
 from biosensor_gateway.devices.shimmer import SPEC
 from biosensor_gateway.devices.shimmer.driver import calibration, commands, exg
 from biosensor_gateway.devices.shimmer.driver.calibration import Kinematic, Typical
@@ -53,7 +52,6 @@ from biosensor_gateway.devices.shimmer.driver.signals import (
 )
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 EXG_BOARDS = frozenset({37, 47, 59})
 
@@ -296,7 +294,6 @@ WAVEFORMS = frozenset(stream.data_name for stream in SPEC.streams if stream.is_r
 
 AS_IT_IS = "device"
 SLOWEST_HZ, FASTEST_HZ = 1.0, 2048.0
-_NAME = re.compile(r"Shimmer3R?-([0-9A-Fa-f]{4})(?:-BT)?")
 
 
 class Shimmer3Settings(DeviceSettings):
@@ -395,15 +392,5 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
     return lambda: ShimmerDriver(own.port, sink, emitter, prepare)
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Return how to add a paired Shimmer; its unit is the number on the case."""
-    if not isinstance(seen, SerialPort):
-        return None
-    name = _NAME.fullmatch(seen.remote_name)
-    if name is None:
-        return None
-    settings = {"unit": name[1].upper(), "port": seen.port}
-    return Found("shimmer", seen.remote_name, settings)
-
-
+recognise = by_port_name("shimmer", r"Shimmer3R?-([0-9A-Fa-f]{4})(?:-BT)?")
 DRIVER = DriverEntry(Shimmer3Settings, _make, recognise=recognise)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import structlog
 
@@ -23,6 +23,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Status,
     StatusFlag,
 )
+from biosensor_gateway.devices.shimmer.driver.packets import PacketEmitter
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.byte_links import byte_link
 
@@ -31,22 +32,6 @@ BATTERY_PERIOD_S = 60.0
 PATIENCE_S = 2.0
 
 _log = structlog.get_logger("biosensor_gateway.shimmer")
-
-
-class Emitter(Protocol):
-    """What turns packets into samples, over all connections of a device."""
-
-    def kept_measuring_until(self, lsl_s: float) -> None:
-        """Note that the device measured until then and was not heard; see `PacketTimes`."""
-        ...
-
-    def take(self, packets: Iterable[tuple[Packet, float]]) -> None:
-        """Emit the samples of the packets of one read, each with its LSL time of arrival."""
-        ...
-
-    def battery(self, reading: BatteryReading, arrival_s: float) -> None:
-        """Emit a battery reading."""
-        ...
 
 
 class Prepared(NamedTuple):
@@ -86,7 +71,7 @@ class ShimmerDriver:
         self,
         port: str,
         sink: Sink,
-        emitter: Emitter,
+        emitter: PacketEmitter,
         prepare: Callable[[Conversation, Kind], Awaitable[Prepared]],
     ) -> None:
         self._port = port

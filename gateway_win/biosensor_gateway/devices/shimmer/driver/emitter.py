@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,11 +10,9 @@ import numpy as np
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
 from biosensor_gateway.devices.shimmer.driver.exg import electrodes_on
-from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
-from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes, emit_charge
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketEmitter
 from biosensor_gateway.devices.shimmer.driver.signals import Signal
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0
 
@@ -63,33 +61,19 @@ class _Told:
     time_s: float = 0.0
 
 
-class ShimmerEmitter:
+class ShimmerEmitter(PacketEmitter):
     """Turns packets into samples; one instance a device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
-        self._sink = sink
-        log = DeviceLog("biosensor_gateway.shimmer", sink.identity)
-        self._packets = PacketTimes(sink, log, self._emit)
+        super().__init__(sink, "shimmer")
         self._measurement: Measurement | None = None
         self._told = _Told()
 
     def started(self, measurement: Measurement) -> None:
         """Prepare for packets of a new connection."""
         self._measurement = measurement
-        self._packets.started(measurement.divisor, measurement.streams)
+        self._expect(measurement.divisor, measurement.streams)
         self._told = _Told()
-
-    def kept_measuring_until(self, lsl_s: float) -> None:
-        """Note that the device measured until then and was not heard; see `PacketTimes`."""
-        self._packets.kept_measuring_until(lsl_s)
-
-    def take(self, packets: Iterable[tuple[Packet, float]]) -> None:
-        """Emit the samples of the packets of one read, each with its LSL time of arrival."""
-        self._packets.take(packets)
-
-    def battery(self, reading: BatteryReading, arrival_s: float) -> None:
-        """Emit a battery reading, which has no time of its own."""
-        emit_charge(self._sink, reading, arrival_s)
 
     def _emit(self, batch: Batch) -> None:
         assert self._measurement is not None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,19 +45,6 @@ def charge_percent(reading: BatteryReading) -> float | None:
     """Return the charge in percent; None while the charger is testing the battery."""
     volts = battery_volts(reading.adc)
     return percent(volts) if volts <= _CHARGER_CHECKS_ABOVE_VOLTS else None
-
-
-def emit_charge(sink: Sink, reading: BatteryReading, arrival_s: float) -> None:
-    """Emit a battery reading as ``bat``; it has no time of its own.
-
-    Parameters
-    ----------
-    arrival_s
-        LSL clock when it came.
-    """
-    level = charge_percent(reading)
-    if level is not None:
-        sink.emit_at("bat", [level], [arrival_s])
 
 
 SURVIVED_AGREE_S = 1.0
@@ -149,26 +137,29 @@ class Batch(NamedTuple):
     times: Sequence[float]
 
 
-class PacketTimes:
-    """Follows one device's packets over all its connections.
+class PacketEmitter(ABC):
+    """Follows one device's packets over all its connections; a subclass emits their samples.
 
     Parameters
     ----------
-    emit
-        Takes the samples of a read, once the clock has been told of them.
+    name
+        Of the sensor, for the log.
     """
 
-    def __init__(self, sink: Sink, log: DeviceLog, emit: Callable[[Batch], None]) -> None:
+    def __init__(self, sink: Sink, name: str) -> None:
         self._sink = sink
-        self._log = log
-        self._emit = emit
+        self._log = DeviceLog(f"biosensor_gateway.{name}", sink.identity)
         self._timeline = TickTimeline()
         self._divisor: int | None = None
         self._streams: Sequence[str] = ()
         self._newest_arrival_s: float | None = None
         self._measured_until_s: float | None = None
 
-    def started(self, divisor: int, streams: Sequence[str]) -> None:
+    @abstractmethod
+    def _emit(self, batch: Batch) -> None:
+        """Emit the samples of a read; the clock has been told of them."""
+
+    def _expect(self, divisor: int, streams: Sequence[str]) -> None:
         """Prepare for packets of a new connection.
 
         Parameters
@@ -212,6 +203,12 @@ class PacketTimes:
                 self._sink.lost(data_name, placed.lost)
             batch.append((packet, placed.time_s, arrival_s))
         self._pass_on(batch)
+
+    def battery(self, reading: BatteryReading, arrival_s: float) -> None:
+        """Emit a battery reading as ``bat``; it has no time but its arrival's."""
+        level = charge_percent(reading)
+        if level is not None:
+            self._sink.emit_at("bat", [level], [arrival_s])
 
     def _count_unheard(self, until_s: float) -> None:
         if self._divisor is None or self._newest_arrival_s is None:

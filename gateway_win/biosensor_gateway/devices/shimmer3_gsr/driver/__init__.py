@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from functools import partial
 from typing import Literal, NamedTuple
@@ -10,7 +9,7 @@ from typing import Literal, NamedTuple
 import structlog
 from pydantic import Field
 
-from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, by_port_name, own_settings
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Channel
 from biosensor_gateway.devices.shimmer.driver.connection import Prepared, ShimmerDriver
@@ -26,12 +25,10 @@ from biosensor_gateway.devices.shimmer3_gsr import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import WAVEFORMS, GsrEmitter, Measurement
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 GSR_BOARDS = frozenset({14, 48})
 
 _log = structlog.get_logger("biosensor_gateway.shimmer3_gsr")
-_PORT_NAME = re.compile(r"Shimmer3-([0-9A-Fa-f]{4})")
 
 
 class ShimmerSettings(DeviceSettings):
@@ -127,15 +124,5 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
     return lambda: ShimmerDriver(own.port, sink, emitter, prepare)
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Return how to add a paired Shimmer3; its unit is the number on the case."""
-    if not isinstance(seen, SerialPort):
-        return None
-    name = _PORT_NAME.fullmatch(seen.remote_name)
-    if name is None:
-        return None
-    settings = {"unit": name[1].upper(), "port": seen.port}
-    return Found("shimmer3_gsr", seen.remote_name, settings)
-
-
+recognise = by_port_name("shimmer3_gsr", r"Shimmer3-([0-9A-Fa-f]{4})")
 DRIVER = DriverEntry(ShimmerSettings, _make, recognise=recognise)

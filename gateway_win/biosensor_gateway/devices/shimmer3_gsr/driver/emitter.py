@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from statistics import median
@@ -21,11 +21,9 @@ from biosensor_gateway.devices.shimmer.driver.calibration import (
 )
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
 from biosensor_gateway.devices.shimmer.driver.commands import AUTO_RANGE, TICKS_PER_S
-from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
-from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes, emit_charge
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketEmitter
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.pulses.elgendi import Pulses
-from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0
 WAVEFORMS = ("gsr", "ppg")
@@ -208,13 +206,11 @@ class Measurement:
         return TICKS_PER_S / self.divisor
 
 
-class GsrEmitter:
+class GsrEmitter(PacketEmitter):
     """Turns packets into samples; one instance a device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
-        self._sink = sink
-        log = DeviceLog("biosensor_gateway.shimmer3_gsr", sink.identity)
-        self._packets = PacketTimes(sink, log, self._emit)
+        super().__init__(sink, "shimmer3_gsr")
         self._measurement: Measurement | None = None
         self._quality: list[float] = []
         self._quality_s = 0.0
@@ -222,23 +218,11 @@ class GsrEmitter:
     def started(self, measurement: Measurement) -> None:
         """Prepare for packets of a new connection."""
         self._measurement = measurement
-        self._packets.started(measurement.divisor, WAVEFORMS)
+        self._expect(measurement.divisor, WAVEFORMS)
         self._gsr_at = measurement.layout.index(Channel.GSR)
         self._ppg_at = measurement.layout.index(Channel.PPG)
         self._pulse = PulseRate(measurement.rate_hz)
         self._quality = []
-
-    def kept_measuring_until(self, lsl_s: float) -> None:
-        """Note that the device measured until then and was not heard; see `PacketTimes`."""
-        self._packets.kept_measuring_until(lsl_s)
-
-    def take(self, packets: Iterable[tuple[Packet, float]]) -> None:
-        """Emit the samples of the packets of one read, each with its LSL time of arrival."""
-        self._packets.take(packets)
-
-    def battery(self, reading: BatteryReading, arrival_s: float) -> None:
-        """Emit a battery reading, which has no time of its own."""
-        emit_charge(self._sink, reading, arrival_s)
 
     def _emit(self, batch: Batch) -> None:
         assert self._measurement is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Coroutine, Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Unpack
 
@@ -15,7 +15,7 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 from numpy.typing import NDArray
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part, restart
+from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
 from biosensor_gateway.simulation.expected import (
     NO_INTERVALS,
     TELLS_ITS_RATE,
@@ -24,13 +24,11 @@ from biosensor_gateway.simulation.expected import (
     LossTolerance,
 )
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.radio_effects import RADIO_EFFECTS
+from biosensor_gateway.simulation.radio_device import RadioDevice
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock
@@ -147,7 +145,7 @@ def _note(
             truth.unsent(data_name, len(times))
 
 
-class SimulatedBelt(VirtualDevice):
+class SimulatedBelt(RadioDevice):
     """A GDX-RB: a sleeping belt whose button has just been pressed.
 
     Parameters
@@ -165,6 +163,9 @@ class SimulatedBelt(VirtualDevice):
     """
 
     sensor = "vernier_respiration_belt"
+    each_own = MappingProxyType(
+        {"address": "E0:F5:BD:94:6B:{number:02X}", "serial": "0K21{number:02d}Z5"}
+    )
     expected = EXPECTED
     on_air = True
     rates_hz = MappingProxyType({"force": 10.0, "bpm": 10.0})
@@ -181,32 +182,17 @@ class SimulatedBelt(VirtualDevice):
         max_mtu: int = 158,
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, **specimen)
+        name = f"{_ORDER_CODE} {serial}"
+        peripheral = Peripheral(radio, address, name, rssi_dbm=rssi_dbm, max_mtu=max_mtu)
+        super().__init__(world, peripheral, **specimen)
         self._serial = serial
         self._firmware = BeltFirmware(_ORDER_CODE, serial)
         self._signals = _Signals(self.specimen.wearer, warm_up_s, world.clock)
-        self._rng = np.random.default_rng(self.specimen.seed)
-        self._drift_ppm = self.specimen.drift_ppm
-        self._answer_delay_s = 0.0
-        self._oscillator = Oscillator(world.clock, self._drift_ppm)
-        self._power = PowerSwitch(self._power_on, self._power_off)
-        self._tasks: set[asyncio.Task[None]] = set()
         self._measuring: asyncio.Task[None] | None = None
         self._sending = asyncio.Lock()
         self._response = Characteristic[bytes](
             RESPONSE_UUID, _Properties.NOTIFY, Attribute.Permissions.READABLE, b""
         )
-        self._peripheral = Peripheral(
-            radio, address, f"{_ORDER_CODE} {serial}", rssi_dbm=rssi_dbm, max_mtu=max_mtu
-        )
-        self._peripheral.on_connected.append(self._note_signal)
-        self._peripheral.on_disconnected.append(self._lose_host)
-
-    @classmethod
-    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Give each an address of its own, too."""
-        own = {"address": f"E0:F5:BD:94:6B:{number:02X}", "serial": f"0K21{number:02d}Z5"}
-        return {**super().worn_by(wearer, number), **own}
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -215,13 +201,9 @@ class SimulatedBelt(VirtualDevice):
 
     async def _start(self) -> None:
         self._signals.begin()
-        await self._power.want(True)
+        await super()._start()
 
-    async def _stop(self) -> None:
-        await self._power.want(False)
-
-    async def _power_on(self) -> None:
-        self._oscillator = Oscillator(self.world.clock, self._drift_ppm)
+    def _services(self) -> Sequence[Service]:
         # Only a writing host is told apart; the vendor's services are not advertised.
         commands = Characteristic[bytes](
             COMMAND_UUID,
@@ -229,11 +211,7 @@ class SimulatedBelt(VirtualDevice):
             Attribute.Permissions.WRITEABLE,
             CharacteristicValue(write=self._hear),
         )
-        await self._peripheral.power_on([Service(SERVICE_UUID, [commands, self._response])])
-
-    async def _power_off(self) -> None:
-        self._lose_host()
-        await self._peripheral.power_off()
+        return [Service(SERVICE_UUID, [commands, self._response])]
 
     def _hear(self, _connection: Connection, fragment: bytes) -> None:
         self._run(self._answer(fragment))
@@ -249,10 +227,10 @@ class SimulatedBelt(VirtualDevice):
         if Command.GET_STATUS in was_asked and not self._firmware.refuses:
             self.truth.sent("bat", [self.world.clock()], [(self._firmware.battery_percent,)])
         if self._firmware.starts != starts:
-            self._stop_measuring()
+            self._halt()
             self._measuring = self._run(self._measure())
         elif not self._firmware.mask:
-            self._stop_measuring()
+            self._halt()
 
     async def _measure(self) -> None:
         """Send packets of samples; the first sample is taken at the start itself."""
@@ -288,57 +266,31 @@ class SimulatedBelt(VirtualDevice):
                 sent = await self._peripheral.notify(self._response, fragment) and sent
         return sent
 
-    async def _send_garbage(self, count: int) -> None:
-        for begin in range(0, count, _GARBAGE_BYTES):
-            noise = self._rng.bytes(min(_GARBAGE_BYTES, count - begin))
+    async def _send_garbage(self, amount: int) -> None:
+        for begin in range(0, amount, _GARBAGE_BYTES):
+            noise = self._rng.bytes(min(_GARBAGE_BYTES, amount - begin))
             await self._peripheral.notify(self._response, noise)
 
-    def _break_link(self) -> None:
-        self._peripheral.drop()
-        self._peripheral.restore()
-
-    def _note_signal(self) -> None:
-        self.truth.sent("rssi", [self.world.clock()], [(self._peripheral.rssi_dbm,)])
-
     def _lose_host(self) -> None:
-        self._stop_measuring()
-        for task in self._tasks:
-            task.cancel()
+        super()._lose_host()
         self._firmware.forget()
 
-    def _stop_measuring(self) -> None:
+    def _halt(self) -> None:
         if self._measuring is not None:
             self._measuring.cancel()
             self._measuring = None
 
-    def _run(self, coroutine: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        task = asyncio.create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
-
-    def _babble(self, count: float) -> None:
-        self._run(self._send_garbage(round(count)))
-
     def _forget(self, _: float) -> None:
         self._firmware.mask = 0
-        self._stop_measuring()
-
-    def _drift(self, ppm: float) -> None:
-        self._drift_ppm = ppm
-        self._oscillator.set_drift(ppm)
+        self._halt()
 
     effects = MappingProxyType(
         {
-            **on_part("_peripheral", RADIO_EFFECTS),
-            FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.REFUSE: flag("_firmware.refuses", then=_break_link),
-            FaultKind.LATE: level("_answer_delay_s", 0.0, then=_break_link),
+            **RadioDevice.effects,
             FaultKind.FORGET: Effect(_forget),
+            FaultKind.REFUSE: flag("_firmware.refuses", then=RadioDevice.break_link),
             FaultKind.UNREADABLE: flag("_firmware.knows_type", False),
-            FaultKind.RESTART: restart("_power"),
             FaultKind.LOW_BATTERY: level("_firmware.battery_percent", read=round),
-            FaultKind.DRIFT: Effect(_drift),
             **on_part(
                 "_signals", {FaultKind.OFF_BODY: lasting(_Signals.take_off, _Signals.put_on)}
             ),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import re
 from collections.abc import Callable, Sequence
 
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.driver import Connected, DriverEntry, Found, own_settings
+from biosensor_gateway.devices.driver import Connected, DriverEntry, by_port_name, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import (
@@ -29,7 +28,6 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.dialogue import Dialogue, Heard
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 # The order in which the recorded device was started.
 PACKETS = (
@@ -59,7 +57,6 @@ TORN_FRAME_S = 1.0
 SUMMARY_PATIENCE_S = 5.0
 
 _DENIED = "it answers no when asked for their packets; update its firmware"
-_PORT_NAME = re.compile(r"BH ?([A-Z]{3}[0-9]{6})")
 
 
 class ZephyrSettings(DeviceSettings):
@@ -200,14 +197,5 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
     return lambda: ZephyrDriver(own, sink, emitter)
 
 
-def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Return how to add a paired BioHarness; its unit is its serial number."""
-    if not isinstance(seen, SerialPort):
-        return None
-    name = _PORT_NAME.fullmatch(seen.remote_name)
-    if name is None:
-        return None
-    return Found("zephyr", seen.remote_name, {"unit": name[1], "port": seen.port})
-
-
+recognise = by_port_name("zephyr", r"BH ?([A-Z]{3}[0-9]{6})")
 DRIVER = DriverEntry(ZephyrSettings, _make, recognise=recognise)

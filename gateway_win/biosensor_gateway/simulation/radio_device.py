@@ -1,0 +1,139 @@
+"""What Bluetooth LE devices share: power, tasks, an oscillator, and what befalls their radio."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import abstractmethod
+from collections.abc import Coroutine, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar, Unpack
+
+import numpy as np
+from bumble.gatt import Service
+
+from biosensor_gateway.simulation.effects import (
+    Effect,
+    Effects,
+    flag,
+    lasting,
+    level,
+    on_part,
+    restart,
+)
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.oscillator import Oscillator
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.power import PowerSwitch
+from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
+from biosensor_gateway.simulation.world import World
+
+_CHANGING = "5E"
+"""Begins a resolvable private address, by its two highest bits: Core 5.4 Vol 6 Part B, 1.3.2.2."""
+
+RADIO_EFFECTS: Effects[Peripheral] = MappingProxyType(
+    {
+        FaultKind.DROP: lasting(Peripheral.drop, Peripheral.restore),
+        FaultKind.STALL: flag("stalled"),
+        Untidiness.BUNDLED: Effect(
+            lambda hit, seconds: hit.bundles.wait(seconds), lambda hit: hit.bundles.wait(0.0)
+        ),
+        Untidiness.NAMELESS: lasting(
+            lambda hit: hit.set_nameless(True), lambda hit: hit.set_nameless(False)
+        ),
+        Untidiness.READDRESSED: lasting(
+            lambda hit: hit.set_address(_CHANGING + hit.address[2:]),
+            lambda hit: hit.set_address(hit.address),
+        ),
+    }
+)
+
+
+class RadioDevice(VirtualDevice):
+    """A device on the air that answers a host and measures for it.
+
+    Parameters
+    ----------
+    peripheral
+        Its radio.
+    """
+
+    def __init__(
+        self, world: World, peripheral: Peripheral, **specimen: Unpack[SpecimenOptions]
+    ) -> None:
+        super().__init__(world, **specimen)
+        self._peripheral = peripheral
+        self._rng = np.random.default_rng(self.specimen.seed)
+        self._drift_ppm = self.specimen.drift_ppm
+        self._oscillator = Oscillator(world.clock, self._drift_ppm)
+        self._answer_delay_s = 0.0
+        self._power = PowerSwitch(self._power_on, self._power_off)
+        self._tasks: set[asyncio.Task[None]] = set()
+        peripheral.on_connected.append(self._note_signal)
+        peripheral.on_disconnected.append(self._lose_host)
+
+    @abstractmethod
+    def _services(self) -> Sequence[Service]:
+        """Return its GATT table."""
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """Measure no more, without a word."""
+
+    @abstractmethod
+    async def _send_garbage(self, amount: int) -> None:
+        """Send so much that makes no sense."""
+
+    async def _start(self) -> None:
+        await self._power.want(True)
+
+    async def _stop(self) -> None:
+        await self._power.want(False)
+
+    async def _power_on(self) -> None:
+        self._oscillator = Oscillator(self.world.clock, self._drift_ppm)
+        await self._peripheral.power_on(self._services())
+
+    async def _power_off(self) -> None:
+        self._lose_host()
+        await self._peripheral.power_off()
+
+    def _lose_host(self) -> None:
+        self._halt()
+        for task in self._tasks:
+            task.cancel()
+
+    def _run(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        """Run beside everything else, as long as the host is connected."""
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _note_signal(self) -> None:
+        self.truth.sent("rssi", [self.world.clock()], [(self._peripheral.rssi_dbm,)])
+
+    def break_link(self) -> None:
+        """Lose the host, and be there again at once."""
+        self._peripheral.drop()
+        self._peripheral.restore()
+
+    def _babble(self, amount: float) -> None:
+        self._run(self._send_garbage(round(amount)))
+
+    def _forget(self, _: float) -> None:
+        self._halt()
+
+    def _drift(self, ppm: float) -> None:
+        self._drift_ppm = ppm
+        self._oscillator.set_drift(ppm)
+
+    effects: ClassVar[Effects[Any]] = MappingProxyType(
+        {
+            **on_part("_peripheral", RADIO_EFFECTS),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.LATE: level("_answer_delay_s", 0.0, then=break_link),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.RESTART: restart("_power"),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )
