@@ -24,11 +24,10 @@ from biosensor_common.ros_clock import measure_clock_pair, read_clock_pair
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.streaming import own_outlets
+from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import TICK_S, Announcer
-from biosensor_gateway.streaming.outlets import Outlet
-from biosensor_gateway.streaming.own_outlets import log_errors
+from biosensor_gateway.streaming.outlets import Outlet, log_errors
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -267,7 +266,7 @@ async def test_devices_are_streamed_also_if_there_can_be_no_such_stream(
     def refuse(*_arguments: object) -> None:
         raise RuntimeError("no port is free")
 
-    monkeypatch.setattr(own_outlets, "Outlet", refuse)
+    monkeypatch.setattr(outlets, "Outlet", refuse)
     with capture_logs() as logs:
         async with announcing(0.1) as announcer:
             announcer.announce(EventKind.PAUSED, {})

@@ -26,7 +26,7 @@ from biosensor_gateway.agent.markers import (
 )
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import MarkerSettings
-from biosensor_gateway.streaming import markers, own_outlets
+from biosensor_gateway.streaming import markers, outlets
 from biosensor_gateway.streaming.markers import KEPT, MarkerStream
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -315,7 +315,7 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
         assert caught.value.reason is TransportReason.UNAVAILABLE
 
     await is_refused()
-    monkeypatch.setattr(own_outlets, "Outlet", refuse)
+    monkeypatch.setattr(outlets, "Outlet", refuse)
     with capture_logs() as logs:
         desk.stream.open()
         desk.stream.tick(desk.stream.clock())

@@ -29,8 +29,7 @@ from biosensor_gateway.page.network.stream_list import StreamList
 from biosensor_gateway.page.network.view import Viewer, _clock_note
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
-from biosensor_gateway.streaming.outlets import MAX_WAITING, Outlet
-from biosensor_gateway.streaming.own_outlets import spare_outlet
+from biosensor_gateway.streaming.outlets import MAX_WAITING, Outlet, spare_outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.polar_h10.test_emitter import ECG, arrival, ecg
 from tests.refusals.provoked import Shown, fake, in_status, provokes

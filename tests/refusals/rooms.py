@@ -25,7 +25,7 @@ _PATTERNS = (
         "senders", "stamping", "topic",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
-        "gateway", "markers", "outlets", "own_outlets", "silence", "sink", "stages",
+        "gateway", "markers", "outlets", "silence", "sink", "stages",
     )),
     f"{_AGENT}/streaming/events/*.py",
     f"{_AGENT}/agent/markers.py",

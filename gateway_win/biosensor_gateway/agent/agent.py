@@ -35,8 +35,7 @@ from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.markers import MarkerStream
-from biosensor_gateway.streaming.outlets import Outlet
-from biosensor_gateway.streaming.own_outlets import own_outlet
+from biosensor_gateway.streaming.outlets import Outlet, own_outlet
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file

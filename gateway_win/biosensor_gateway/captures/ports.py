@@ -8,8 +8,8 @@ from collections.abc import Callable
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.player import LinkPlayer, Player
 from biosensor_gateway.system.clock import Clock
+from biosensor_gateway.transports.link import Address
 from biosensor_gateway.transports.ports import ASKING, CONTROL, DATA
-from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.tap import What
 from biosensor_gateway.transports.udp_port import Take
 

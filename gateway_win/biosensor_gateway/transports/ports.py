@@ -7,7 +7,7 @@ import socket
 from collections.abc import Callable
 from typing import Protocol
 
-from biosensor_gateway.transports.receiving import Address
+from biosensor_gateway.transports.link import Address
 from biosensor_gateway.transports.udp_port import Take, UdpPort
 
 ASKING, CONTROL, DATA = "asking", "control", "data"

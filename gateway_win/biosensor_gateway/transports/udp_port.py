@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import partial
 
 from biosensor_gateway.system.clock import LSL_CLOCK
-from biosensor_gateway.transports.receiving import Address, Receiver
+from biosensor_gateway.transports.link import Address, Receiver
 from biosensor_gateway.transports.threads import in_daemon_thread
 
 Take = Callable[[bytes, float, Address], object]

@@ -14,7 +14,7 @@ from biosensor_common.refusals import Refusals
 from biosensor_common.ros_clock import measure_clock_pair
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.own_outlets import log_errors, spare_outlet
+from biosensor_gateway.streaming.outlets import log_errors, spare_outlet
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 TICK_S = 0.25

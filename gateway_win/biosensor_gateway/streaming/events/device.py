@@ -14,7 +14,7 @@ from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.own_outlets import log_errors
+from biosensor_gateway.streaming.outlets import log_errors
 from biosensor_gateway.streaming.silence import Silence
 from biosensor_gateway.system.clock import Clock
 

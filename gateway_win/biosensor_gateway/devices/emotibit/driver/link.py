@@ -20,6 +20,7 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.devices.emotibit.driver.protocol import Packet, Read, Tag, read, write
 from biosensor_gateway.system.clock import LSL_CLOCK
+from biosensor_gateway.transports.link import Address
 from biosensor_gateway.transports.ports import (
     ASKING,
     CONTROL,
@@ -29,7 +30,6 @@ from biosensor_gateway.transports.ports import (
     DataPort,
     Ports,
 )
-from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.tap import LinkTap, What, ports_of_device
 
 ADVERTISING_PORT = 3131
