@@ -37,7 +37,7 @@ _PATTERNS = (
         "live_file", "receiver", "recording_file", "streams", "supervisor",
     )),
 )  # fmt: skip
-_DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*_emitter.py")
+_DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py",)
 
 
 PATTERNS = (*_PATTERNS, *_DRIVERS)

@@ -1,4 +1,4 @@
-"""LSL outlets, each of which checks, counts and pushes its stream; and those of the agent itself."""
+"""LSL outlets: each checks, counts and pushes its stream; and those of the agent itself."""
 
 from __future__ import annotations
 
