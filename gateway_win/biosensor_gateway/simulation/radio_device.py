@@ -1,4 +1,4 @@
-"""What Bluetooth LE devices share: power, tasks, an oscillator, and what befalls their radio."""
+"""The base of virtual Bluetooth LE devices: power, tasks, an oscillator, faults of the radio."""
 
 from __future__ import annotations
 
