@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.ble_heart_rate.driver.driver import (
+from biosensor_gateway.devices.ble_heart_rate.driver import (
     HeartRateStrapSettings,
     identify,
     identify_any,

@@ -6,7 +6,7 @@ import pytest
 
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
-from biosensor_gateway.devices.movesense.driver.driver import (
+from biosensor_gateway.devices.movesense.driver import (
     DRIVER,
     MovesenseSettings,
     identify,

@@ -9,11 +9,10 @@ import pytest
 
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
-from biosensor_gateway.devices.muse.driver.commands import Answers
-from biosensor_gateway.devices.muse.driver.driver import DRIVER, identify, recognise
-from biosensor_gateway.devices.muse.driver.session import (
+from biosensor_gateway.devices.muse.driver import (
     ATHENA_PRESETS,
     CLASSIC_PRESETS,
+    DRIVER,
     MuseSettings,
     athena_preset,
     classic_preset,
@@ -21,6 +20,7 @@ from biosensor_gateway.devices.muse.driver.session import (
     model_of,
     recognise,
 )
+from biosensor_gateway.devices.muse.driver.protocol import Answers
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from biosensor_gateway.transports.tap import What

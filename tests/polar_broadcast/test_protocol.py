@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from biosensor_gateway.devices.polar_broadcast.driver.protocol import COUNTS, parse
 from biosensor_gateway.devices.polar_broadcast.simulator import SimulatedPolarBroadcast
-from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.transceiver import Transceiver
+from biosensor_gateway.simulation.radio import Radio, Transceiver
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import Run, streaming
 

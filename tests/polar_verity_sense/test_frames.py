@@ -24,7 +24,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rejected,
     parse_frame,
 )
-from biosensor_gateway.devices.polar_verity_sense.driver.driver import true_ppg_rates
+from biosensor_gateway.devices.polar_verity_sense.driver import true_ppg_rates
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors" / "polar_optical.json").read_text(encoding="utf-8")

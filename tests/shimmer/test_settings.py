@@ -6,8 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from biosensor_gateway.devices.registry import sensor
-from biosensor_gateway.devices.shimmer.driver.driver import Shimmer3Settings, recognise
-from biosensor_gateway.devices.shimmer.driver.setup import Wanted
+from biosensor_gateway.devices.shimmer.driver import Shimmer3Settings, Wanted, recognise
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 

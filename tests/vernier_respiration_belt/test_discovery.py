@@ -6,11 +6,11 @@ import pytest
 
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol
-from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import (
+from biosensor_gateway.devices.driver import Found
+from biosensor_gateway.devices.vernier_respiration_belt.driver import (
     DRIVER,
     identify,
+    protocol,
     recognise,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import wire

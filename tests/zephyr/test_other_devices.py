@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.zephyr.driver import driver as module
-from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings, recognise
+from biosensor_gateway.devices.driver import Found
+from biosensor_gateway.devices.zephyr import driver as module
+from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrSettings, recognise
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.driver_run import NotedSink
