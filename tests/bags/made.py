@@ -19,7 +19,6 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.xdf import xdf_file
@@ -68,7 +67,7 @@ def described(labels: Sequence[str], units: Sequence[str]) -> ET.Element:
 
 def to_bag(recording: Path, bag: Path, wish: Wish = Wish()) -> Outcome:  # noqa: B008
     """Export a recording as `xdf export --to mcap` does."""
-    task = Task(("mcap",), wish, Clock.LSL, bag)
+    task = Task(("mcap",), wish, output=bag)
     return export(recording, task, lambda _name, _s: lambda _done: None)
 
 

@@ -43,7 +43,7 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
     path.write_bytes(study())
     formats = ("csv", "csv-long.gz", "kubios", "ledalab")
     export(path, Task(formats, Wish()), lambda _name, _s: lambda _done: None)
-    export(path, Task(["edf"], Wish(), Clock.WALL), lambda _name, _s: lambda _done: None)
+    export(path, Task(["edf"], Wish(), clock=Clock.WALL), lambda _name, _s: lambda _done: None)
     wanted = {name: (kind, str(path.parent / file)) for name, (kind, file) in FILES.items()}
     done = subprocess.run(
         [

@@ -39,7 +39,7 @@ def exported(tmp_path: Path) -> Exporting:
     ) -> Outcome:
         path = tmp_path / "study.xdf"
         path.write_bytes(content)
-        task = Task(formats, wish, clock, output, times=times, batch=batch)
+        task = Task(formats, wish, clock=clock, output=output, times=times, batch=batch)
         return export(path, task, lambda _name, _s: lambda _done: None)
 
     return run

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
+from biosensor_gateway.cli import xdf as command
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import exporting
 from biosensor_gateway.recording.export.csv import by_rate
@@ -112,3 +114,11 @@ def test_a_stream_whose_time_steps_back_is_in_no_wide_table_and_that_is_said(
 def test_a_stream_of_the_name_of_a_table_has_another_file(tmp_path: Path) -> None:
     written = _export(tmp_path, stream(1, "all_100Hz", numbers(10), times(10, RATE), rate=RATE))
     assert {each.name for each in written.path.iterdir()} >= {"all_100Hz.csv", "all_100Hz_2.csv"}
+
+
+def test_the_command_writes_the_table_that_it_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(made.xdf(stream(1, "a", numbers(200), times(200, RATE), rate=RATE)))
+    outcome = CliRunner().invoke(command.app, ["export", str(path), "--to", "csv", "--wide"])
+    assert outcome.exit_code == 0, outcome.output
+    assert (tmp_path / "study_csv" / "all_100Hz.csv").exists()

@@ -85,7 +85,7 @@ class MarkerCommands:
         )
         if not sent.received:
             people = Refusal.UNHEARD_MARKER.told()
-            # The stream keeps the marker for a later receiver and has reported it as refused.
+            # nothing is dropped: the stream keeps it for a later receiver and has reported it
             _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
         answer = {"id": sent.id, "lsl_time": sent.lsl_time}
         return answer if sent.received else answer | {"received": False}

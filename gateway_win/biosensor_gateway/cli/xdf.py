@@ -125,7 +125,17 @@ def export_recording(
     from biosensor_gateway.recording.export.bids.study import is_dataset
     from biosensor_gateway.recording.export.several import recordings_in
 
-    wanted = Task(to, wish, clock, output, task, session, whose, times, wide)
+    wanted = Task(
+        to,
+        wish,
+        clock=clock,
+        output=output,
+        task=task,
+        session=session,
+        whose=whose,
+        times=times,
+        is_wide=wide,
+    )
     if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
         with wrong_recording(), _bars() as watch:
             outcome = export(files[0], wanted, watch)

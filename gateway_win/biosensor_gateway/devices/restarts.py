@@ -9,7 +9,7 @@ from biosensor_gateway.devices.sink import Sink
 AGREE_S = 1.0
 """How exactly a device that stayed on agrees with the host on the length of a pause."""
 DRIFT = 1e-3
-"""Far more than any crystal runs wrong."""
+"""Far more than any oscillator runs wrong."""
 
 
 class RestartCheck:
@@ -32,6 +32,7 @@ class RestartCheck:
         self._agree_s = agree_s
         self._started_s = -math.inf
         self._is_new = True
+        self._newest_s = -math.inf
 
     def reconnected(self) -> None:
         """Expect the first packet of a connection; none of its measurements has begun."""
@@ -41,10 +42,18 @@ class RestartCheck:
     def counts_again(self, stamp_s: float, arrival_s: float) -> bool:
         """Whether the device's clock did not go on; of later packets of a connection False."""
         is_new, self._is_new = self._is_new, False
+        before_s, self._newest_s = self._newest_s, max(self._newest_s, stamp_s)
         state = self._sink.clock_state
         if not is_new or math.isnan(state.offset_s):
             return False
+        if stamp_s < before_s:
+            # What waited in the device was lost with the connection before.
+            self._newest_s = stamp_s
+            return True
         limit_s = self._agree_s + DRIFT * max(0.0, arrival_s - state.newest_s)
         earliest_s = max(state.newest_s, min(self._started_s, arrival_s))
         measured_s = stamp_s + state.offset_s
-        return not earliest_s - limit_s <= measured_s <= arrival_s + limit_s
+        has_gone_on = earliest_s - limit_s <= measured_s <= arrival_s + limit_s
+        if not has_gone_on:
+            self._newest_s = stamp_s
+        return not has_gone_on

@@ -7,7 +7,7 @@ import os
 import shutil
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
@@ -56,6 +56,7 @@ class Task:
 
     formats: Sequence[str]
     wish: Wish
+    _: KW_ONLY
     clock: Clock = Clock.LSL
     output: Path | None = None
     task: str = ""
