@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 # As in a process that another account has elevated: HKEY_CURRENT_USER is that one's.
 SCRIPT = r"""
 import ctypes, json, winreg
-from biosensor_gateway.system import windows_autostart as autostart
+from biosensor_gateway.system import windows_setup as autostart
 
 RUN = r"Software\Microsoft\Windows\CurrentVersion\Run"
 USER = autostart.user_of_session()

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
 
-from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import LOCK_FILE
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.simulation.world import World
@@ -20,7 +19,7 @@ from installer.layout import WORK
 from installer.wine.prefix import Prefix
 from tests.rigs.chromium import OPTIONS
 from tests.rigs.windows.pc import WindowsPc
-from tests.rigs.windows.program import lively, program_environment
+from tests.rigs.windows.program import lively, program_environment, read_status
 from tests.rigs.wristbands import LOCATED
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
@@ -109,7 +108,7 @@ def test_from_the_start_menu_to_traces_and_to_the_end(
             )
 
             # Nobody has to start an agent again.
-            agent = status_file.read_status(tmp_path)["process"]
+            agent = read_status(tmp_path)["process"]
             # Wine's taskkill says that a program has ended as it should.
             here.run(WORK / "python" / "python.exe", "-c", f"import os; os.kill({agent}, 15)")
             expect(page.get_by_text("The agent had died")).to_be_visible()

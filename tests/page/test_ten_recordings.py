@@ -193,7 +193,7 @@ class Study:
     def _verdict(self) -> Mapping[str, Any]:
         answer = self._server.request("GET", "/api/v1/status", self._cookie)
         verdict = json.loads(answer.body)["recording"]["verdict"]
-        shown = self._panel.locator(".verdict .state")
+        shown = self._panel.locator(".verdict p.state")
         expect(shown).to_have_class(re.compile(rf"\b{TONES[verdict['colour']]}\b"))
         expect(shown).to_contain_text(verdict["sentence"])
         expect(self._panel.locator(".verdict .file")).to_have_text(verdict["file"])
