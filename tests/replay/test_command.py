@@ -123,7 +123,7 @@ def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
 @pytest.mark.nightly
 def test_a_bag_is_played_by_way_of_a_recording(long: Path, tmp_path: Path) -> None:
     exported = export(
-        long, Task(["mcap"], Wish(["slow"], "", "20"), Clock.LSL, tmp_path), _unwatched
+        long, Task(["mcap"], Wish(["slow"], "", "20"), clock=Clock.LSL, output=tmp_path), _unwatched
     )
     (bag,) = [each.path for each in exported.written]
     with opened(bag) as contents:

@@ -43,8 +43,10 @@ class RestartCheck:
         """Whether the device's clock did not go on; of later packets of a connection False."""
         is_new, self._is_new = self._is_new, False
         before_s, self._newest_s = self._newest_s, max(self._newest_s, stamp_s)
+        if not is_new:
+            return False
         state = self._sink.clock_state
-        if not is_new or math.isnan(state.offset_s):
+        if math.isnan(state.offset_s):
             return False
         if stamp_s < before_s:
             # What waited in the device was lost with the connection before.
