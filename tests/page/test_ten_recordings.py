@@ -46,9 +46,15 @@ RECORDED_S = 8.0
 AWAY_S = 3.0
 EDGE_S = 3.0
 """The wristband sends lumps of 1.5 s, and the recorder drops what came in its last 0.5 s."""
-LATE_S = {("wrist", "hr"): 6.5, ("wrist", "ibi"): 6.5}
-"""So late the wristband tells of a beat, and others of what they measure by a second. When the
-participant withdraws, what has not come by then is withheld, too."""
+LATE_S = {
+    ("wrist", "hr"): 6.5,
+    ("wrist", "ibi"): 6.5,
+    ("wrist", "gsr"): 2.0,
+    ("wrist", "st"): 2.0,
+}
+"""So late the wristband tells of a beat, of conductance and temperature by a lump, and others of
+what they measure by a second. When the participant withdraws, what has not come by then is
+withheld, too."""
 NEAR_S = 0.1
 """How far a stamp is at most from when the sample was measured, usually; another person's recording
 is further away."""
@@ -162,6 +168,8 @@ class Study:
     def withdraw(self) -> tuple[tuple[str, float, float], ...]:
         """Pause the wristband for some seconds, as a participant may ask for."""
         self._card("empatica_e4/WRIST").get_by_role("button", name="Traces and details").click()
+        # Each stream has samples from before: lumps that have not come are withheld.
+        time.sleep(EDGE_S)
         began = pylsl.local_clock()
         self._page.get_by_role("button", name="Pause (withdrawal)").click()
         expect(self._page.get_by_role("button", name="Resume")).to_be_visible()
