@@ -81,30 +81,27 @@ class LowerEnvelope:
     ----------
     slope : float
         Expected slope, seconds per second: the centre of the prior.
+
+    Attributes
+    ----------
+    slope : float
+        Slope of the line, seconds per second.
+    mean_delay : float
+        Mean delay of the lowest points of each half second, in seconds.
     """
 
     def __init__(self, slope: float) -> None:
         self._log_prior = [_log_prior(each - slope) for each in SLOPES]
-        self._slope = slope
+        self.slope = slope
         self._intercept = 0.0
-        self._mean_delay = 0.0
+        self.mean_delay = 0.0
         self._bins = [0]
         self._x = [0.0]
         self._y = [0.0]
 
-    @property
-    def slope(self) -> float:
-        """Slope of the line, seconds per second."""
-        return self._slope
-
-    @property
-    def mean_delay(self) -> float:
-        """Mean delay of the lowest points of each half second, in seconds."""
-        return self._mean_delay
-
     def at(self, x: float) -> float:
         """Return the line's height at `x`, in seconds."""
-        return self._intercept + self._slope * x
+        return self._intercept + self.slope * x
 
     def residual_rms(self) -> float:
         """Return the RMS distance of the kept points from the line, in seconds."""
@@ -139,7 +136,7 @@ class LowerEnvelope:
             place -= 1
         if place and self._bins[place - 1] == number:
             place -= 1
-            if y - self._y[place] < self._slope * (x - self._x[place]):
+            if y - self._y[place] < self.slope * (x - self._x[place]):
                 self._x[place], self._y[place] = x, y
             return False
         self._bins.insert(place, number)
@@ -163,7 +160,7 @@ class LowerEnvelope:
         hull = [(x - middle, y) for x, y in self._hull()]
         heights = [min(y - slope * u for u, y in hull) for slope in SLOPES]
         # Two points define the line exactly, so they hold no information about delays.
-        density = POWER * max(count - 2, 0) / (self._mean_delay + DELAY_FLOOR_S)
+        density = POWER * max(count - 2, 0) / (self.mean_delay + DELAY_FLOOR_S)
         logs = [
             density * height + log for height, log in zip(heights, self._log_prior, strict=True)
         ]
@@ -171,9 +168,9 @@ class LowerEnvelope:
         weights = [math.exp(log - likeliest) for log in logs]
         slope = min(max(fmean(SLOPES, weights), -SLOPE_LIMIT), SLOPE_LIMIT)
         above = sorted(y - slope * (x - middle) for x, y in zip(self._x, self._y, strict=True))
-        self._mean_delay = _mean_delay(above)
-        self._slope = slope
-        self._intercept = above[0] - self._mean_delay / count - slope * middle
+        self.mean_delay = _mean_delay(above)
+        self.slope = slope
+        self._intercept = above[0] - self.mean_delay / count - slope * middle
 
     def _hull(self) -> list[Point]:
         """Return the lower convex hull, left to right (Andrew's monotone chain)."""

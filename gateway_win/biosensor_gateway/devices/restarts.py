@@ -32,7 +32,6 @@ class RestartCheck:
         self._agree_s = agree_s
         self._started_s = -math.inf
         self._is_new = True
-        self._newest_s = -math.inf
 
     def reconnected(self) -> None:
         """Expect the first packet of a connection; none of its measurements has begun."""
@@ -42,20 +41,13 @@ class RestartCheck:
     def counts_again(self, stamp_s: float, arrival_s: float) -> bool:
         """Whether the device's clock did not go on; of later packets of a connection False."""
         is_new, self._is_new = self._is_new, False
-        before_s, self._newest_s = self._newest_s, max(self._newest_s, stamp_s)
         if not is_new:
             return False
         state = self._sink.clock_state
         if math.isnan(state.offset_s):
             return False
-        if stamp_s < before_s:
-            # What waited in the device was lost with the connection before.
-            self._newest_s = stamp_s
-            return True
-        limit_s = self._agree_s + DRIFT * max(0.0, arrival_s - state.newest_s)
-        earliest_s = max(state.newest_s, min(self._started_s, arrival_s))
         measured_s = stamp_s + state.offset_s
-        has_gone_on = earliest_s - limit_s <= measured_s <= arrival_s + limit_s
-        if not has_gone_on:
-            self._newest_s = stamp_s
-        return not has_gone_on
+        # What waited in the device was lost with the connection before, so nothing is older.
+        limit_s = self._agree_s + DRIFT * max(0.0, arrival_s - state.newest_s)
+        earliest_s = max(state.newest_s, min(self._started_s, arrival_s) - limit_s)
+        return not earliest_s <= measured_s <= arrival_s + limit_s

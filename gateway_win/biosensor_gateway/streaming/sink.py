@@ -219,7 +219,8 @@ class DeviceSink:
         jump = self._clock.observe(device_s, arrival_s, kind, self.own_delay())
         if jump is not None:
             self._jumps.note(jump.reason.value, jump.size_s)
-        self._arrivals.observe(arrival_s, arrival_s - self._clock.to_lsl(device_s))
+        (measured_s,) = self._clock.all_to_lsl([device_s])
+        self._arrivals.observe(arrival_s, arrival_s - measured_s)
 
     def restart_clock(self) -> None:
         """Map device times again from the next observation on: the device counts again.

@@ -332,7 +332,7 @@ class PolarEmitter:
             self._sink.left_out(len(samples), reason)
             return
         stamp_s = header.timestamp_ns / _NS
-        if self._restarts.counts_again(stamp_s, arrival_s):
+        if not self.clock_runs and self._restarts.counts_again(stamp_s, arrival_s):
             # nothing is dropped: its clock starts again
             self.log.info("the device was switched off and counts again")
             self._timelines.clear()
