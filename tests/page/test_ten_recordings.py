@@ -269,7 +269,7 @@ def require_truth(
             for at in np.flatnonzero(np.diff(places) > 1):
                 begin, end = truth.times[places[at]], truth.times[places[at + 1]]
                 is_away = (b - late_s <= begin and end <= e + 1 for b, e in missing_may_be)
-                assert any(is_away), (session.participant, name, begin, end)
+                assert any(is_away), (session.participant, name, begin, end, missing_may_be)
             if declaration(sensor).stream(name).rate:
                 assert np.median(np.abs(times - truth.times[places])) < NEAR_S, name
                 assert times[0] < session.begun + EDGE_S, name

@@ -93,6 +93,17 @@ def test_markers_outside_of_samples_are_in_the_file_before(exported: Exporting) 
     assert late.startswith("skin: 1 of the markers fell where samples are missing")
 
 
+def test_a_marker_that_is_cut_off_is_said(exported: Exporting) -> None:
+    texts = {1.0: "x" * 256, 2.0: "y" * 257}
+    content = made.xdf(_skin((0, 10)), _markers(2, "Markers", "string", texts))
+    outcome = exported(content, "edf")
+    whole, cut = (text for _, text in _annotated(_folder(outcome, "edf") / "skin.bdf"))
+    assert whole == texts[1.0]
+    assert texts[2.0].startswith(cut.removesuffix("..."))
+    (note,) = _notes(outcome, "edf")
+    assert note.startswith("1 marker is cut off after 256 characters")
+
+
 def test_very_many_markers_after_the_end_make_no_large_file(exported: Exporting) -> None:
     told = {40.0 + number / 100: f"number {number}" for number in range(1000)}
     content = made.xdf(_skin((0, 60)), _markers(2, "markers", "string", told))

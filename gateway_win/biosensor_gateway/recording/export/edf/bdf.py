@@ -140,7 +140,8 @@ def _outward(value: float, rounded: Callable[[float], int]) -> float | None:
 
 
 BYTES_PER_SAMPLE = 3
-_MOST_CHARACTERS = 256
+MOST_CHARACTERS = 256
+"""Of an annotation; a longer one is cut off."""
 _USUAL_BYTES = 60
 # What separates times and texts.
 _SEPARATORS = str.maketrans({0x14: " ", 0x15: " ", 0x00: " "})
@@ -257,8 +258,8 @@ def _placed(
 
 def _encoded_annotation(annotation: Annotation, start_s: float) -> bytes:
     text = annotation.text.translate(_SEPARATORS)
-    if len(text) > _MOST_CHARACTERS:
-        text = f"{text[: _MOST_CHARACTERS - 3]}..."
+    if len(text) > MOST_CHARACTERS:
+        text = f"{text[: MOST_CHARACTERS - 3]}..."
     length = b"\x15" + _plain(annotation.length_s) if annotation.length_s else b""
     return _time(annotation.begin_s + start_s) + length + b"\x14" + text.encode() + b"\x14\x00"
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.edf.bdf import (
+    MOST_CHARACTERS,
     RATES_HZ,
     Annotation,
     Channel,
@@ -102,6 +103,9 @@ class Edf:
         if irregular:
             streams = "1 stream" if irregular == 1 else f"{irregular} streams"
             job.notes.append(f"{streams} without a rate left out, which EDF cannot hold")
+        if cut := sum(len(text) > MOST_CHARACTERS for _, text in happened):
+            texts = "1 marker is" if cut == 1 else f"{cut} markers are"
+            job.notes.append(f"{texts} cut off after {MOST_CHARACTERS} characters; csv has all")
         write_readme(target, chosen, order, _MEANS, job.files, job.notes)
         return job.notes
 
