@@ -135,6 +135,21 @@ async def test_signs_of_life_go_on_in_the_period(
     assert all(5.0 - 1e-4 < each < 5.0 + TICK_S + 1e-4 for each in periods)
 
 
+async def test_a_sign_of_life_tells_what_is_wrong_if_anything_is(
+    virtual_clock: Clock, pushed: list[tuple[dict[str, Any], float]]
+) -> None:
+    wrong: dict[str, object] = {}
+    announcer = Announcer(5.0, lambda: STATES, lambda: wrong, clock=virtual_clock)
+    wrong["zephyr/1"] = [{"what": "refused"}]
+    task = asyncio.create_task(announcer.run())
+    await asyncio.sleep(6.0)
+    task.cancel()
+    await announcer.end()
+    _, first, second = (event for event, _ in pushed)
+    assert "problems" not in first
+    assert second["problems"] == wrong
+
+
 @pytest.mark.nightly
 async def test_heartbeats_can_be_switched_off(
     inlet: OpenInlet, eventually: Eventually, virtual_clock: Clock

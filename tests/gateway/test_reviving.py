@@ -127,6 +127,10 @@ class SupervisedDriver:
     def status(self) -> DeviceStatus:
         return Device(self.supervisor, self.sink).status()
 
+    def problems(self) -> list[dict[str, object]]:
+        """Return what heartbeats tell of it."""
+        return Device(self.supervisor, self.sink).problems
+
     async def end(self) -> None:
         self.task.cancel()
         await asyncio.wait({self.task}, timeout=20)
@@ -282,8 +286,17 @@ async def test_what_the_device_refuses_is_said_until_it_comes(
         bench.sends |= {"ecg", "acc"}
         await eventually(lambda: "acc" not in bench.reason)
         assert bench.reason == "connected, but the device refuses quality (no room)"
+        assert bench.problems() == [{"what": bench.reason}]
+        bench.sink.pause()
+        assert not bench.problems()
+        bench.sink.resume()
         bench.sends |= {"quality"}
         await eventually(lambda: bench.status().error is None)
+        assert not bench.problems()
+        # What has passed has its time.
+        bench.sink.left_out(2, "they came twice")
+        (left_out,) = bench.problems()
+        assert left_out["last"] == round(bench.sink.refusals.present[0].last_s, 6)
     assert bench.states[:3] == [State.CONNECTING, State.STREAMING, State.DISCOVERING]
     assert announced[0] == {
         "event": "streams_silent",

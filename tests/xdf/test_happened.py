@@ -50,6 +50,28 @@ def test_nothing_is_said_of_a_sensor_that_is_not_in_the_file() -> None:
     assert not codes(report, Level.WARNING)
 
 
+FULL = "connected, but the device refuses hr (/Meas/HR is refused (507): it has no room)"
+
+
+@pytest.mark.parametrize(
+    ("problems", "said"),
+    [
+        ({"what": FULL}, FULL),
+        ({"what": "3 bytes could not be read", "last": 1009.0}, "3 bytes could not be read"),
+        # It was before the recording, and is told for some seconds.
+        ({"what": "3 bytes could not be read", "last": 990.0}, None),
+        ("no problem", None),
+    ],
+)
+def test_what_a_device_refuses_is_told_of_the_device(problems: object, said: str | None) -> None:
+    told = heartbeat(**STREAMING) | {"problems": {"polar_h10/A1": [problems]}}
+    later = told | {"lsl_time": 1010.0}
+    report = judged("P01", strap("P01"), events=[told, later])
+    assert codes(report, Level.WARNING) == ({("refused", "")} if said else set())
+    if said:
+        assert text_of(report, "refused") == f"polar_h10/A1 of P01: {said}"
+
+
 def reading(at: float, *sentences: str) -> Reading:
     return Reading(0, 0, at, told_at=at, refused=sentences)
 

@@ -257,7 +257,7 @@ class Agent:
         start = restart_facts(os.environ)
         if start:
             _log.warning("the agent had died and was started again", **start)
-        announcer = Announcer(self._heartbeat_s, self._states, start)
+        announcer = Announcer(self._heartbeat_s, self._states, self._problems, start)
         announcer.watch(self._markers.tick)
         self.devices.start(announcer, self._feed)
         tasks = [
@@ -294,6 +294,9 @@ class Agent:
 
     def _states(self) -> dict[str, str]:
         return {device.name: device.state for device in self.devices}
+
+    def _problems(self) -> dict[str, object]:
+        return {device.name: found for device in self.devices if (found := device.problems)}
 
     async def _report(self, outlet: Outlet, announcer: Announcer) -> None:
         """Once a second, send states and counters to LSL, write the status, keep the PC awake."""

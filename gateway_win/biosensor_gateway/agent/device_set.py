@@ -14,6 +14,7 @@ from biosensor_common.device_clock import ClockState
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.selection import device_name
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import (
     ClockStatus,
     DeclaredStream,
@@ -127,6 +128,20 @@ class Device:
     def state(self) -> str:
         """State of the supervisor, or ``paused``."""
         return "paused" if self.sink.is_paused else self.supervisor.state.value
+
+    @property
+    def problems(self) -> list[dict[str, object]]:
+        """What is wrong with what it sends, as heartbeats tell it; of a paused device nothing."""
+        supervisor = self.supervisor
+        if self.sink.is_paused:
+            return []
+        found: list[dict[str, object]] = []
+        if supervisor.state is State.STREAMING and supervisor.last_error:
+            found.append({"what": supervisor.last_error})
+        for refused in self.sink.refusals.present:
+            lasts = {} if refused.what.stands else {"last": round(refused.last_s, 6)}
+            found.append({"what": refused.sentence, **lasts})
+        return found
 
     def announce_to(self, announcer: Announcer) -> None:
         """Begin to announce the device's events."""

@@ -145,14 +145,13 @@ def refusals(readings: Sequence[Reading]) -> list[str]:
     """
     first = readings[0]
     earlier = {each for each in first.refused if not _stays(each, readings)}
-    # The numbers differ each time.
-    newest = {
-        re.sub(r"[0-9.]+", "", each): each
-        for reading in readings
-        for each in reading.refused
-        if each not in earlier
-    }
-    return list(newest.values())
+    told = (each for reading in readings for each in reading.refused)
+    return newest_of_each_kind(each for each in told if each not in earlier)
+
+
+def newest_of_each_kind(sentences: Iterable[str]) -> list[str]:
+    """Return the last one of those that differ in nothing but numbers, which grow."""
+    return list({re.sub(r"[0-9.]+", "", each): each for each in sentences}.values())
 
 
 def _stays(sentence: str, readings: Sequence[Reading]) -> bool:

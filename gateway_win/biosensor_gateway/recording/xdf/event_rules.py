@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.state import CONNECTED, STATE_WORDS
+from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
@@ -43,6 +45,7 @@ def judge_devices(
         yield from _away(own, events, extent, without)
         yield from _jumped(own, events, extent)
         yield from _silent(own, events, extent)
+        yield from _refused(own, events, extent)
 
 
 def _is_beside(stream: Measured, events: Measured) -> bool:
@@ -146,6 +149,33 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
                 "waited, or is counted as lost"
             )
             yield Finding(Level.WARNING, "silent", "", text)
+
+
+def _refused(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+    """Say of each recorded device what it refused, and what of it was left out."""
+    of_device: dict[str, list[str]] = {_device(each): [] for each in own}
+    for event in _events(events.stream.texts):
+        for device, sentence, last_s in _problems(event):
+            # What has passed is told of for some seconds.
+            if device in of_device and extent.since_begin(last_s, events) >= 0:
+                of_device[device].append(sentence)
+    for device, sentences in of_device.items():
+        for sentence in newest_of_each_kind(sentences):
+            yield Finding(Level.WARNING, "refused", "", f"{_named(own, device)}: {sentence}")
+
+
+def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
+    """Yield device and sentence of what a heartbeat tells is wrong, and when it was last."""
+    of_all: object = event.get("problems")
+    if event.get("event") != EventKind.HEARTBEAT or not isinstance(of_all, dict):
+        return
+    for device, of_one in cast("dict[str, object]", of_all).items():
+        for told in cast("list[object]", of_one) if isinstance(of_one, list) else ():
+            if isinstance(told, dict):
+                problem = cast("dict[str, Any]", told)
+                # Without a time it is the case at the heartbeat.
+                last_s = _number(problem, "last") if "last" in problem else math.inf
+                yield device, str(problem.get("what", "")), last_s
 
 
 def _of_recorded(

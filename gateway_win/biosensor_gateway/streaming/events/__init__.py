@@ -24,7 +24,9 @@ Besides these:
 ``agent_stopped``   Comes when the agent is asked to end; a killed one says nothing.
 ``heartbeat``       ``agent_started``: LSL time; ``devices``: state of each by
                     ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``;
-                    ``clock``, as above
+                    ``problems``, where there are any, by ``sensor/unit``: what is wrong with
+                    what a device sends, each with a sentence, ``what``, and ``last``, the LSL
+                    time of what has passed; ``clock``, as above
 ``connected``       ``connection``: its number since the agent's start; ``firmware_version``
                     where it is known
 ``disconnected``    ``reason``: ``lost``, ``silent``, ``absent``, ``garbage``, ``no_reply``,

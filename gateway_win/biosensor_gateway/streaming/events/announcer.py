@@ -34,6 +34,8 @@ class Announcer:
         Period in seconds; 0 for none.
     states
         Tells the state of every device by ``sensor/unit``, for the heartbeat.
+    problems
+        Tells what is wrong with what devices send, by ``sensor/unit``, for the heartbeat.
     start
         What there is to say of the agent's start, in each heartbeat, too.
     clock
@@ -44,12 +46,14 @@ class Announcer:
         self,
         heartbeat_s: float,
         states: Callable[[], Mapping[str, str]],
+        problems: Callable[[], Mapping[str, object]] = dict,
         start: Mapping[str, object] | None = None,
         clock: Clock = LSL_CLOCK,
     ) -> None:
         self._clock = clock
         self._period_s = heartbeat_s
         self._states = states
+        self._problems = problems
         self._watchers: list[Callable[[float], None]] = []
         self._stamps = MonotonicStamps()
         self._started_s = round(clock(), 6)
@@ -126,9 +130,11 @@ class Announcer:
         self._had_consumers = has_consumers
         if has_come or now >= self._due_s:
             self._due_s = now + self._period_s
-            states = dict(self._states())
-            began = {"agent_started": self._started_s, **self._start}
-            self.announce(EventKind.HEARTBEAT, {**began, "devices": states, **self._clock_pair()})
+            told: dict[str, object] = {"agent_started": self._started_s, **self._start}
+            told["devices"] = dict(self._states())
+            if problems := dict(self._problems()):
+                told["problems"] = problems
+            self.announce(EventKind.HEARTBEAT, {**told, **self._clock_pair()})
 
     def _clock_pair(self) -> dict[str, object]:
         return measure_clock_pair(time.time_ns, self._clock).as_facts()
