@@ -1,4 +1,4 @@
-"""Compares whose recording a file's name says it is with who wore its sensors."""
+"""Compares the participant in a file's name with those who wore the sensors."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from biosensor_gateway.agent.selection import device_name
 from biosensor_gateway.settings.names import label
 
 GROUP = "group"
-"""How a file's participant begins that stands for several people."""
+"""Prefix of a file's participant that stands for several people."""
 _ENTITY = re.compile(r"(sub|ses|task|acq|run)-([0-9A-Za-z]+)")
 _MOST_NAMED = 6
 
 
 class Worn(NamedTuple):
-    """A sensor, as ``polar_h10/A1``, and who wears it; empty for nobody."""
+    """A sensor, such as ``polar_h10/A1``, and its participant, empty if none is set."""
 
     sensor: str
     participant: str
 
     @classmethod
     def by(cls, identity: DeviceIdentity) -> Worn:
-        """Return the same of a device or of a stream's header."""
+        """Return the sensor and participant of an identity."""
         return cls(device_name(identity), identity.participant)
 
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """A file whose name says another participant than its sensors.
+    """A file whose name and sensors have different participants.
 
     Attributes
     ----------
     named
-        Whose recording its name says it is.
+        Participant in the file's name.
     others
-        Who else wears its sensors.
+        Other participants who wear its sensors.
     is_all
-        Whether `named` wears none of them.
+        Whether `named` wears none of its sensors.
     """
 
     named: str
@@ -54,14 +54,14 @@ class Mismatch:
 
 @unique
 class Whose(StrEnum):
-    """Who is right where a file's name says another participant than its sensors."""
+    """Which one is right if a file's name and sensors have different participants."""
 
     SENSORS = "sensors"
     NAME = "name"
 
 
 class OtherParticipantsError(ConfigError):
-    """Nobody has confirmed that a file is to be called after somebody else than its sensors."""
+    """The file's name has another participant than its sensors, without confirmation."""
 
     def __init__(self, mismatch: Mismatch) -> None:
         message = (
@@ -72,17 +72,17 @@ class OtherParticipantsError(ConfigError):
 
 
 def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
-    """Say in what a file's participant and those of its sensors differ; None if they agree.
+    """Compare the participant in a file's name with those of its sensors; None if they agree.
 
-    A file without a participant agrees with all, and so does a sensor without one. So does a
-    participant such as ``group07`` if several people wear the sensors.
+    A file or sensor without a participant agrees with any. A participant such as ``group07``
+    agrees if several people wear the sensors.
 
     Parameters
     ----------
     named
-        The participant by the file's name; empty if it says none.
+        The participant in the file's name; empty if there is none.
     worn
-        The sensors in it, in an order that a person knows.
+        The sensors in it, in a meaningful order.
     """
     sensors = [each for each in dict.fromkeys(worn) if each.participant]
     people = list(dict.fromkeys(each.participant for each in sensors))
@@ -107,14 +107,14 @@ def compare_file(path: Path, identities: Iterable[DeviceIdentity | None]) -> Mis
 
 
 def participant_of(path: Path) -> str:
-    """Return whose recording a file's name says it is; empty if it says nobody."""
+    """Return the participant in a file's name; empty if there is none."""
     return entities_of(path.name.partition(".")[0]).get("sub", "")
 
 
 def entities_of(name: str) -> dict[str, str]:
-    """Return what a name says that is made as BIDS has it, by ``sub``, ``ses``, ``task`` ...
+    """Return the entities of a BIDS file name, by ``sub``, ``ses``, ``task`` ...
 
-    ``biosensor-gateway record`` and LabRecorder make such names; of others, it is empty.
+    ``biosensor-gateway record`` and LabRecorder use such names; for others it is empty.
     """
     matches = (_ENTITY.fullmatch(part) for part in name.split("_"))
     found = {match[1]: match[2] for match in matches if match}
@@ -124,7 +124,7 @@ def entities_of(name: str) -> dict[str, str]:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names as a person lists them: ``P01, P02 and P03``."""
+    """Return names as an English list: ``P01, P02 and P03``."""
     every = list(names)
     if len(every) > _MOST_NAMED:
         every = [*every[:_MOST_NAMED], f"{len(every) - _MOST_NAMED} more"]
@@ -132,7 +132,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def _is_same(named: str, participant: str) -> bool:
-    # As in a data set of BIDS, where P-01 is P01, and capitals tell nobody apart.
+    # As in BIDS datasets, P-01 equals P01 and case is ignored.
     return label(named).lower() == label(participant).lower()
 
 

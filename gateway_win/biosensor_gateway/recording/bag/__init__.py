@@ -1,5 +1,5 @@
-"""Reads and writes bags of ROS; no ROS is needed.
+"""Reads and writes ROS bags without ROS.
 
-:mod:`.types` has the definitions of all messages, :mod:`.recorded_streams` is the topic by which a
-bag that was made of a recording becomes that recording again.
+:mod:`.types` has the definitions of all messages; :mod:`.recorded_streams` is the topic that
+allows a bag exported from a recording to be converted back without loss.
 """

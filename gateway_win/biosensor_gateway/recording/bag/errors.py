@@ -1,4 +1,4 @@
-"""Reasons for which a bag cannot be used."""
+"""Errors of bags."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ class BagReason(Enum):
     UNREADABLE = "unreadable"
     NOT_A_BAG = "not_a_bag"
     EMPTY = "empty"
-    """There is nothing in it that a recording can hold."""
+    """It contains nothing that fits a recording."""
     EXISTS = "exists"
-    """The file to write is there already."""
+    """The output file exists."""
     UNWRITABLE = "unwritable"
-    """The file cannot be written."""
+    """The output file cannot be written."""
 
 
 class BagError(GatewayError):
-    """Nothing of the bag can be read, or nothing can be written of it."""
+    """The bag cannot be read, or no file can be written from it."""
 
 
 class MessageError(Exception):
-    """A message, or its type, makes no sense; the text is the rest of a sentence."""
+    """A message or its type is invalid; the text is the end of a sentence."""
 
 
 class UnsuitableError(MessageError):
-    """No message of a topic fits a recording; the text is the rest of a sentence."""
+    """No message of a topic fits a recording; the text is the end of a sentence."""

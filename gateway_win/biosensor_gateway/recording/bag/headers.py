@@ -1,4 +1,4 @@
-"""Makes the header of an LSL stream of what a bag says of a topic."""
+"""Creates the header of an LSL stream from the information about a topic in a bag."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Origin:
     Attributes
     ----------
     stamp_source
-        ``header`` or ``log``: by what its samples are stamped.
+        Origin of the timestamps: ``header`` or ``log``.
     """
 
     topic: str
@@ -46,12 +46,12 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What is known of a stream.
+    """What is known about a stream.
 
     Attributes
     ----------
     block
-        What the header says of a stream of ours; empty for another program's.
+        The ``<biosensor>`` data of one of our streams; empty for another program's.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Facts:
 
 
 def header_xml(facts: Facts, origin: Origin) -> str:
-    """Return the header of a stream, as a recorder writes it."""
+    """Return the XML header of a stream, as a recorder writes it."""
     info = ET.Element("info")
     _fill(
         info,
@@ -103,14 +103,14 @@ def facts_of_topic(
     form: ChannelFormat,
     shapes_before: int,
 ) -> Facts:
-    """Return what is known of a topic of any node: its name and the fields of its type.
+    """Return the facts about any node's topic, from its name and the fields of its type.
 
     Parameters
     ----------
     channels
-        Label and unit of each.
+        Label and unit of each channel.
     shapes_before
-        Streams of this topic whose messages had another shape.
+        Number of earlier streams of this topic, whose messages had another shape.
     """
     name = topic.strip("/")
     source_id = f"{topic}-{shapes_before + 1}" if shapes_before else topic
@@ -126,19 +126,19 @@ def facts_of_ours(
     *,
     is_latched: bool,
 ) -> Facts:
-    """Return what a stamped topic of the node tells of its stream.
+    """Return the facts about a stream that one of the node's stamped topics contains.
 
     Parameters
     ----------
     raw_type
-        Of the messages on the raw topic; empty if that was not recorded.
+        Type of the messages on the raw topic; empty if that was not recorded.
     message
         A ``Samples`` or ``Event``.
 
     Raises
     ------
     MessageError
-        If it does not tell of each channel of a stream.
+        If it does not describe each channel of a stream.
     """
     data = topic.removesuffix(STAMPED).rpartition("/")[2]
     participant, _, sensor = frame_id.rpartition("/")
@@ -180,7 +180,7 @@ _GENERIC = {
 
 
 def listed_facts(statuses: Iterable[Any]) -> Mapping[str, Facts]:
-    """Return what the node's list of streams tells, by the names of their stamped topics."""
+    """Return the facts in the node's list of streams, by stamped topic."""
     found: dict[str, Facts] = {}
     for status in statuses:
         values = {pair.key: pair.value for pair in status.values}
@@ -200,7 +200,7 @@ def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
         raise ValueError("there is not one unit a label")
     block: dict[str, str] = {}
     if values["foreign"] == "false":
-        # Its fields hold none of these characters.
+        # The fields of a source_id contain none of these characters.
         of_device = re.split("[.-]", source_id.rpartition("@")[2])
         identity = DeviceIdentity(of_device[0], unit, values["participant"], values["label"])
         data, message_type = source_id.rpartition("-")[2], _message_type(raw_type, form, labels)
@@ -219,7 +219,7 @@ def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
 
 
 def _message_type(raw_type: str, form: ChannelFormat, labels: Sequence[str]) -> MessageType:
-    """Return the type of a stream's messages, also where the node has published another one."""
+    """Return the message type of a stream, even if the node published another type."""
     known = {each.value for each in MessageType}
     if raw_type in known:
         return MessageType(raw_type)

@@ -1,4 +1,4 @@
-"""Makes a recording of a bag."""
+"""Converts a bag to a recording."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from biosensor_gateway.system.new_file import new_file
 
 _MOST_STREAMS = 10_000
 _BOUNDARY_BYTES = 1 << 20
-# Of ROS itself: they tell of nodes, not of a study.
+# Topics of ROS itself, which describe nodes and not a study.
 _OF_ROS = ("/rosout", "/parameter_events")
 _LIST_TYPE, _LIST_END = "diagnostic_msgs/msg/DiagnosticArray", "/streams"
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What became of a bag.
+    """The result of importing a bag.
 
     Attributes
     ----------
@@ -55,9 +55,9 @@ class Imported:
     left_out
         Why a topic is not in the recording, by its name.
     damages
-        What could not be read, a sentence each.
+        Sentences about what could not be read.
     guess
-        A sentence on what of the streams the bag does not tell; empty if it tells all.
+        A sentence about information on streams that is missing in the bag; empty if nothing is.
     """
 
     path: Path
@@ -69,18 +69,18 @@ class Imported:
 
 
 def usual_path(bag: Path) -> Path:
-    """Return where the recording of a bag goes: beside it, with its name."""
+    """Return the default path of the recording: next to the bag, with its name."""
     name = bag.name if bag.is_dir() else bag.stem
     return bag.with_name(f"{name}.xdf")
 
 
 def import_bag(path: Path, target: Path) -> Imported:
-    """Write what a bag holds as a recording.
+    """Convert a bag to a recording.
 
     Raises
     ------
     BagError
-        If nothing can be read, nothing of it fits a recording, or the file cannot be written.
+        If nothing can be read, nothing fits a recording, or the file cannot be written.
     """
     surveyed = survey_bag(path)
     try:
@@ -106,7 +106,7 @@ def import_bag(path: Path, target: Path) -> Imported:
 
 
 class _Conversion:
-    """One bag on its way into a file."""
+    """The conversion of one bag to a file."""
 
     def __init__(self, file: BinaryIO, surveyed: Survey) -> None:
         self._file, self._survey = file, surveyed
@@ -123,7 +123,7 @@ class _Conversion:
             begin_ns = self._survey.begin_ns
             date = datetime.fromtimestamp(begin_ns / NS_PER_S, UTC)
             begun = date.isoformat(timespec="seconds")
-            # The file's clock is unix time then.
+            # The file's clock is Unix time then.
             wall = WallClock("bag", 0.0, np.zeros(1), np.zeros(1, np.int64))
         else:
             begun, wall = recorded.begun, recorded.wall
@@ -132,22 +132,22 @@ class _Conversion:
 
     @property
     def has_samples(self) -> bool:
-        """Whether there is one at all."""
+        """Whether any sample was written."""
         return any(writer.sample_count for _, writer in self._writers)
 
     def counts(self) -> list[tuple[str, int]]:
-        """Return topic and number of samples of each stream."""
+        """Return the topic and number of samples of each stream."""
         return [(topic, writer.sample_count) for topic, writer in self._writers]
 
     def damages(self) -> list[str]:
-        """Say which messages could not be read."""
+        """Return sentences about messages that could not be read."""
         return [
             f"{topic}: {count} messages are left out ({why})"
             for (topic, why), count in self._unread.items()
         ]
 
     def run(self, path: Path) -> None:
-        """Write everything."""
+        """Convert all topics."""
         for topic in self._survey.in_order():
             self._open(topic)
         for message in read_bag(path, lambda _: None):
@@ -213,27 +213,27 @@ class _Conversion:
 
 
 def wall_pairs(wall: WallClock) -> list[ClockPair]:
-    """Return what a clock was made of."""
+    """Return the pairs of LSL time and Unix time of a wall clock."""
     pairs = zip(wall.times.tolist(), wall.offsets_ns.tolist(), strict=True)
     return [ClockPair(lsl_s, round(lsl_s * NS_PER_S) + offset_ns) for lsl_s, offset_ns in pairs]
 
 
 @dataclass(slots=True)
 class Survey:
-    """What is known of a bag before its samples are read.
+    """What is known about a bag before its samples are read.
 
     Attributes
     ----------
     topics
-        Those with messages, by name.
+        Topics with messages, by name.
     begin_ns
         Unix time of the earliest message.
     clock, recorded
-        Of the recording that it was made of, and its streams by their stamped topics.
+        Clock of the recording that it was exported from, and its streams by stamped topic.
     facts
-        What the node's list of streams says of those.
+        The node's list of streams, by stamped topic.
     damages
-        What cannot be read, a sentence each.
+        Sentences about what cannot be read.
     """
 
     topics: dict[str, Topic] = field(default_factory=dict[str, Topic])
@@ -245,7 +245,7 @@ class Survey:
 
     @property
     def elsewhere(self) -> frozenset[str]:
-        """Topics whose samples are on a stamped one, too, or that have none."""
+        """Topics to skip: without samples, or with samples that are also on a stamped topic."""
         names = {TOPIC, *_OF_ROS, *(each for each in self.topics if _is_list(self.topics[each]))}
         for stream in self.recorded.values():
             names.update(stream.topics)
@@ -256,7 +256,7 @@ class Survey:
         return frozenset(names - stamped - self.recorded.keys())
 
     def guess(self) -> str:
-        """Say of which streams the bag tells only what is in their messages; empty if of none."""
+        """Name the streams described only by their messages; empty if there are none."""
         stamped = {name for name, topic in self.topics.items() if _is_stamped(topic)}
         unlisted = sorted(stamped - self.recorded.keys() - self.facts.keys())
         if not unlisted:
@@ -269,12 +269,12 @@ class Survey:
         )
 
     def raw_type(self, stamped: str) -> str:
-        """Return the type of the raw topic beside a stamped one; empty if it was not recorded."""
+        """Return the type of a stamped topic's raw topic; empty if it was not recorded."""
         raw = self.topics.get(stamped.removesuffix(STAMPED))
         return "" if raw is None else raw.type_name
 
     def in_order(self) -> Iterator[Topic]:
-        """Give all topics: first those of the recording that it was made of, in its order."""
+        """Yield all topics: first those of the exported recording in its order, then the others."""
         for stream in self.recorded.values():
             yield self.topics.get(stream.stamped) or Topic(stream.stamped, SAMPLES)
         for name, topic in self.topics.items():
@@ -283,12 +283,12 @@ class Survey:
 
 
 def survey_bag(path: Path) -> Survey:
-    """Look a bag through.
+    """Read the topics of a bag and the information about its streams.
 
     Raises
     ------
     BagError
-        If it cannot be read, or holds no message.
+        If it cannot be read, or has no messages.
     """
     survey = Survey()
     lists = _Kinds()
@@ -306,7 +306,7 @@ def survey_bag(path: Path) -> Survey:
 
 
 class _Kinds(dict[Topic, MessageType]):
-    """Types by topic, each made once."""
+    """Cache of message types by topic."""
 
     def __missing__(self, topic: Topic) -> MessageType:
         self[topic] = kind = MessageType(topic)
@@ -314,7 +314,7 @@ class _Kinds(dict[Topic, MessageType]):
 
 
 def _take(survey: Survey, kinds: _Kinds, message: Message) -> None:
-    """Take in what tells of streams."""
+    """Update the survey with one message."""
     try:
         read = kinds[message.topic].read(message.content)
         if message.topic.name != TOPIC:

@@ -14,13 +14,13 @@ class Topic:
     Attributes
     ----------
     type_name
-        Of its messages: ``sensor_msgs/msg/Imu``.
+        Type of its messages, such as ``sensor_msgs/msg/Imu``.
     encoding
-        In which language `definition` is: ``ros2msg``, ``ros2idl``, or empty.
+        Language of `definition`: ``ros2msg``, ``ros2idl``, or empty.
     definition
-        Of the type and all that it needs; empty if the bag does not have it.
+        Definition of the type and all types in it; empty if the bag does not contain it.
     qos
-        What its publishers offered, as YAML.
+        QoS profiles of its publishers, as YAML.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Topic:
 
 
 class Message(NamedTuple):
-    """One message of a bag, serialised; `unix_ns` is when it was recorded."""
+    """One serialised message of a bag; `unix_ns` is the time of recording."""
 
     topic: Topic
     unix_ns: int
@@ -39,4 +39,4 @@ class Message(NamedTuple):
 
 
 Note = Callable[[str], None]
-"""Takes a sentence about what cannot be read."""
+"""Called with a sentence about something that cannot be read."""

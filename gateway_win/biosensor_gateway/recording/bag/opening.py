@@ -1,8 +1,8 @@
-"""Opens a bag: a folder of ``ros2 bag record``, or one of its files.
+"""Opens a bag: a folder written by ``ros2 bag record``, or one of its files.
 
-MCAP and SQLite, packed or not. An MCAP file is read from its beginning on, as it was written; see
-https://mcap.dev/spec for its records. Neither index nor footer are used, so a file of a recorder
-that died is read to its last whole chunk.
+Reads MCAP and SQLite, compressed or not. An MCAP file is read sequentially from its start; its
+records are specified at https://mcap.dev/spec. The index and the footer are not used, so the file
+of a crashed recorder can be read up to its last complete chunk.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def unpack_zstd(packed: bytes, most: int) -> bytes:
-    """Unpack a frame of zstd; at most so many bytes of it.
+    """Decompress a zstd frame, up to `most` bytes.
 
     Raises
     ------
     MessageError
-        If it is none.
+        If it is invalid.
     """
     zstd = _zstd()
     try:
@@ -44,14 +44,14 @@ def unpack_zstd(packed: bytes, most: int) -> bytes:
 
 
 def unpack_zstd_file(packed: Path, target: Path) -> None:
-    """Unpack a file of zstd into another one, piece by piece.
+    """Decompress a zstd file into another file, block by block.
 
     Raises
     ------
     MessageError
-        If it is none, or damaged; what came before is unpacked.
+        If it is invalid or damaged; the data before the damage is written.
     OSError
-        If one cannot be read or the other not be written.
+        If one file cannot be read or the other cannot be written.
     """
     zstd = _zstd()
     with target.open("wb") as unpacked:
@@ -63,12 +63,12 @@ def unpack_zstd_file(packed: Path, target: Path) -> None:
 
 
 def unpack_lz4(packed: bytes, most: int) -> bytes:
-    """Unpack a frame of lz4; at most so many bytes of it.
+    """Decompress an lz4 frame, up to `most` bytes.
 
     Raises
     ------
     MessageError
-        If it is none.
+        If it is invalid.
     """
     lz4: Any = import_module("lz4.frame")
     try:
@@ -81,7 +81,7 @@ def _zstd() -> Any:
     try:
         return import_module("compression.zstd")
     except ImportError:
-        # Of Python before 3.14.
+        # For Python before 3.14.
         return import_module("backports.zstd")
 
 
@@ -104,7 +104,7 @@ class _Op(IntEnum):
 
 
 class _DamagedError(Exception):
-    """A record makes no sense; the text is the rest of a sentence."""
+    """A record is invalid; the text is the end of a sentence."""
 
 
 class _Record(NamedTuple):
@@ -120,12 +120,12 @@ class _Schema(NamedTuple):
 
 
 def read_mcap(path: Path, note: Note) -> Iterator[Message]:
-    """Give all messages that can be read.
+    """Yield all readable messages.
 
     Parameters
     ----------
     note
-        Is told what cannot be read.
+        Called with a sentence about anything that cannot be read.
 
     Raises
     ------
@@ -199,7 +199,7 @@ class _File:
         if encoding == "cdr" and schema is not None:
             qos = metadata.get(_QOS, "")
             topic = Topic(name, schema.name, schema.encoding, schema.definition, qos)
-            # A topic is one, however often it is declared.
+            # A topic that is declared more than once stays the same object.
             self._topics[number] = topic
 
 
@@ -270,7 +270,7 @@ _UNPACKING: Mapping[str, Callable[[bytes, int], bytes]] = {
 }
 
 
-# What is damaged may be in the library's own words, too.
+# Damage can also raise these errors of libraries.
 _UNREADABLE = (sqlite3.Error, UnicodeDecodeError, OverflowError)
 
 
@@ -279,12 +279,12 @@ def _text(content: bytes) -> str:
 
 
 def read_sqlite(path: Path, note: Note) -> Iterator[Message]:
-    """Give all messages that can be read, in the order in which they were recorded.
+    """Yield all readable messages, in the order of recording.
 
     Parameters
     ----------
     note
-        Is told what cannot be read.
+        Called with a sentence about anything that cannot be read.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
-    """Return encoding and text by type; bags of before ROS 2 Iron have none."""
+    """Return encoding and text of definitions by type; bags before ROS 2 Iron have none."""
     try:
         rows = database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
@@ -340,14 +340,14 @@ _MOST_MESSAGE_BYTES = 1 << 28
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Return the files of a bag, in their order.
+    """Return the files of a bag, in order.
 
-    The metadata beside them are not needed, because a recorder that died wrote none.
+    The metadata file is not needed, because a crashed recorder does not write one.
 
     Raises
     ------
     BagError
-        If it is no bag.
+        If it is not a bag.
     """
     if not path.exists():
         raise BagError(BagReason.NOT_FOUND, f"there is no file or folder {path}")
@@ -356,7 +356,7 @@ def bag_files(path: Path) -> list[Path]:
             message = f"{path} is no bag: that is a folder, or a file that ends in .mcap or .db3"
             raise BagError(BagReason.NOT_A_BAG, message)
         return [path]
-    # A recorder that died while it packed a file has left both; the plain one comes last here.
+    # A recorder that crashed while compressing a file leaves both; the uncompressed one is used.
     found = {_unpacked_path(each): each for each in sorted(path.iterdir(), reverse=True)}
     files = [each for plain, each in found.items() if plain.suffix in _READERS]
     if not files:
@@ -365,12 +365,12 @@ def bag_files(path: Path) -> list[Path]:
 
 
 def read_bag(path: Path, note: Note) -> Iterator[Message]:
-    """Give all messages of a bag that can be read, in the order in which they were written.
+    """Yield all readable messages of a bag, in the order of writing.
 
     Parameters
     ----------
     note
-        Is told what cannot be read.
+        Called with a sentence about anything that cannot be read.
 
     Raises
     ------
@@ -388,7 +388,8 @@ def read_bag(path: Path, note: Note) -> Iterator[Message]:
         except BagError as error:
             if file.suffix != _PACKED:
                 raise
-            # The reader knows the file that it was unpacked into alone.
+            # The error names the temporary decompressed file, so it is replaced by the file's
+            # name.
             note(f"{file.name}: nothing of it can be read ({error.reason.name.lower()})")
         except OSError as error:
             text = f"cannot read {file}: {error.strerror or error}"
@@ -401,7 +402,7 @@ def _unpacked_path(path: Path) -> Path:
 
 @contextmanager
 def _plain(file: Path, note: Note) -> Generator[Path]:
-    """Give a file that can be read: itself, or what it holds packed, as far as that is whole."""
+    """Yield the file, or a decompressed copy of it, up to the first damage."""
     if file.suffix != _PACKED:
         yield file
         return
@@ -415,7 +416,7 @@ def _plain(file: Path, note: Note) -> Generator[Path]:
 
 
 def _unpacked(message: Message, note: Note) -> Iterator[Message]:
-    """Give a message of a bag whose messages are compressed one by one."""
+    """Yield the decompressed message of a bag with compressed messages."""
     try:
         yield message._replace(content=unpack_zstd(message.content, _MOST_MESSAGE_BYTES))
     except MessageError as error:

@@ -1,10 +1,10 @@
-"""The topic that tells of which recording a bag was made; latched, one text a stream.
+"""The topic with the headers and clocks of the recording that a bag was exported from.
 
-A bag's messages have neither the header of a stream nor its clock. The first text, ``recording``,
-says when the recording was begun and how the recorder's LSL clock and unix time stood against
-each other; each other one, ``stream``, has a stream's header as it was recorded, its clock offsets,
-and the topics on which its samples are. A topic it is, and no metadata, because programs that
-cut, join or convert bags keep topics.
+A bag's messages contain neither the header of a stream nor its clock. The topic is latched. Its
+first text, ``recording``, has the start time of the recording and the relation between the
+recorder's LSL clock and Unix time. One text per stream, ``stream``, follows: with the header as
+recorded, the clock offsets, and the topics with the samples. It is a topic and not metadata,
+because programs that cut, join or convert bags keep topics.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.contents.wall_clock import WallClock
 
 TOPIC = "/biosensors/recorded_streams"
-# No device's topic has two parts only, and none of its names begins like this.
+# The topics of devices have more than two parts and never begin like this.
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedClock:
-    """The recording itself.
+    """The start time and the clock of the recording.
 
     Attributes
     ----------
     begun
-        When, by the recorder's own words.
+        The recorder's text for the start time.
     wall
-        Unix time by the recorder's LSL clock.
+        Relation between the recorder's LSL clock and Unix time.
     """
 
     begun: str
@@ -46,15 +46,15 @@ class RecordedStream:
     Attributes
     ----------
     number
-        Of the stream, in the recording.
+        Number of the stream in the recording.
     stamped
-        The topic on which its samples have their stamps.
+        The topic that has its samples with timestamps.
     topics
         All of its topics.
     xml
         Its header.
     clock_offsets
-        LSL time on the stream's clock, and what to add to it to get the recorder's, in s.
+        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
     """
 
     number: int
@@ -65,7 +65,7 @@ class RecordedStream:
 
 
 def clock_text(recorded: RecordedClock) -> str:
-    """Return the text of a recording."""
+    """Return the topic's text for a recording."""
     wall = recorded.wall
     pairs = zip(wall.times.tolist(), wall.offsets_ns.tolist(), strict=True)
     clock = [[lsl_s, round(lsl_s * NS_PER_S) + offset_ns] for lsl_s, offset_ns in pairs]
@@ -74,7 +74,7 @@ def clock_text(recorded: RecordedClock) -> str:
 
 
 def stream_text(stream: RecordedStream) -> str:
-    """Return the text of a stream."""
+    """Return the topic's text for a stream."""
     content = {
         "number": stream.number,
         "stamped": stream.stamped,
@@ -91,7 +91,7 @@ def read_text(text: str) -> RecordedClock | RecordedStream:
     Raises
     ------
     ValueError
-        If it is something else.
+        If it is invalid.
     """
     try:
         content = json.loads(text)

@@ -1,4 +1,4 @@
-"""Writes one stream of an XDF file: gathers its samples to chunks, and tells its clock."""
+"""Writes one stream of an XDF file: collects samples into chunks and adds clock offsets."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from biosensor_gateway.recording.xdf.samples import Texts
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 OFFSETS_EVERY_S = 5.0
-"""As often as LabRecorder measures clocks."""
+"""LabRecorder measures clocks at this interval."""
 
-# What goes on for longer is no silence, but a clock that jumped.
+# A longer gap means that the clock jumped, so it is not filled with offsets.
 _LONGEST_SILENCE_S = 3600.0
-# A chunk is to be large enough for readers to be quick, and small enough for the memory.
+# Chunks must be large enough for fast reading and small enough for memory.
 _CHUNK_S, _MOST_PENDING = 1.0, 512
 _DTYPES = {
     ChannelFormat.FLOAT32: np.float32,
@@ -32,29 +32,29 @@ _DTYPES = {
 
 
 class StreamWriter:
-    """One stream.
+    """Writes one stream.
 
     Parameters
     ----------
     write
         Appends a chunk to the file.
     number
-        Of the stream in it.
+        Number of the stream in the file.
     xml
         Its header.
     form, channels
-        What the header says.
+        As in the header.
     clock_offsets
-        As they were measured: LSL time on the stream's clock, and what to add to it to get the
-        file's, in s. None for a stream that is on the file's clock; then an offset of 0 is told
-        every five seconds, without which loaders complain.
+        Measured pairs of LSL time on the stream's clock and offset to the file's clock, in s. None
+        for a stream on the file's clock: then an offset of 0 is written every five seconds,
+        because loaders complain without offsets.
 
     Attributes
     ----------
     first, last
-        Stamps of the first and the last sample, 0 without samples.
+        Timestamps of the first and last sample, 0 without samples.
     clock_offsets
-        Those that are in the file.
+        Those written to the file.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class StreamWriter:
         write(writing.stream_header(number, xml))
 
     def add(self, times: NDArray[np.float64], values: NDArray[Any] | Texts) -> None:
-        """Take samples in.
+        """Add samples.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class StreamWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was taken in, after what is known of the clock by then."""
+        """Write the pending samples, after the clock offsets up to their time."""
         if not self._times:
             return
         times = np.concatenate(self._times)
@@ -121,7 +121,7 @@ class StreamWriter:
         self._write(writing.samples(self.number, self._form, stamps, values))
 
     def end(self) -> None:
-        """Write the rest, and the footer."""
+        """Write the remaining samples and the footer."""
         self.flush()
         if self._due is not None:
             self._tell_clock(0.0, math.inf)

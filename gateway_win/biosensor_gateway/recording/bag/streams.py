@@ -1,4 +1,4 @@
-"""Turns the messages of one topic into the samples of streams."""
+"""Converts the messages of one topic to samples of streams."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import Texts
 
 ToLsl = Callable[[NDArray[np.int64]], NDArray[np.float64]]
-"""Brings unix times in ns onto the clock of the file."""
+"""Converts Unix times in ns to the clock of the file."""
 
 
 class NewStream(Protocol):
-    """Begins a stream of the file."""
+    """Starts a new stream in the file."""
 
     def __call__(
         self,
@@ -53,21 +53,21 @@ class NewStream(Protocol):
         channels: int,
         clock_offsets: tuple[tuple[float, float], ...] | None = None,
     ) -> StreamWriter:
-        """Return what takes its samples."""
+        """Return the writer for its samples."""
         ...
 
 
 class StampedTopic:
-    """A topic of ``Samples`` or ``Event``: samples of a stream with the time of each.
+    """A topic of ``Samples`` or ``Event``: samples of a stream with their timestamps.
 
     Parameters
     ----------
     recorded
-        The stream that it was made of; None if it was published live.
+        The recorded stream that it was exported from; None if it was published live.
     facts
-        What the node's list says of it; None if that was not recorded.
+        Its entry in the node's list of streams; None if that was not recorded.
     raw_type
-        Of its raw topic, if that was recorded.
+        Message type of its raw topic; empty if that was not recorded.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class StampedTopic:
             header = parse_stream_header(recorded.xml.encode("utf-8", "surrogatepass"))
         except ChunkError as error:
             raise MessageError(f"the header of its stream: {error}") from error
-        # Where none were measured, stamps are those of the file's clock.
+        # Without clock offsets, timestamps are on the file's clock.
         offsets = recorded.clock_offsets or None
         self._begin(recorded.xml, header.format, header.channel_count, offsets)
 
@@ -113,7 +113,7 @@ class StampedTopic:
         Raises
         ------
         MessageError
-            If it is none, or of another shape than those before.
+            If it cannot be read, or its shape differs from the previous ones.
         """
         read = self._kind.read(message.content)
         writer = self._writer or self._begin_live(read)
@@ -154,18 +154,18 @@ class StampedTopic:
 
 
 def _is_label(field: Field) -> bool:
-    """Whether a text says what numbers are of, and nothing that happens."""
+    """Whether a text only describes numbers, so it needs no stream."""
     return field.name in NAMES or field.name.endswith("frame_id") or field.path.startswith("layout")
 
 
 class AnyTopic:
-    """A topic of any type that has numbers, or only text.
+    """A topic of any type with numbers, or with text only.
 
     Attributes
     ----------
     texts
-        Paths of its fields of text that are beside numbers, and so in no stream; without names of
-        elements and of frames.
+        Paths of text fields left out because the message also has numbers, but not of names of
+        elements and frames.
     """
 
     def __init__(self, topic: Topic, new_stream: NewStream, to_lsl: ToLsl) -> None:
@@ -192,7 +192,7 @@ class AnyTopic:
         Raises
         ------
         MessageError
-            If it is none, or holds what a stream cannot.
+            If it cannot be read, or does not fit a stream.
         """
         read = self._kind.read(message.content)
         stamp_ns = self._stamp_ns(read) or message.unix_ns
@@ -202,12 +202,12 @@ class AnyTopic:
         self._writer.add(self._to_lsl(np.array([stamp_ns])), samples)
 
     def _values(self, message: Any) -> Sequence[float]:
-        """Return the numbers of a message, and have the stream that fits them."""
+        """Return the numbers of a message; a changed layout starts a new stream."""
         layout = self._layout or self._lay_out(message)
         try:
             return layout.read(message)
         except LayoutChangedError:
-            # As with an outlet, another shape is another stream.
+            # A different shape starts a new stream, as with an outlet.
             return self._lay_out(message).read(message)
 
     def _lay_out(self, message: Any) -> Layout:

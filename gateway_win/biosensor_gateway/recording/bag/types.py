@@ -26,8 +26,8 @@ _ARRAYS = (Nodetype.ARRAY, Nodetype.SEQUENCE)
 SAMPLES = "biosensor_msgs/msg/Samples"
 EVENT = "biosensor_msgs/msg/Event"
 
-# The fields of the files in ros_side/biosensor_msgs, which have their meaning; those do not come
-# along with the agent.
+# Copied from the files in ros_side/biosensor_msgs, which document the fields but are not installed
+# with the agent.
 OWN = {
     EVENT: "std_msgs/Header header\nuint64 sequence\nstring data\n",
     SAMPLES: (
@@ -37,14 +37,14 @@ OWN = {
 }
 
 
-# What is read by the names of its fields, so that its definition must have those. Time and Duration
-# are so, too, but the library refuses definitions of these that are not its own.
+# Types whose fields are accessed by name, so a bag's definition must have these fields. This is
+# also true for Time and Duration, but the library rejects any other definition of them.
 _READ_BY_NAME = (*OWN, "std_msgs/msg/Header")
 
 
 @cache
 def typestore() -> Typestore:
-    """Return all definitions."""
+    """Return the definitions of ROS 2 Jazzy and our own."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in OWN.items():
         store.register(get_types_from_msg(text, name))
@@ -52,17 +52,17 @@ def typestore() -> Typestore:
 
 
 class MessageType:
-    """Reads the messages of one type, as a bag defines it.
+    """Deserialises the messages of one type, as the bag defines it.
 
     Parameters
     ----------
     topic
-        Whose type; where the bag has no definition, that of ROS 2 Jazzy holds.
+        The topic with this type; without a definition in the bag, that of ROS 2 Jazzy is used.
 
     Raises
     ------
     MessageError
-        If nobody knows the type, or its definition makes no sense.
+        If the type is unknown, or its definition is invalid.
     """
 
     def __init__(self, topic: Topic) -> None:
@@ -72,11 +72,11 @@ class MessageType:
 
     @property
     def definition(self) -> Definition:
-        """What a message consists of."""
+        """The fields of a message."""
         return _Stored(self._store, self.name)
 
     def _require(self, name: str, within: tuple[str, ...]) -> None:
-        """See to it that a type is known, with all that it needs, and is not inside itself."""
+        """Check that a type and all types in it are known, and that it does not contain itself."""
         if name not in self._store.fielddefs:
             raise MessageError(f"the type {name} is unknown, and the bag does not define it")
         if name in within:
@@ -90,7 +90,7 @@ class MessageType:
                 self._require(inner, (*within, name))
 
     def _require_fields(self, name: str) -> None:
-        """See to it that a type has the fields that it has everywhere else; more do no harm."""
+        """Check that a type has its standard fields; additional fields are allowed."""
         defined = dict(self._store.fielddefs[name][1])
         for field, what in typestore().fielddefs[name][1]:
             if defined.get(field) != what:
@@ -103,7 +103,7 @@ class MessageType:
         Raises
         ------
         MessageError
-            If it is none.
+            If it cannot be deserialised.
         """
         try:
             return self._store.deserialize_cdr(content, self.name)
@@ -112,7 +112,7 @@ class MessageType:
 
 
 class _Stored:
-    """The definition of a type that a store has."""
+    """The definition of a type in a typestore."""
 
     def __init__(self, store: Typestore, name: str) -> None:
         self._store, self.name = store, name
@@ -154,5 +154,5 @@ def _defined(topic: Topic) -> Typestore:
     return store
 
 
-# Between the files of a definition; the first line after it is a title.
+# Separates the files in a definition; the first line after it is a title.
 _SEPARATOR = "=" * 80 + "\n"

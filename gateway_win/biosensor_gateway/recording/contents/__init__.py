@@ -1,8 +1,8 @@
-"""Gives what a recording holds, piece by piece and on one clock; files may exceed the memory.
+"""Reads a recording's samples block by block on one clock; files may exceed the memory.
 
-:mod:`.opening` opens a recording: it is read once, for where every chunk of samples lies, and then
-only as far as somebody asks. A :class:`.stream.Stream` gives its samples on the recorder's clock,
-to which `recording.xdf.sender_clock` brings them by the clock offsets in the file;
-:mod:`.wall_clock` tells what time of day that was. :mod:`.choice` cuts streams, a span of time or
-a participant out, and gives many streams in the order of time.
+:mod:`.opening` opens a recording: it reads the file once to index its chunks, and later only the
+parts needed. A :class:`.stream.Stream` yields its samples on the recorder's clock, converted by
+`recording.xdf.sender_clock` with the clock offsets in the file; :mod:`.wall_clock` converts to the
+time of day. :mod:`.choice` selects streams, a time range or a participant, and merges streams in
+time order.
 """

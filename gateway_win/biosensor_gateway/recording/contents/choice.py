@@ -1,4 +1,4 @@
-"""Cuts out of a recording what somebody wants of it: streams, a span of time, a participant."""
+"""Selects streams, a time range or a participant of a recording."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 def merged(
     streams: Iterable[Stream], begin_s: float, end_s: float
 ) -> Iterator[tuple[Stream, Samples]]:
-    """Give chunks of samples of all streams by the time of their first sample.
+    """Yield chunks of samples of all streams, ordered by the time of their first sample.
 
-    One chunk of each stream is kept in memory. Within a stream the order is that of the file.
+    One chunk per stream is kept in memory. Within a stream, the order of the file is kept.
     """
 
     def timed(place: int, stream: Stream) -> Iterator[tuple[float, int, Stream, Samples]]:
@@ -37,24 +37,24 @@ def merged(
 _SPAN = re.compile(r"(?:(?:(\d+):)?(\d{1,2}):)?(\d+(?:\.\d+)?)")
 _MOST_NAMES = 8
 BATCH = 1 << 14
-"""Values that are taken at once: fewer cost calls, more do not fit into a processor's cache."""
+"""Values processed at once: fewer cost calls, more do not fit into a processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What somebody wants of a recording, as typed.
+    """A selection from a recording, as typed by the user.
 
     Attributes
     ----------
     streams
         Names or source_ids, with ``*`` and ``?``; none for all.
     begin, end
-        Seconds since the recording's begin, ``h:mm:ss``, or a date and time of day as
-        ``2026-03-14T10:30:00``; empty for its own begin and end.
+        Seconds since the start of the recording, ``h:mm:ss``, or a date and time of day such as
+        ``2026-03-14T10:30:00``; empty for the start and end of the recording.
     participant
-        Whose streams only; empty for everybody's, and those of nobody.
+        Only streams of this participant; empty for all streams.
     without
-        Whose streams are left out; those of nobody stay.
+        Leave out streams of this participant.
     """
 
     streams: Sequence[str] = ()
@@ -66,16 +66,16 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Streams and a span of time of an open recording.
+    """Selected streams and a time range of an open recording.
 
     Attributes
     ----------
     streams
-        In the order of the file, also those without samples.
+        In the order of the file, including streams without samples.
     begin_s, end_s
-        On the recorder's LSL clock; `end_s` excluded, infinite for all to the end.
+        On the recorder's LSL clock; `end_s` is excluded, and infinite for the whole rest.
     batch
-        How many values exports take at once.
+        Number of values that exports process at once.
     """
 
     contents: Contents
@@ -85,23 +85,23 @@ class Chosen:
     batch: int = BATCH
 
     def samples(self, stream: Stream) -> Iterator[Samples]:
-        """Give the samples of one stream in the span of time, chunk by chunk."""
+        """Yield the samples of one stream in the time range, chunk by chunk."""
         return stream.blocks(self.begin_s, self.end_s)
 
     def merged(self) -> Iterator[tuple[Stream, Samples]]:
-        """Give chunks of samples of all streams in the order of time."""
+        """Yield chunks of samples of all streams in time order."""
         return merged(self.streams, self.begin_s, self.end_s)
 
 
 def on_one_clock(chosen: Chosen) -> tuple[Chosen, tuple[Stream, ...]]:
-    """Leave out streams whose stamps are on no LSL clock, so that nothing says when they were.
+    """Leave out streams that are not on an LSL clock, because their time is unknown.
 
-    Where there are no others they stay, on their own clock.
+    If all streams are like this, they are kept on their own clocks.
 
     Returns
     -------
     tuple
-        What stays, and the streams that were left out.
+        The remaining selection, and the streams that were left out.
     """
     away = tuple(each for each in chosen.streams if each.clock_error)
     timed = tuple(each for each in chosen.streams if not each.clock_error)
@@ -111,12 +111,12 @@ def on_one_clock(chosen: Chosen) -> tuple[Chosen, tuple[Stream, ...]]:
 
 
 def choose(contents: Contents, wish: Wish) -> Chosen:
-    """Find what is wanted.
+    """Resolve a user's selection.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if a stream or participant is not in the recording, or a time is no time.
+        ``WRONG_VALUE``, if a stream or participant is not in the recording, or a time is invalid.
     """
     for person in filter(None, (wish.participant, wish.without)):
         _require_person(contents, person)

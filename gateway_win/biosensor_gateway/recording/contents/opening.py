@@ -20,17 +20,17 @@ class Contents:
     Attributes
     ----------
     begun
-        When, by the recorder's own words; empty if it does not say.
+        The recorder's text for the start time; empty if there is none.
     streams
-        In the order of their headers, also those without samples.
+        In the order of their headers, including streams without samples.
     damages
-        What could not be read; everything else can.
+        Bytes that could not be read.
     begin_s, end_s
-        Times of the first and the last sample on the recorder's LSL clock, in s; 0 where there
-        are none. What tells of a device may be older than the recording, and stamps may be on no
-        LSL clock; such streams count only if there are no others.
+        Times of the first and last sample on the recorder's LSL clock, in s; 0 without samples.
+        Streams about the state of a device, which may be older than the recording, and streams on
+        another clock count only if there are no others.
     wall
-        Time of day; None if nothing in the file tells it.
+        Relation to the time of day; None if unknown.
     """
 
     path: Path
@@ -43,7 +43,7 @@ class Contents:
 
     @property
     def why_incomplete(self) -> str:
-        """What could not be read, as the end of a sentence that says what is not there."""
+        """What could not be read, as the end of a sentence about missing data."""
         if not self.damages:
             return ""
         first, *others = self.damages
@@ -56,13 +56,12 @@ class Contents:
 
 @contextmanager
 def open_contents(path: Path) -> Generator[Contents]:
-    """Open a recording, and find out where everything in it is, which takes one pass.
+    """Open a recording and index it, which reads it once.
 
     Raises
     ------
     RecordingError
-        If there is no such file, it cannot be read, or it is no XDF file; also while it is
-        being read.
+        If the file does not exist, cannot be read or is not an XDF file; also during reading.
     """
     sorter = StreamSorter(IndexedStream)
     with open_recording(path) as (file, size, is_unpacked_whole):
@@ -78,10 +77,10 @@ def open_contents(path: Path) -> Generator[Contents]:
 
 
 def extent(streams: Sequence[Stream]) -> tuple[float, float]:
-    """Return when the first and the last sample of some streams was recorded; 0 if there is none.
+    """Return the times of the first and last sample of some streams; 0 without samples.
 
-    On the recorder's clock, in s. What devices had told of themselves long before, and what is
-    stamped on no LSL clock, counts only where there is nothing else.
+    Times are on the recorder's clock, in s. Streams about the state of a device and streams on
+    another clock count only if there are no others.
     """
     ends = [(_tells_when(each), found) for each in streams if (found := each.ends())]
     bounds = [found for tells_when, found in ends if tells_when] or [found for _, found in ends]

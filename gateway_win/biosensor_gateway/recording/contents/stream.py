@@ -1,4 +1,4 @@
-"""One stream of an open recording: where its samples lie, and these on one clock."""
+"""One stream of an open recording: the index of its samples, and access to them on one clock."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 
 class Place(NamedTuple):
-    """Where one chunk of samples is, and what it takes to read it again.
+    """The index entry of one chunk of samples.
 
     Attributes
     ----------
     start, end
         Offsets of its content in the file, without the stream's number, `end` excluded.
     before
-        Stamp of the sample before it, from which stamps that were left out are counted.
+        Timestamp of the previous sample, from which omitted timestamps are computed.
     first, last
-        Stamps of its first and last sample, on the stream's own clock, in s.
+        Timestamps of its first and last sample, on the stream's own clock, in s.
     offsets_before
-        How many clock offsets of the stream come before it in the file.
+        Number of clock offsets of the stream before it in the file.
     """
 
     start: int
@@ -52,16 +52,16 @@ class Place(NamedTuple):
 
 @dataclass(slots=True)
 class IndexedStream:
-    """One stream of a recording, with the places of its samples but without these.
+    """One stream of a recording, with the index of its samples.
 
     Attributes
     ----------
     clock_offsets
-        LSL time on the stream's clock, and what to add to it to get the recorder's, in s.
+        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
     footer
-        None if the recorder did not come to write it.
+        None if the recorder did not write one.
     guessed_texts
-        How many are not UTF-8, so that their characters are guessed.
+        Number of texts that are not UTF-8, so their encoding was guessed.
     """
 
     header: RecordedHeader
@@ -69,13 +69,13 @@ class IndexedStream:
     footer: Footer | None = None
     sample_count: int = 0
     guessed_texts: int = 0
-    # Arrays, not a list of places: a day has millions of chunks.
+    # Arrays instead of a list of places, because a day has millions of chunks.
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
     _last: float = 0.0
 
     def take_samples(self, chunk: Chunk) -> None:
-        """Note where the samples of a chunk are.
+        """Add the samples of a chunk to the index.
 
         Raises
         ------
@@ -94,20 +94,20 @@ class IndexedStream:
         self.guessed_texts += block.guessed
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
-        """Take in one of `clock_offsets`."""
+        """Add one of `clock_offsets`."""
         self.clock_offsets.append((taken_at, offset))
 
     def take_footer(self, footer: Footer, _chunk: Chunk) -> None:
-        """Take in the footer."""
+        """Set the footer."""
         self.footer = footer
 
     @property
     def byte_count(self) -> int:
-        """How many bytes of the file its samples take, with their stamps."""
+        """Size of its samples and timestamps in the file, in bytes."""
         return sum(self._bounds[1::3]) - sum(self._bounds[0::3])
 
     def places(self) -> Iterator[Place]:
-        """Give the places of all chunks of samples, in the order of the file."""
+        """Yield the index entries of all chunks of samples, in the order of the file."""
         bounds, stamps = self._bounds, self._stamps
         for at in range(0, len(bounds), 3):
             start, end, offsets_before = bounds[at : at + 3]
@@ -115,16 +115,16 @@ class IndexedStream:
             yield Place(start, end, before, first, last, offsets_before)
 
     def end_stamps(self) -> NDArray[np.float64]:
-        """Return the stamps of first and last sample of all chunks, shape (n_chunks, 2), in s."""
+        """Return the first and last timestamp of each chunk, shape (n_chunks, 2), in s."""
         return np.array(self._stamps).reshape(-1, 3)[:, 1:]
 
     def read(self, file: BinaryIO, place: Place) -> Block:
-        """Read the samples of one chunk again.
+        """Read the samples of one chunk.
 
         Raises
         ------
         RecordingError
-            If they are not there any more.
+            If they cannot be read any more.
         """
         try:
             file.seek(place.start)
@@ -137,16 +137,16 @@ class IndexedStream:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Some samples of one stream, in the order of the file.
+    """A block of samples of one stream, in the order of the file.
 
     Attributes
     ----------
     times : ndarray of float64, shape (n_samples,)
-        LSL time on the recorder's clock, in s: the stamps with the clock offsets applied.
+        LSL time on the recorder's clock, in s: timestamps with the clock offsets applied.
     stamps : ndarray of float64, shape (n_samples,)
         As recorded, on the stream's own clock.
     values : ndarray, shape (n_samples, n_channels), or list of tuple
-        In the stream's own format; of a stream of text one tuple a sample.
+        In the stream's own format; in text streams, one tuple per sample.
     """
 
     times: NDArray[np.float64]
@@ -157,7 +157,7 @@ class Samples:
         return len(self.times)
 
     def picked(self, is_wanted: NDArray[np.bool_]) -> Samples:
-        """Return those samples for which `is_wanted`, of shape (n_samples,), is true."""
+        """Return the samples for which `is_wanted`, of shape (n_samples,), is true."""
         if is_wanted.all():
             return self
         values = self.values
@@ -178,19 +178,19 @@ class Stream:
     header
         As recorded.
     meaning
-        What the header says of itself: identity, labels, units, roles; of a stream of another
-        program, what the node makes of it.
+        Identity, labels, units and roles from the header; for another program's stream, as the
+        node interprets them.
     clock
-        Its clock against the recorder's.
+        Conversion between its clock and the recorder's.
     clock_offsets
-        What the recorder measured of that, in the order of the file: LSL time on the
-        stream's clock, and what to add to it to get the recorder's, in s.
+        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s, in the
+        order of the file.
     sample_count
-        All its samples in the file.
+        Number of samples in the file.
     byte_count
-        How many bytes of the file they take, with their stamps.
+        Size of its samples and timestamps in the file.
     is_guessed
-        Whether its header or a text of it is not UTF-8, so that characters are guessed.
+        Whether its header or a text is not UTF-8, so the encoding was guessed.
     """
 
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
@@ -206,7 +206,7 @@ class Stream:
         self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0
 
     def take_wearer(self, participant: str) -> None:
-        """Have somebody else wear the sensor than its header says; nothing if it says nobody."""
+        """Replace the participant in the header; no effect if the header names none."""
         identity = self.header.identity
         if identity is not None and identity.participant:
             worn = replace(identity, participant=participant)
@@ -214,9 +214,9 @@ class Stream:
             self.meaning = replace(self.meaning, identity=worn)
 
     def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
-        """Give the samples of each chunk that has some from `begin_s` to before `end_s`.
+        """Yield the samples from `begin_s` to before `end_s`, chunk by chunk.
 
-        Samples whose stamp is no number are left out.
+        Samples with a NaN timestamp are left out.
 
         Parameters
         ----------
@@ -243,7 +243,7 @@ class Stream:
 
     @cached_property
     def clock_error(self) -> str:
-        """Why its stamps are on no LSL clock, as `xdf check` says it; empty if they are on one."""
+        """Why its timestamps are not on an LSL clock, as in `xdf check`; empty if they are."""
         stamps = self._indexed.end_stamps().ravel()
         stamps = stamps[np.isfinite(stamps)]
         if not len(stamps):
@@ -252,16 +252,16 @@ class Stream:
         return clock_error(self.header, self.clock_offsets, *ends)
 
     def _is_outside(self, place: Place, begin_s: float, end_s: float) -> bool:
-        # Stamps in between may be outside of those of the ends, but not of a regular stream.
+        # In an irregular stream, timestamps may lie outside the chunk's first and last one.
         if not self.header.is_regular:
             return False
         ends = self.clock.to_recorder(np.array([place.first, place.last]), place.offsets_before)
         return bool(ends.max() < begin_s or ends.min() >= end_s)
 
     def ends(self) -> tuple[float, float] | None:
-        """Return the least and the greatest time of the ends of its chunks, in s; None if empty.
+        """Return the minimum and maximum time at the ends of its chunks, in s; None if empty.
 
-        The order of stamps within a chunk is the sender's, and hardly ever another.
+        Within a chunk, timestamps are almost always ascending.
         """
         found = self._indexed.end_stamps()
         if len(found) and self.clock.restarts:
@@ -269,7 +269,7 @@ class Stream:
             times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]
             found = np.concatenate(times)
         else:
-            # One line holds for all: a day has millions of chunks.
+            # With one clock run, all chunks are converted at once: a day has millions of chunks.
             found = self.clock.to_recorder(found.ravel())
         found = found[np.isfinite(found)]
         return (float(found.min()), float(found.max())) if len(found) else None

@@ -1,9 +1,8 @@
-"""Tells what time of day a moment of a recording was.
+"""Converts moments of a recording to the time of day.
 
-LSL's clock begins when a computer is switched on. Agent and node therefore say now and then, in
-their streams of events, what their computer's clock shows at a moment of LSL time: the element
-``clock`` with ``lsl_s`` and ``unix_ns``. Without these there is only the date that the
-recorder writes, of whole seconds.
+LSL's clock starts when a computer boots. Therefore the agent and the node regularly write pairs of
+LSL time and Unix time to their event streams: the element ``clock`` with ``lsl_s`` and
+``unix_ns``. Without these, only the recorder's start date is known, in whole seconds.
 """
 
 from __future__ import annotations
@@ -26,26 +25,26 @@ from biosensor_gateway.recording.xdf.header import FileClock
 EVENTS = "events"
 DATE_RESOLUTION_S = 1.0
 NO_ZONE_RESOLUTION_S = 26 * 3600.0
-"""A date without a time zone may be of any on earth; it is taken for this computer's."""
-# The node's first: a bag has its times, and so has a recording that is turned into a bag.
+"""Error of a date without a time zone, which is interpreted in this computer's zone."""
+# The node's clock first: a bag uses it, so a recording exported to a bag should, too.
 _TELLERS = (NODE, AGENT)
 
 
 @dataclass(frozen=True)
 class WallClock:
-    """Time of day by the recorder's LSL clock.
+    """Relation between the recorder's LSL clock and the time of day.
 
     Attributes
     ----------
     source
-        Who told it: name of a stream, ``"date"`` for the recorder's own words, or ``"file"``
-        for what :mod:`.xdf.writing` put into a recording that was made of a bag.
+        Origin of the times: name of a stream, ``"date"`` for the recorder's start date, or
+        ``"file"`` for the header of a recording imported from a bag.
     resolution_s
-        How far off it may be by the way it was told.
+        Maximum error, depending on the source.
     times : ndarray of float64, shape (n_pairs,)
-        Moments on the recorder's LSL clock at which it was told, ascending, in s.
+        Moments on the recorder's LSL clock at which Unix time is known, ascending, in s.
     offsets_ns : ndarray of int64, shape (n_pairs,)
-        Unix time less LSL time at these.
+        Unix time minus LSL time at these moments.
     """
 
     source: str
@@ -55,7 +54,7 @@ class WallClock:
 
     @property
     def doubt(self) -> str:
-        """How far off the time of day may be, as the rest of a sentence; empty if it is exact."""
+        """How far off the time of day may be, as the end of a sentence; empty if exact."""
         if self.resolution_s >= NO_ZONE_RESOLUTION_S:
             return (
                 "may be hours off: the recorder's date has no time zone, and was taken for one of "
@@ -69,11 +68,10 @@ class WallClock:
         return ""
 
     def to_unix_ns(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return unix time in ns.
+        """Return Unix time in ns.
 
-        Between two pairs the offset runs straight, outside of them it stays. Where somebody set
-        the clock, so that it is off by more than a millisecond, the new offset
-        holds from the pair that tells it.
+        The offset is interpolated linearly between pairs and constant outside of them. Where the
+        clock was set, by more than a millisecond, the new offset applies from its first pair on.
 
         Parameters
         ----------
@@ -89,9 +87,9 @@ class WallClock:
 
     @cached_property
     def _course(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """LSL times in s, and the offsets there less the first one, in ns.
+        """LSL times in s, and the offsets relative to the first one, in ns.
 
-        Where the clock was set, a time stands twice, with the offset before and that after.
+        Where the clock was set, a time occurs twice, with the offset before and after.
         """
         relative = (self.offsets_ns - self.offsets_ns[0]).astype(np.float64)
         set_at = np.flatnonzero(np.abs(np.diff(relative)) > STEP_NS) + 1
@@ -99,14 +97,13 @@ class WallClock:
         return knots, np.insert(relative, set_at, relative[set_at - 1])
 
     def to_lsl_s(self, unix_ns: int) -> float:
-        """Return the moment on the recorder's LSL clock, in s, of a unix time."""
+        """Convert a Unix time to the recorder's LSL clock, in s."""
         return float(self.to_lsl(np.array([unix_ns]))[0])
 
     def to_lsl(self, unix_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return moments on the recorder's LSL clock, in s, of unix times.
+        """Convert Unix times to the recorder's LSL clock, in s.
 
-        A time that the computer's clock showed twice, because somebody set it back, is taken for
-        the later one.
+        If a clock that was set back showed a time twice, the later moment is returned.
 
         Parameters
         ----------
@@ -129,18 +126,18 @@ class WallClock:
 def find_wall_clock(
     streams: Sequence[Stream], begun: str, begin_s: float, file_clock: FileClock | None = None
 ) -> WallClock | None:
-    """Find out what time of day a recording was made; None if nothing tells.
+    """Find the time of day of a recording; None if it is unknown.
 
     Parameters
     ----------
     streams
-        All of the recording.
+        All streams of the recording.
     begun
-        The recorder's own words.
+        The recorder's text for the start time.
     begin_s
         LSL time of the first sample.
     file_clock
-        What stands in the file's header, if it was made of a bag.
+        The clock in the file's header, if it was imported from a bag.
     """
     for teller in _TELLERS:
         told = [_of_stream(each) for each in streams if _is_told_by(each, teller)]
@@ -161,7 +158,7 @@ def find_wall_clock(
 
 def _is_told_by(stream: Stream, teller: str) -> bool:
     header = stream.header
-    # What a replay says was so on another day.
+    # The times in a replay are from an earlier day.
     if header.identity is None or header.replay is not None:
         return False
     return header.identity.sensor == teller and header.data_name == EVENTS
@@ -183,7 +180,7 @@ def _of_pairs(
 
 
 def _pairs(stream: Stream) -> Iterator[tuple[float, ClockPair]]:
-    """Give each pair with its moment on the recorder's clock."""
+    """Yield each pair with its moment on the recorder's clock."""
     for samples in stream.blocks():
         texts: Sequence[Sequence[Any]] = samples.values if isinstance(samples.values, list) else ()
         for time_s, stamp, (text, *_) in zip(samples.times, samples.stamps, texts, strict=False):

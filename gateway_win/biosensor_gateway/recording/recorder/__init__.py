@@ -1,1 +1,1 @@
-"""Records LSL streams to an XDF file: by this computer itself, or by LabRecorder's window."""
+"""Records LSL streams to an XDF file, on this computer or with LabRecorder's window."""

@@ -1,14 +1,14 @@
-"""Records by LabRecorder's window, through its remote control, and checks the file it writes.
+"""Records with LabRecorder's window by remote control, and checks the file that it writes.
 
-The remote control answers ``OK`` to whatever it is told, knows no question, and records every
-stream it sees. So whether a recording runs, and whether it was closed, is read from the recording
-itself, where it can be reached from this computer.
+The remote control answers ``OK`` to every command, has no queries, and records every stream it
+finds. So the file itself shows whether a recording is running or closed, if this computer can
+access it.
 
-Facts from App-LabRecorder's ``tcpinterface.cpp`` and ``mainwindow.cpp``: a command is a
-line; the reply is ``OK`` without a line end, whatever the command was, and comes when
-its work is done. Commands are worked off by the thread of the window, so none is
-answered while a message there waits for a click. Some versions lose the second of two
-lines that arrive together: a command is sent when the one before was answered.
+According to App-LabRecorder's ``tcpinterface.cpp`` and ``mainwindow.cpp``, a command is a line;
+the reply is always ``OK`` without a line end, sent when the command has finished. The window's
+thread executes the commands, so none is answered while a message there waits for a click. Some
+versions lose the second of two lines that arrive together, so each command waits for the previous
+reply.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ from biosensor_gateway.system.cloud_folders import warnings_of
 LOCAL_HOST, DEFAULT_PORT = "127.0.0.1", 22345
 CONNECT_S = 5.0
 REPLY_S = 30.0
-"""``update`` and ``start`` look for streams for a second, ``stop`` closes each of them."""
+"""``update`` and ``start`` search for streams for a second, ``stop`` closes each of them."""
 STOP_REPLY_S = 60.0
 """Stopping waits up to five seconds for each of its threads."""
 STATUS_REPLY_S = 10.0
 GROWS_S = 10.0
-"""A recording of one agent writes a block in less."""
+"""The recording of one agent writes a block in less time."""
 STILL_S = 2.0
-"""LabRecorder takes in samples twice a second."""
+"""LabRecorder writes samples twice a second."""
 CLOSING_S = 30.0
 _REPLY_BYTES = 4096
 _OK = "OK"
 _NO_COMMAND = "status"
-"""It knows no question, but answers to every line: so it is alive."""
+"""It has no such command, but answers every line, which shows that it is running."""
 
 
 class RemoteControl:
@@ -73,7 +73,7 @@ class RemoteControl:
     Parameters
     ----------
     host, port
-        Where its remote control listens.
+        Address of its remote control.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class RemoteControl:
         try:
             self._connection = socket.create_connection((self.host, self.port), CONNECT_S)
         except (OSError, UnicodeError) as error:
-            # A name with empty or overlong parts is refused before it is looked up.
+            # A host name with empty or overlong parts raises an error before the lookup.
             why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             message = (
                 f"LabRecorder's remote control does not answer at {self.host}:{self.port} ({why}); "
@@ -107,12 +107,12 @@ class RemoteControl:
 
     @property
     def is_local(self) -> bool:
-        """Whether it runs on this computer, so that its files are here, too."""
+        """Whether it runs on this computer, so its files are here, too."""
         peer, own = self._connection.getpeername()[0], self._connection.getsockname()[0]
         return peer == own or ipaddress.ip_address(peer.partition("%")[0]).is_loopback
 
     def command(self, line: str, time_limit_s: float = REPLY_S) -> None:
-        """Have one command worked off. That it succeeded is not known afterwards.
+        """Execute one command; whether it succeeded remains unknown.
 
         Raises
         ------
@@ -142,33 +142,33 @@ class RemoteControl:
 
 
 class LabRecorder:
-    """A LabRecorder's window, on this computer or another, as a recorder.
+    """Recorder with LabRecorder's window, on this computer or another.
 
     Parameters
     ----------
     host, port
-        Where its remote control listens.
+        Address of its remote control.
     state
-        Folder that keeps which recording was started from here.
+        State folder, which remembers the recording started from here.
     """
 
     def __init__(self, host: str, port: int, state: Path) -> None:
         self._host, self._port, self._state = host, port, state
 
     def start(self, request: RecordingRequest, look: Callable[[], Presence]) -> Started:
-        """Start a recording, and see its file grow if it can be reached from here.
+        """Start a recording, and wait until its file grows if this computer can access it.
 
         Parameters
         ----------
         request
-            What to record; every stream is recorded, which `only_ours` refuses.
+            What to record; since every stream is recorded, `only_ours` fails if there are others.
         look
             Looks for the streams there are.
 
         Raises
         ------
         RecorderError
-            With the reason why nothing was started, or why nobody can say that it was.
+            If nothing was started, or the start cannot be verified; see its reason.
         ConfigError
             If `request` makes no sense.
         """
@@ -203,7 +203,7 @@ class LabRecorder:
         else:
             file = _require_growth(target, before, request.growth_s)
             took_s = time.monotonic() - begun
-            # Only now its name is certain.
+            # Only now the file's name is certain.
             problem = replace(saved, file=str(file)).save(self._state)
         warnings += [problem] if problem else []
         warnings += warnings_of(file.parent) if file is not None else ()
@@ -219,12 +219,12 @@ class LabRecorder:
         )
 
     def status(self, file: Path | None) -> Status:
-        """Gather what can be known of LabRecorder and of its recording.
+        """Return the status of LabRecorder and its recording, as far as known.
 
         Parameters
         ----------
         file
-            The recording as this computer sees it; None for the one that was started from here.
+            Path of the recording on this computer; None for the one started from here.
         """
         problems: tuple[Finding, ...] = ()
         is_local = None
@@ -259,17 +259,17 @@ class LabRecorder:
         )
 
     def stop(self, file: Path | None) -> Stopped:
-        """End the recording, and see its file closed.
+        """Stop the recording, and wait until its file is closed.
 
         Parameters
         ----------
         file
-            The recording as this computer sees it; None for the one that was started from here.
+            Path of the recording on this computer; None for the one started from here.
 
         Raises
         ------
         RecorderError
-            ``STILL_GROWING`` or ``NOT_CLOSED``, or whatever the remote control brings.
+            ``STILL_GROWING`` or ``NOT_CLOSED``, or an error of the remote control.
         """
         with RemoteControl(self._host, self._port) as remote:
             return self._stop(remote, file)

@@ -1,4 +1,4 @@
-"""Watches a recording while it is written: which streams come, and which have stopped."""
+"""Monitors a recording while it is written: which streams arrive, and which have stopped."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from biosensor_gateway.recording.xdf.samples import decode
 
 STOPPED_S = 5.0
 STOPPED_PERIODS = 3
-"""Of a stream that is slower, so many samples must be missing."""
+"""A slow stream counts as stopped when this many samples are missing."""
 OFFSETS_DUE_S = 20.0
-"""The recorder takes one every 5 s, and waits 2 s for each."""
+"""The recorder measures one every 5 s, and waits 2 s for each."""
 BLOCK_BYTES = 8192
-"""The recorder writes its file in blocks of so many."""
+"""Size of the blocks in which the recorder writes its file."""
 STILL_S, EMPTY_S = 15.0, 90.0
-"""How long a file may rest, if it is filled quickly; and before anything is in it."""
+"""How long a fast file may stay unchanged, and how long a file may stay empty."""
 LITTLE_SPACE_BYTES = 200_000_000
 
 _STREAM_ID_BYTES = 4
 _CLOCK_OFFSET = struct.Struct("<dd")
 _SECTION_S, _FEWEST = 20.0, 64
-"""So much of another program's stream is looked at together."""
-# LabRecorder writes what came in half a second; so much of one stream is a damaged length.
+"""Length of the sections in which another program's stream is analysed."""
+# LabRecorder writes chunks of half a second, so a larger chunk means a damaged length field.
 MOST_CHUNK_BYTES = 1 << 26
 _BLOCK_BYTES = 1 << 20
 _LENGTH_SIZES = frozenset({1, 4, 8})
@@ -51,24 +51,23 @@ _MOST_DAMAGES = 20
 
 
 class GrowingFile:
-    """Hands on the chunks that came since the last time.
+    """Passes on the chunks appended since the last call.
 
-    A chunk that is half written waits until the rest is there; so much is kept in memory, and
-    no more.
+    Only an incomplete last chunk is kept in memory, until the rest is there.
 
     Parameters
     ----------
     path
-        The file, which need not exist yet.
+        The file; it may not exist yet.
     take
-        Is given tag and content of each chunk; raises `ChunkError` if that makes no sense.
+        Called with tag and content of each chunk; raises `ChunkError` if these are invalid.
 
     Attributes
     ----------
     size
-        Bytes of the file that were read.
+        Number of bytes read.
     damages
-        A sentence part for each place that could not be read, in the order of the file.
+        A clause for each unreadable place, in the order of the file.
     """
 
     def __init__(self, path: Path, take: Callable[[Tag, memoryview], None]) -> None:
@@ -79,12 +78,12 @@ class GrowingFile:
         self.damages: list[str] = []
 
     def read_on(self) -> int:
-        """Read what was appended; return how many bytes that is.
+        """Read what was appended; return its number of bytes.
 
         Raises
         ------
         OSError
-            If the file is there and cannot be read.
+            If the file exists but cannot be read.
         """
         before = self.size
         try:
@@ -113,7 +112,7 @@ class GrowingFile:
         self._rest = self._rest[position:]
 
     def _next(self, position: int) -> int | None:
-        """Take the chunk at a place of the buffer; return where to go on, None if it waits."""
+        """Process the chunk at a buffer offset; return the next offset, None if incomplete."""
         if self._is_lost or position >= len(self._rest):
             return None
         frame = _frame(self._rest, position)
@@ -130,7 +129,7 @@ class GrowingFile:
         return frame.end
 
     def _lose(self, position: int, what: str) -> int:
-        """Say a damage once, and look for the next place to go on from."""
+        """Report damage once, and return the offset at which to continue."""
         if len(self.damages) < _MOST_DAMAGES:
             self.damages.append(f"byte {self.size - len(self._rest) + position}: {what}")
         self._is_lost = True
@@ -139,14 +138,14 @@ class GrowingFile:
     def _find_again(self, position: int) -> int:
         found = self._rest.find(BOUNDARY, position)
         if found < 0:
-            # Its beginning may be there already.
+            # The end of the buffer may be the start of a boundary.
             return max(position, len(self._rest) - len(BOUNDARY) + 1)
         self._is_lost = False
         return found + len(BOUNDARY)
 
 
 def _frame(buffer: bytes, position: int) -> Frame | None:
-    """Read a frame; None if more of it must come. One that cannot be has an unknown tag."""
+    """Read a frame; None if incomplete. An impossible frame gets an unknown tag."""
     length_size = buffer[position]
     if length_size not in _LENGTH_SIZES:
         return Frame(0, position, position)
@@ -162,25 +161,24 @@ def _frame(buffer: bytes, position: int) -> Frame | None:
 
 @dataclass(frozen=True, slots=True)
 class StreamProgress:
-    """How far one stream has come, as plain values.
+    """Progress of one stream, as plain values.
 
     Attributes
     ----------
     nominal_hz
-        0 if it is irregular.
+        0 if irregular.
     newest_stamp
-        Of its newest sample, on its own clock, in s; None without samples.
+        Timestamp of its newest sample on its own clock, in s; None without samples.
     age_s
-        How long the file has had nothing new of it, by the newest that the file has of any
-        stream; None without samples.
+        Time from its newest sample to the newest one of any stream; None without samples.
     clock_offsets
-        How often its clock was compared with the recorder's.
+        Number of clock offsets measured.
     offset_age_s
-        How long ago the last time was, by the newest that the file has; None without any.
+        Time from the last offset to the newest sample of any stream; None without offsets.
     is_closed
-        Whether the recorder has ended it.
+        Whether it has a footer.
     gaps, longest_gap_s
-        Places where samples of a regular stream are missing, and the longest of them.
+        Number of gaps in a regular stream, and the length of the longest.
     """
 
     name: str
@@ -198,15 +196,15 @@ class StreamProgress:
 
 
 class _StreamReader:
-    """Takes in the chunks of one stream; times are on the recorder's clock, in s.
+    """Processes the chunks of one stream; times are on the recorder's clock, in s.
 
     Attributes
     ----------
     reached
-        How late it is by this stream; -inf if it does not tell.
+        Current time according to this stream; -inf if unknown.
     received_at, measured_at
-        How late it was by the whole file when its newest samples came, and its newest clock
-        offset; None before the first.
+        The whole file's time when its newest samples and its newest clock offset arrived; None
+        before the first ones.
     """
 
     def __init__(self, header: RecordedHeader) -> None:
@@ -219,23 +217,23 @@ class _StreamReader:
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
-        # Stamps of others say little one by one, so they are looked at some time later.
+        # Single timestamps of other programs are inexact, so gaps are found later, in sections.
         self._cuts: Cuts | None = None
         if header.is_regular and not is_exact(header):
             self._cuts = Cuts(header.rate, max(_FEWEST, math.ceil(_SECTION_S * header.rate)))
 
     @property
     def newest_stamp(self) -> float | None:
-        """Stamp of the newest sample on the stream's own clock; None without a usable one."""
+        """Newest timestamp on the stream's own clock; None without a valid one."""
         return self._last_stamp if math.isfinite(self._last_stamp) else None
 
     def take_samples(self, content: memoryview) -> None:
-        """Take in the content of a samples chunk.
+        """Process the content of a samples chunk.
 
         Raises
         ------
         ChunkError
-            If it cannot be decoded; nothing of it is taken in then.
+            If it cannot be decoded; nothing is changed then.
         """
         before = self._last_stamp if self.samples else 0.0
         stamps = decode(content, self.header, before).stamps
@@ -247,15 +245,15 @@ class _StreamReader:
                 self.reached = max(self.reached, self._last_stamp + self._offset)
 
     def take_offset(self, content: memoryview) -> float | None:
-        """Take in the content of a clock offset chunk; return the recorder's time in it.
+        """Process the content of a clock offset chunk; return the recorder's time in it.
 
-        None if it was not measured: of an outlet that has just gone, LabRecorder notes that its
-        clock stood at 0.
+        None if it was not measured: for an outlet that has just closed, LabRecorder writes a clock
+        time of 0.
 
         Raises
         ------
         ChunkError
-            If it makes no sense.
+            If it is invalid.
         """
         if len(content) != _CLOCK_OFFSET.size:
             raise ChunkError("it does not have the size of a clock offset")
@@ -266,7 +264,7 @@ class _StreamReader:
             return None
         self.offsets += 1
         self._offset = offset
-        # It tells what time it really was, whatever the samples say.
+        # This is the true time, whatever the timestamps of samples say.
         self.reached = taken_at + offset
         return self.reached
 
@@ -284,7 +282,8 @@ class _StreamReader:
     def _is_on_the_lsl_clock(self) -> bool:
         time = self._last_stamp + self._offset
         if self.offsets:
-            # It was within some seconds before; a device that waited may be far behind.
+            # A stream on the LSL clock is not far ahead; a device with stored data may be far
+            # behind.
             return time < self.reached + MAX_STAMP_ERROR_S
         made = self.header.created_at if math.isfinite(self.header.created_at) else 0.0
         return -MAX_STAMP_ERROR_S < self._last_stamp - made < MAX_UPTIME_S
@@ -292,20 +291,20 @@ class _StreamReader:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What is in a growing file, as plain values.
+    """The contents of a growing file, as plain values.
 
     Attributes
     ----------
     length_s
-        From the first time that the file tells to the newest.
+        From the first time in the file to the newest.
     still_s
-        How long the file has not grown, as far as it was watched.
+        How long the file has not grown while it was monitored.
     free_bytes
-        Space left on its disk; None if that cannot be known.
+        Free space on its disk; None if unknown.
     is_closed
-        Whether the recorder has ended every stream that it can record.
+        Whether every recordable stream has a footer.
     damages
-        A sentence part for each place that could not be read.
+        A clause for each unreadable place.
     """
 
     file: str
@@ -319,14 +318,14 @@ class Progress:
 
 
 class Growth:
-    """Looks into a recording again and again, and reads only what is new.
+    """Reads a growing recording incrementally.
 
     Parameters
     ----------
     file
-        The recording, which need not exist yet.
+        The recording; it may not exist yet.
     clock
-        Any clock in s, for how long the file rests.
+        Any clock in s, to measure how long the file stays unchanged.
     """
 
     def __init__(self, file: Path, clock: Callable[[], float] = time.monotonic) -> None:
@@ -339,12 +338,12 @@ class Growth:
         self._grew_at = clock()
 
     def look(self) -> Progress:
-        """Read what was appended, and say how the file stands.
+        """Read what was appended, and return the file's progress.
 
         Raises
         ------
         OSError
-            If the file is there and cannot be read.
+            If the file exists but cannot be read.
         """
         if self._growing.read_on():
             self._grew_at = self._clock()
@@ -362,14 +361,14 @@ class Growth:
     def problems(
         self, required: Collection[str] = (), silent: Collection[str] = frozenset()
     ) -> tuple[Finding, ...]:
-        """Say what is wrong by what was read so far, the worst first.
+        """Return the problems found so far, the worst first.
 
         Parameters
         ----------
         required
-            source_ids of the streams that must be in it.
+            source_ids of the streams that it must contain.
         silent
-            Those that may say nothing, as of a device that is paused.
+            source_ids of streams that may be silent, for example of a paused device.
         """
         streams = [self._progress(each) for each in self._streams.values()]
         identities = [each.header.identity for each in self._streams.values()]
@@ -382,7 +381,7 @@ class Growth:
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
 
     def gaps(self) -> Iterator[Finding]:
-        """Say of each device how much is missing so far, by the stream that misses most."""
+        """Yield the gaps of each device so far, from its stream with the longest ones."""
         worst: dict[str, _StreamReader] = {}
         for each in self._streams.values():
             header = each.header
@@ -417,7 +416,7 @@ class Growth:
         stream = self._streams.get(number)
         if stream is None:
             raise ChunkError(f"stream number {number} has no header")
-        # All headers come before.
+        # Headers of all streams precede the data.
         self._has_data = True
         if tag is Tag.STREAM_FOOTER:
             stream.is_closed = True
@@ -439,7 +438,7 @@ class Growth:
         stream.measured_at = self._newest
 
     def _reach(self, stream: _StreamReader) -> None:
-        """Let the time of the whole file go on to where a stream has come."""
+        """Advance the time of the whole file to that of a stream."""
         if not math.isfinite(stream.reached):
             return  # nothing is dropped: a stream without a sample has no time
         newest, first = self._newest, self._first
@@ -448,11 +447,11 @@ class Growth:
             for each in self._streams.values():
                 each.received_at = None if each.received_at is None else newest
         self._newest = max(stream.reached, newest)
-        # It was set back where samples had said a time that it was not.
+        # The file's time moves back if earlier samples had a wrong time.
         self._first = min(self._newest, first)
 
     def _is_first_true_time(self, step_s: float) -> bool:
-        """Whether all before were samples that had waited in their device."""
+        """Whether all samples so far had been stored in their device."""
         return step_s > STOPPED_S and not any(each.offsets for each in self._streams.values())
 
     def _progress(self, stream: _StreamReader) -> StreamProgress:

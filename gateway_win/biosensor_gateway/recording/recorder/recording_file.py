@@ -1,7 +1,7 @@
-"""Looks at a recording's file from outside: whether it holds samples, grows, and is closed.
+"""Inspects a recording's file: whether it has samples, grows, and is closed.
 
-LabRecorder makes the file at once and writes it in blocks of some kilobytes (8 KiB on Linux), so a
-single slow stream shows nothing for a minute.
+LabRecorder creates the file at once but writes in blocks of some kilobytes (8 KiB on Linux), so
+with a single slow stream the file may not grow for a minute.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ _POLL_S = 0.25
 
 @dataclass(slots=True)
 class FileSummary:
-    """What is in a recording, without its samples being decoded.
+    """The contents of a recording, without decoding its samples.
 
     Attributes
     ----------
     bytes
         Size of the file.
     streams
-        Numbers of the streams that have a header.
+        Numbers of the streams with a header.
     with_samples, with_footer
-        Those of them that have samples, that were closed.
+        Numbers of the streams with samples, and with a footer.
     without_footer_due
-        Those that LabRecorder cannot record, so that it never closes them either.
+        Streams that LabRecorder cannot record, so they never get a footer.
     is_whole
-        Whether it can be read to its end.
+        Whether it can be read to the end.
     """
 
     bytes: int = 0
@@ -52,12 +52,12 @@ class FileSummary:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the recorder came to its end with it."""
+        """Whether the recorder finished it."""
         due = self.streams - self.without_footer_due
         return self.is_whole and bool(self.streams) and due <= self.with_footer
 
     def take(self, chunk: Chunk) -> None:
-        """Take in one chunk of the file."""
+        """Process one chunk of the file."""
         if chunk.tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
             return  # nothing is dropped: they hold no samples
         stream = chunk.stream_id
@@ -76,7 +76,7 @@ class FileSummary:
 
 
 def summarize(path: Path) -> FileSummary:
-    """Look into a recording; what is no recording yet is an empty one."""
+    """Summarise a recording; a file that is not one yet gives an empty summary."""
     seen = FileSummary(bytes=size_of(path) or 0)
     try:
         with open_recording(path) as (file, size, is_unpacked_whole):
@@ -89,7 +89,7 @@ def summarize(path: Path) -> FileSummary:
 def size_of(path: Path) -> int | None:
     """Return the size of a file in bytes, None if there is none."""
     try:
-        # By opening it: a folder's entry of a file that is being written may be old on Windows.
+        # Opened, because on Windows the folder entry of a file being written may be outdated.
         with path.open("rb") as file:
             return file.seek(0, 2)
     except OSError:
@@ -97,7 +97,7 @@ def size_of(path: Path) -> int | None:
 
 
 def sizes(target: Target) -> dict[Path, int]:
-    """Return the files in question with their sizes."""
+    """Return the possible files with their sizes."""
     paths: Iterable[Path] = target.files
     if not target.files and target.folder is not None:
         paths = (each for each in target.folder.rglob("*") if each.suffix.lower() in SUFFIXES)
@@ -106,16 +106,16 @@ def sizes(target: Target) -> dict[Path, int]:
 
 
 def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) -> Path | None:
-    """Wait until a recording holds samples and grows; return which one, None if none does.
+    """Wait until a recording has samples and grows; return its file, None if none grows.
 
     Parameters
     ----------
     target
-        Where to look.
+        The possible files.
     before
-        Sizes before the recording was started; what did not change since is not it.
+        Sizes before the start; an unchanged file is not the recording.
     limit_s
-        How long to wait.
+        Maximum time to wait.
     """
     deadline = time.monotonic() + limit_s
     first: dict[Path, int] = {}
@@ -131,13 +131,13 @@ def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) 
 
 
 def grows(path: Path, limit_s: float) -> bool:
-    """Whether a file grows; known at once if it does, else after `limit_s`."""
+    """Whether a file grows within `limit_s`; returns at once if it does."""
     first = size_of(path)
     return first is not None and _wait(lambda: (size_of(path) or 0) > first, limit_s)
 
 
 def wait_until_closed(path: Path, still_s: float, limit_s: float) -> FileSummary | None:
-    """Wait until a file has not changed for `still_s`, and look into it; None if it goes on."""
+    """Wait until a file is unchanged for `still_s`; return its summary, None if it changes."""
     last, since = size_of(path), time.monotonic()
 
     def is_still() -> bool:

@@ -1,9 +1,9 @@
-"""Request of a recording: what to record, to which file, and the errors that refuse it.
+"""A request to record: streams, file name, and the errors if it is refused.
 
-LabRecorder keeps a folder ("study root") and a name below it with placeholders, which it fills
-from the fields of its window. A name that is set by remote control is taken in lower case, unlike
-what its placeholders stand for. Its own BIDS mode can only be left by remote control, not entered,
-so a BIDS name is set as a name with placeholders.
+LabRecorder has a folder ("study root") and a file name template, whose placeholders it fills from
+the fields of its window. A template set by remote control is converted to lower case, but the
+values of placeholders are not. Remote control can leave LabRecorder's BIDS mode but not enter it,
+so a BIDS name is set as a template.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".xdf", ".xdfz")
 MAX_RUN = 1000
-"""What the field in LabRecorder's window takes."""
+"""Limit of the field in LabRecorder's window."""
 GROWTH_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class BidsLabels:
-    """What a BIDS name is made of; letters and digits only.
+    """The parts of a BIDS name; letters and digits only.
 
     Raises
     ------
@@ -60,23 +60,23 @@ class BidsLabels:
 
     @property
     def template(self) -> str:
-        """The name with LabRecorder's placeholders."""
+        """The file name as a LabRecorder template."""
         acquisition = "_acq-%a" if self.acquisition else ""
         return f"sub-%p/ses-%s/%m/sub-%p_ses-%s_task-%b{acquisition}_run-%n_%m.xdf"
 
     @property
     def fields(self) -> dict[str, str]:
-        """What the placeholders stand for."""
-        # The run comes last: whenever the task or the modality is set, LabRecorder sets the run to
-        # the first number that it believes to be free.
+        """The values of the placeholders."""
+        # The run comes last: when the task or the modality is set, LabRecorder resets the run to
+        # the first number that it considers free.
         labels = {name: value for name, value in self._labels().items() if value}
         return labels | {"run": str(self.run)}
 
     @property
     def path(self) -> str:
-        """The name as LabRecorder makes it."""
+        """The file name that LabRecorder produces."""
         filled = self.template
-        # It writes modalities in lower case, and runs with three digits.
+        # LabRecorder writes modalities in lower case, and runs with three digits.
         values = {
             "%b": self.task,
             "%p": self.participant,
@@ -101,32 +101,32 @@ class BidsLabels:
 
 @dataclass(frozen=True, slots=True)
 class RecordingRequest:
-    """What to record where, and what to do about what is not as it should be.
+    """What to record, to which file, and which problems to accept.
 
     Attributes
     ----------
     folder
-        As this computer sees it.
+        Path on this computer.
     recorder_folder
-        The same in the words of LabRecorder's computer; empty if it calls it the same.
+        Path of the same folder on LabRecorder's computer; empty if it is equal.
     file
-        Name below the folder, or a whole path on this computer.
+        Name below the folder, or a full path on this computer.
     labels
         A BIDS name below the folder instead.
     all_streams
-        Streams of others are meant to be recorded, too.
+        Record other programs' streams without a warning.
     only_ours
-        No streams of others: a window refuses if there are some.
+        Record only streams of this agent; LabRecorder's window refuses if there are others.
     allow_missing
-        Start although streams are missing.
+        Start even if streams are missing.
     without_away
-        Start although sensors of the agent do not stream.
+        Start even if sensors of the agent do not stream.
     other_participants
-        Start although the file is called after somebody else than who wears the sensors.
+        Start even if the file's name has another participant than the sensors.
     growth_s
-        How long the file may take to grow, or all streams to open.
+        Time limit for the file to grow, or for all streams to open.
     counts_up
-        Whether a BIDS name whose run is taken gets the next one.
+        Whether to use the next run number if the file exists.
     """
 
     folder: Path | None = None
@@ -143,7 +143,7 @@ class RecordingRequest:
 
     @property
     def participant(self) -> str:
-        """Whose recording the file will say it is; empty if it says nobody."""
+        """The participant in the file's name; empty if there is none."""
         if self.labels is not None:
             return self.labels.participant
         return "" if self.file is None else participant_of(self.file)
@@ -151,19 +151,19 @@ class RecordingRequest:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where LabRecorder is to record.
+    """Where LabRecorder should record.
 
     Attributes
     ----------
     root
-        Folder in the words of LabRecorder's computer; empty leaves it as it is.
+        Path of the folder on LabRecorder's computer; empty keeps the current one.
     template, fields
-        Name and what its placeholders stand for; empty leaves them as they are.
+        File name template and the values of its placeholders; empty keeps the current ones.
     folder
-        The same folder as this computer sees it; None if it does not.
+        Path of the same folder on this computer; None if not accessible.
     files
-        Where the file will be, as this computer sees it: one name or, if its case
-        is not certain, two. Empty if LabRecorder chooses the name.
+        Possible paths of the file on this computer: one or, if its case is not certain, two. Empty
+        if LabRecorder chooses the name.
     """
 
     root: str = ""
@@ -174,19 +174,19 @@ class Target:
 
     @property
     def command(self) -> str:
-        """The command that tells LabRecorder so; empty if there is nothing to tell."""
+        """The remote control command for this target; empty if nothing needs to be set."""
         told = {"root": self.root, "template": self.template, **self.fields}
         options = "".join(f"{{{name}:{value}}}" for name, value in told.items() if value)
         return f"filename {options}" if options else ""
 
 
 def choose_target(request: RecordingRequest, *, is_local: bool) -> Target:
-    """Work out what to tell LabRecorder, which may run on this computer, and which file to expect.
+    """Determine the settings for LabRecorder, and which file to expect.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if the request says too little or contradicts itself.
+        ``WRONG_VALUE``, if the request is incomplete or contradictory.
     """
     _require_sense(request, is_local=is_local)
     folder = request.folder.expanduser().absolute() if request.folder else None
@@ -201,15 +201,15 @@ def choose_target(request: RecordingRequest, *, is_local: bool) -> Target:
 
 
 def local_files(request: RecordingRequest) -> Iterator[Path]:
-    """Return the files on this computer that will do, the first best.
+    """Return possible files on this computer, the preferred one first.
 
-    A BIDS name has its run and all after it, unless its run was asked for. In a folder without
-    a name, the time is the name.
+    For a BIDS name without an explicit run, the following runs are also possible. With a folder
+    only, the name is the current time.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, if the request says too little or contradicts itself.
+        ``WRONG_VALUE``, if the request is incomplete or contradictory.
     """
     if request.recorder_folder:
         raise _wrong("--recorder-folder is for a LabRecorder on another computer; leave it out")
@@ -218,7 +218,7 @@ def local_files(request: RecordingRequest) -> Iterator[Path]:
     if folder is None:
         raise AssertionError("a request of this computer has a folder")
     if request.file is not None:
-        # As it was written: only LabRecorder's window makes it lower-case.
+        # In its original case: only LabRecorder's window converts it to lower case.
         return iter([_speakable(target.files[-1])])
     if labels is None:
         return iter([folder / time.strftime("recording-%Y%m%d-%H%M%S.xdf")])
@@ -240,7 +240,7 @@ def _plain(file: Path, folder: Path | None, recorder_folder: str, *, is_local: b
     if here is None:
         return Target(root, name)
     here = here.absolute()
-    # Some version may keep the case; on most file systems of Windows and macOS it is the same.
+    # Some versions may keep the case; on most Windows and macOS file systems it does not matter.
     files = tuple(dict.fromkeys((here.with_name(name), here)))
     return Target(root, name, {}, here.parent, files)
 
@@ -272,7 +272,7 @@ def _require_tellable(text: str) -> None:
 def _speakable(file: Path) -> Path:
     if file.suffix.lower() != SUFFIXES[0]:
         raise _wrong(f"--file {file}: the name must end in .xdf")
-    # It is run in the file's folder, so that only the name must be of such letters.
+    # The program runs in the file's folder, so only the file name must be ASCII.
     if sys.platform == "win32" and not file.name.isascii():
         raise _wrong(
             f"--file {file.name}: on Windows LabRecorder's program takes names of English letters "
@@ -287,21 +287,21 @@ def _wrong(message: str) -> ConfigError:
 
 @unique
 class RecorderReason(Enum):
-    """Why a recording was not started, or not ended as it should be."""
+    """Why a recording was not started, or not stopped properly."""
 
     NO_PROGRAM = "no_program"
-    """LabRecorder's program is not here."""
+    """LabRecorder's program is not installed."""
     UNREACHABLE = "unreachable"
-    """Nothing listens at LabRecorder's remote control, or it went away."""
+    """LabRecorder's remote control does not listen, or has closed the connection."""
     NO_REPLY = "no_reply"
-    """LabRecorder listens and does not answer: a message in its window waits for a click."""
+    """LabRecorder listens but does not answer: a message in its window waits for a click."""
     REFUSED = "refused"
-    """LabRecorder answers something else than ``OK``."""
+    """LabRecorder answers something other than ``OK``."""
     RECORDING = "recording"
     """It is recording already."""
     NOT_RECORDING = "not_recording"
     EXISTS = "exists"
-    """The file is there already."""
+    """The file exists."""
     UNWRITABLE = "unwritable"
     """The file or the state folder cannot be written."""
     STREAMS_MISSING = "streams_missing"
@@ -309,25 +309,25 @@ class RecorderReason(Enum):
     NOT_BEGUN = "not_begun"
     """The program ended, or did not open all streams in time."""
     NO_GROWTH = "no_growth"
-    """The file does not come, or does not grow."""
+    """The file is not created or does not grow."""
     STILL_GROWING = "still_growing"
     NOT_CLOSED = "not_closed"
-    """Nothing is written to the file any more, and it was not closed."""
+    """The file has stopped growing but was not closed."""
 
 
 class RecorderError(GatewayError):
-    """A recording was not started, or not ended as it should be."""
+    """A recording was not started, or not stopped properly."""
 
 
 class NotClosedError(RecorderError):
-    """A recording ended, and its file was not closed.
+    """A recording ended but its file was not closed.
 
     Attributes
     ----------
     why
-        Why that is, as far as it is known.
+        The reason, if known.
     verdict
-        What can be said of the file; None if nothing of it can be read.
+        Result of checking the file; None if it cannot be read.
     """
 
     def __init__(self, message: str, why: str, verdict: Verdict | None) -> None:
@@ -336,7 +336,7 @@ class NotClosedError(RecorderError):
 
 
 class SensorsAwayError(RecorderError):
-    """Nobody has confirmed that a recording is to begin without sensors that do not stream.
+    """Some sensors do not stream, and recording without them was not confirmed.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""Results of a recorder: how a recording was started, stands, and was ended.
+"""Results of a recorder: start, status and stop of a recording.
 
-Whoever records, the fields are the same, so that a script reads either. Of a recording that this
-computer makes by itself everything can be known, which the types of the ``Local`` ones say.
+The fields are the same for both recorders, so that a script can read either. In the ``Local``
+classes, fields that are always known have narrower types.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class By(StrEnum):
     WINDOW = "window"
     """LabRecorder's window, which cannot be asked."""
     GATEWAY = "gateway"
-    """This computer by itself."""
+    """This computer's own recorder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,19 +33,19 @@ class Started:
     Attributes
     ----------
     verified
-        Whether its file was seen to grow.
+        Whether its file was found growing.
     file
-        None if it cannot be reached from this computer; then nothing is verified.
+        None if this computer cannot access it; then nothing is verified.
     bytes, took_s
-        Its size then, and the time from the command until then.
+        Size of the file when found growing, and the time from the command until then.
     streams
-        What is recorded, as far as it is seen from here.
+        Recorded streams, as visible from this computer.
     foreign
-        Those of them that are not of this agent.
+        Streams of other programs or agents.
     warnings
         Sentences.
     left_out
-        Those of them that name what is not recorded until its end.
+        The warnings about sensors that are not recorded at all.
     """
 
     by: By
@@ -61,37 +61,37 @@ class Started:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalStarted(Started):
-    """A recording of this computer itself that was started."""
+    """A recording on this computer that was started."""
 
     file: Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """How a recording stands.
+    """The status of a recording.
 
     Attributes
     ----------
     recording
-        Whether it goes on; None if that cannot be known.
+        Whether it is running; None if unknown.
     file
-        None if it is not known.
+        None if unknown.
     started
-        Unix time in s; None if it is not known.
+        Unix time in s; None if unknown.
     bytes, streams, with_samples
-        Size of the file, number of streams in it, and of those that hold samples.
+        Size of the file, number of streams, and number of streams with samples.
     is_closed
-        Whether every stream in it was ended.
+        Whether every stream has a footer.
     is_local
-        Whether it is made on this computer; None if that is not known.
+        Whether it is made on this computer; None if unknown.
     answers
-        Whether who makes it can be reached.
+        Whether the recorder answers.
     required
-        source_ids of the streams that it must have.
+        source_ids of the streams that it must contain.
     sight
-        What is in the file so far; None if it was not read so closely, or cannot be.
+        Contents of the file so far; None if it was not or cannot be read.
     problems
-        What is wrong, the worst first.
+        Problems, the worst first.
     """
 
     by: By
@@ -111,7 +111,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalStatus(Status):
-    """How a recording of this computer itself stands."""
+    """The status of a recording on this computer."""
 
     recording: bool
     file: Path
@@ -120,20 +120,20 @@ class LocalStatus(Status):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stopped:
-    """A recording that was ended.
+    """A recording that was stopped.
 
     Attributes
     ----------
     verified
         Whether its file was found closed.
     file
-        None if it is not known, or not within reach; then nothing is verified.
+        None if unknown or not accessible; then nothing is verified.
     streams, with_samples
-        Number of streams in the file, and of those that hold samples.
+        Number of streams in the file, and number of streams with samples.
     took_s
-        From the command until the file was found closed.
+        Time from the command until the file was found closed.
     verdict
-        Whether it can be trusted; None if it was not read so closely.
+        Result of the check; None if it was not checked.
     warnings
         Sentences.
     """
@@ -151,7 +151,7 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalStopped(Stopped):
-    """A recording of this computer itself that was ended."""
+    """A recording on this computer that was stopped."""
 
     file: Path
     verdict: Verdict

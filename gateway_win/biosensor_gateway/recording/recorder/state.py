@@ -1,9 +1,9 @@
-"""Keeps what is known of recordings in the state folder.
+"""Stores information about recordings in the state folder.
 
-Of LabRecorder's window that is the recording that was started last, because it cannot be asked. Of
-our own, the starter, the supervisor and whoever stops it share a folder; whether one runs is known
-by a lock that the operating system keeps for its supervisor and gives back however that ends, so
-nobody is taken for it who got its number later.
+For LabRecorder's window it is the recording started last, because the window cannot be queried.
+For our own recordings, the processes that start, supervise and stop them share a folder. A file
+lock shows whether a supervisor runs: the operating system releases it however the process ends, so
+a later process with the same id is not mistaken for it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from biosensor_gateway.system import state_file
 
 WINDOW_FILE = "recording.json"
 WRITTEN_WITHIN_S = 60.0
-"""LabRecorder's window cannot be asked, and writes a slow stream about once a minute."""
+"""LabRecorder's window cannot be queried, and writes a slow stream about once a minute."""
 _FOLDER = "recorder"
 _POLL_S = 0.05
 _PATIENCE_S = 0.5
@@ -32,29 +32,28 @@ _DAMAGED = (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionEr
 
 @dataclass(frozen=True, slots=True)
 class SavedRecording:
-    """A recording of this computer, as its supervisor saves it.
+    """A recording made on this computer, as saved by its supervisor.
 
     Attributes
     ----------
     file
         Absolute path.
     required
-        source_ids that it must have.
+        source_ids that it must contain.
     started
         Unix time in s.
     program
-        Process number of the program that records; 0 before it runs.
+        Process id of the recording program; 0 before it runs.
     ended
-        Unix time in s; 0 while it runs, and for ever if the supervisor was killed.
+        Unix time in s; 0 while it runs, and also if the supervisor was killed.
     code
         Exit code of the program; None while it runs.
     problem
-        Why it ended without having been asked to; empty if it was asked.
+        Why it ended without a request; empty if it was stopped on request.
     recorder
-        What the program is, for a sentence.
+        Name of the program in sentences.
     without
-        source_ids of the sensors that did not stream when it was begun all the same, which a person
-        has confirmed.
+        source_ids of the sensors that did not stream at the start, which the user confirmed.
     command
         The program's command line.
     """
@@ -72,12 +71,12 @@ class SavedRecording:
 
     @classmethod
     def read(cls, path: Path) -> SavedRecording:
-        """Read one that this version or an earlier one has saved.
+        """Read a recording that this or an earlier version saved.
 
         Raises
         ------
         OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError
-            If there is none, or it is damaged.
+            If it does not exist or is damaged.
         """
         content: dict[str, Any] = json.loads(state_file.read(path))
         code = content["code"]
@@ -96,7 +95,7 @@ class SavedRecording:
 
 
 class RecorderFolder:
-    """The files that starter, supervisor and stopper share, in the state folder."""
+    """The files in the state folder that start, supervise and stop a recording."""
 
     def __init__(self, state: Path) -> None:
         self.path = state / _FOLDER
@@ -110,11 +109,11 @@ class RecorderFolder:
 
     @property
     def is_running(self) -> bool:
-        """Whether a supervisor is at work."""
+        """Whether a supervisor runs."""
         return not self.wait_until_free(0.0)
 
     def wait_until_free(self, limit_s: float) -> bool:
-        """Wait until no supervisor is at work; return whether that came in time."""
+        """Wait until no supervisor runs; return False after the time limit."""
         if not self._lock_file.exists():
             return True
         lock = self._lock()
@@ -123,13 +122,13 @@ class RecorderFolder:
         except Timeout:
             return False
         except OSError:
-            # Whoever cannot have the lock here records without it.
+            # Where a lock is impossible, recordings run without it.
             return True
         lock.release()
         return True
 
     def try_lock(self) -> FileLock | None:
-        """Take the lock; None if a supervisor has it. Who only looks has it for an instant."""
+        """Take the lock; None if a supervisor has it. A mere check holds it for an instant."""
         lock = self._lock()
         try:
             lock.acquire(timeout=_PATIENCE_S, poll_interval=_POLL_S)
@@ -138,16 +137,16 @@ class RecorderFolder:
         return lock
 
     def _lock(self) -> FileLock:
-        # The stand-in for file systems without locks would outlive a killed supervisor.
+        # The fallback for file systems without locks would outlive a killed supervisor.
         return FileLock(self._lock_file, fallback_to_soft=False)
 
     def hand_over(self, recording: SavedRecording, lsl_config: str) -> None:
-        """Write down what a supervisor is to record.
+        """Write the request for a supervisor.
 
         Raises
         ------
         OSError
-            It cannot be written.
+            If it cannot be written.
         """
         state_file.make_folder(self.path)
         for old in (self._stop, self._saved, self.output):
@@ -156,50 +155,50 @@ class RecorderFolder:
         state_file.replace(self._request, json.dumps(asdict(recording)))
 
     def requested(self) -> SavedRecording:
-        """Return what the supervisor is to record."""
+        """Return the recording that the supervisor should make."""
         return SavedRecording.read(self._request)
 
     def save(self, recording: SavedRecording) -> None:
-        """Write down how the recording stands."""
+        """Save the state of the recording."""
         state_file.replace(self._saved, json.dumps(asdict(recording)))
 
     def saved(self) -> SavedRecording | None:
-        """Return how the recording stands that was begun last; None if it is over for all."""
+        """Return the state of the last recording; None if it is over and was forgotten."""
         try:
             return SavedRecording.read(self._saved)
         except _DAMAGED:
             return None
 
     def forget(self) -> None:
-        """Say that everybody knows that the recording is over."""
+        """Delete the state of a recording whose end has been reported."""
         with contextlib.suppress(OSError):
             self._saved.unlink()
 
     def ask_to_stop(self, *, at_once: bool = False) -> None:
-        """Ask the supervisor to end the recording; *at_once* if nothing of it is wanted.
+        """Request the end of the recording; *at_once* if its file is discarded.
 
         Raises
         ------
         OSError
-            It cannot be written.
+            If it cannot be written.
         """
         state_file.replace(self._stop, _AT_ONCE if at_once else "")
 
     @property
     def is_asked_to_stop(self) -> bool:
-        """Whether somebody wants the recording to end."""
+        """Whether an end of the recording was requested."""
         return self._stop.exists()
 
     @property
     def is_given_up(self) -> bool:
-        """Whether whoever wants it to end wants nothing of it."""
+        """Whether its file is to be discarded."""
         try:
             return state_file.read(self._stop) == _AT_ONCE
         except OSError:
             return False
 
     def printed(self) -> str:
-        """Return what the program has printed so far."""
+        """Return the program's output so far."""
         try:
             return self.output.read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -208,7 +207,7 @@ class RecorderFolder:
 
 @dataclass(frozen=True, slots=True)
 class WindowRecording:
-    """A recording that was started from here at a LabRecorder.
+    """A recording in LabRecorder's window that was started from here.
 
     Attributes
     ----------
@@ -226,7 +225,7 @@ class WindowRecording:
     started: float
 
     def save(self, state: Path) -> str:
-        """Keep it in the state folder; return what went wrong, empty if nothing did."""
+        """Save it in the state folder; return what went wrong, empty if nothing."""
         try:
             state_file.replace(state / WINDOW_FILE, json.dumps(asdict(self)))
         except OSError as error:
@@ -238,40 +237,40 @@ class WindowRecording:
 
     @classmethod
     def last(cls, state: Path) -> WindowRecording | None:
-        """Return the one that was started last at any LabRecorder, if it is not over."""
+        """Return the recording started last in any LabRecorder, unless it is over."""
         try:
             content: dict[str, Any] = json.loads((state / WINDOW_FILE).read_text(encoding="utf-8"))
             host, port = str(content["host"]), int(content["port"])
             return cls(host, port, str(content["file"]), float(content["started"]))
         except _DAMAGED:
-            # Nothing, or nothing that can be used: then it is as if it was started by hand.
+            # Without a usable file, it is treated as started by hand.
             return None
 
     @classmethod
     def last_at(cls, state: Path, host: str, port: int) -> WindowRecording | None:
-        """Return the one that was started last at this LabRecorder, if it is not over."""
+        """Return the recording started last in this LabRecorder, unless it is over."""
         last = cls.last(state)
         is_same = last and (_canonical(last.host), last.port) == (_canonical(host), port)
         return last if is_same else None
 
     @staticmethod
     def forget(state: Path) -> None:
-        """Say that the recording is over."""
+        """Delete the saved recording, because it is over."""
         with contextlib.suppress(OSError):
             (state / WINDOW_FILE).unlink()
 
 
 def _canonical(host: str) -> str:
-    """Give the names of this computer by which everybody calls it one form."""
+    """Return the same form for all usual names of this computer."""
     lower = host.lower()
     return "localhost" if lower in {"127.0.0.1", "::1"} else lower
 
 
 def file_going_on(state: Path) -> Path | None:
-    """Return the file that is recorded to now, for whoever is about to change what is recorded.
+    """Return the file being recorded, to warn before sensors are changed.
 
-    That is the recording of this computer itself, or what LabRecorder's window was told to record
-    by ``record start``; None if none is known.
+    It is this computer's own recording, or the recording in LabRecorder's window that ``record
+    start`` started; None if none is known.
     """
     folder = RecorderFolder(state)
     saved = folder.saved() if folder.is_running else None

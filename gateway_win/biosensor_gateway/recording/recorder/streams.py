@@ -1,4 +1,4 @@
-"""Lists the streams in the network, whose they are, and what a recording of them would miss."""
+"""Lists the streams in the network, and those that a recording would miss."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.gateway import GATEWAY
 
 SEARCH_S = 2.0
-"""Streams answer in waves; LabRecorder itself looks for one second."""
+"""Answers come in waves; LabRecorder itself searches for one second."""
 SEARCH_LIMIT_S = 8.0
-"""For those that are expected."""
+"""Limit for expected streams."""
 _MOST_NAMED = 20
 
 Devices = Sequence[Mapping[str, Any]]
-"""The devices of the agent, as its status has them; None in their place if no agent runs."""
+"""The devices in the agent's status; None instead if no agent runs."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -47,20 +47,20 @@ class VisibleStream:
 
     @property
     def title(self) -> str:
-        """As LabRecorder lists it."""
+        """Its name in LabRecorder's list."""
         return f"{self.name} ({self.host})"
 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedDevice:
-    """A device whose streams are to be recorded.
+    """A device whose streams should be recorded.
 
     Attributes
     ----------
     why
-        What the agent says of it, if it does not stream.
+        Its state according to the agent, if it does not stream.
     away
-        How and since when it does not stream, as the agent says; empty if it does.
+        Why and since when it does not stream, according to the agent; empty if it streams.
     """
 
     title: str
@@ -72,20 +72,20 @@ class ExpectedDevice:
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """The streams there are, against those that should be there.
+    """The visible streams, compared with the expected ones.
 
     Attributes
     ----------
     foreign
-        Those of other programs, or of agents on other computers.
+        Streams of other programs, or of agents on other computers.
     missing
-        One sentence part a device of which streams are not seen that should be there.
+        One clause per device with expected streams that are not visible.
     worn
-        Who wears the devices of which there is a stream.
+        Participants of the devices with visible streams.
     away
-        One sentence part a device that does not stream, by what the agent says.
+        One clause per device that does not stream, according to the agent.
     away_ids
-        source_ids of all their streams.
+        source_ids of all streams of these devices.
     """
 
     visible: tuple[VisibleStream, ...]
@@ -97,7 +97,7 @@ class Presence:
 
 
 def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDevice, ...]:
-    """Return the devices of the running agent; without one, those of the settings.
+    """Return the devices of the running agent, or without an agent those of the settings.
 
     Raises
     ------
@@ -139,14 +139,14 @@ def _expected(identity: DeviceIdentity, data_names: Iterable[str], why: str) -> 
 
 
 def look(settings: GatewaySettings, state: Path) -> Presence:
-    """Look for streams until all expected ones are seen, at least for two seconds.
+    """Search for streams until all expected ones are found, for at least two seconds.
 
     Parameters
     ----------
     settings
-        Its LSL section is how this process takes part, if it did not before.
+        Its LSL section configures this process, unless that was done before.
     state
-        The state folder of the agent, whose streams are ours.
+        State folder of the agent whose streams count as ours.
     """
     from biosensor_common.lsl.network import configure_lsl  # noqa: PLC0415 - as pylsl
 
@@ -170,7 +170,7 @@ def look(settings: GatewaySettings, state: Path) -> Presence:
 
 
 def _search(needed: frozenset[str]) -> tuple[VisibleStream, ...]:
-    # Only now: help, and what was recorded, do without the library.
+    # Imported here, because help and past recordings do not need the library.
     from biosensor_common.lsl.network import Streams, search  # noqa: PLC0415
 
     def is_enough(found: Streams, elapsed_s: float) -> bool:
@@ -191,7 +191,7 @@ def _missing(device: ExpectedDevice, present: set[str]) -> str:
 
 
 def titles(streams: Iterable[VisibleStream]) -> str:
-    """Name streams, or the first of many."""
+    """Return the titles of streams, or of the first ones if there are many."""
     named = [stream.title for stream in streams]
     more = len(named) - _MOST_NAMED
     return ", ".join(named[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
@@ -200,7 +200,7 @@ def titles(streams: Iterable[VisibleStream]) -> str:
 def require_startable(
     presence: Presence, wanted: Sequence[VisibleStream], request: RecordingRequest
 ) -> None:
-    """Refuse to record the wanted streams if something is amiss that the request does not confirm.
+    """Raise an error if something is wrong that the request does not confirm.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def require_startable(
     RecorderError
         ``STREAMS_MISSING``.
     OtherParticipantsError
-        If the file is called after somebody else than who wears the sensors.
+        If the file's name has another participant than the sensors.
     """
     if presence.away and not request.without_away:
         raise SensorsAwayError(presence.away)
@@ -233,13 +233,13 @@ def require_startable(
 
 
 def recorded_without(what: Sequence[str]) -> Iterator[str]:
-    """Name what is missing in a recording that begins all the same."""
+    """Yield a sentence about what is missing in a recording that starts anyway."""
     if what:
         yield f"recorded without: {'; '.join(what)}"
 
 
 def excused(devices: Devices | None, started: float) -> frozenset[str]:
-    """Return the source_ids that may say nothing: switched off, or of a sensor known to be away."""
+    """Return the source_ids that may be silent: switched off, or of a sensor known to be away."""
     away = (each.sources for each in absences(devices or ()) if _is_known(each, started))
     silent = (
         source
@@ -253,14 +253,14 @@ def excused(devices: Devices | None, started: float) -> frozenset[str]:
 def away_findings(
     devices: Devices | None, recorded: Collection[str], started: float
 ) -> Iterator[Finding]:
-    """Name the sensors of which nothing is recorded now.
+    """Yield findings about sensors that are not being recorded now.
 
     Parameters
     ----------
     recorded
-        The source_ids that the file has; empty while nobody knows them.
+        The source_ids in the file; empty while unknown.
     started
-        When the recording began, in Unix time.
+        Start of the recording in Unix time.
     """
     if devices is None:
         text = "the agent does not run, so nothing of its sensors is recorded"
@@ -281,6 +281,6 @@ def away_findings(
 
 
 def _is_known(absence: Absence, started: float) -> bool:
-    """Whether a person has wanted it: paused it, or begun to record without it."""
+    """Whether the user knows: paused the sensor, or started recording without it."""
     was_before = absence.since is not None and absence.since <= started
     return absence.is_paused or absence.is_partial or was_before

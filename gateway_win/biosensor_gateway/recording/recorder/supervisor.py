@@ -1,8 +1,8 @@
-"""The process that runs the program that records, and ends it when somebody asks.
+"""The process that runs the recording program, and ends it on request.
 
-The program records until a line comes in, or its input ends. A supervisor holds that input, so that
-a recording goes on when the terminal or page that began it dies. If the supervisor itself is
-killed, the input ends with it, and the program closes its file.
+The program records until it reads a line or its input ends. The supervisor holds that input, so a
+recording continues when the terminal or page that started it ends. If the supervisor itself is
+killed, the input ends and the program closes its file.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.child import start_beside
 
 SUPERVISE = "keep-recording"
-"""First argument of the command line that is a supervisor; the second is the state folder."""
+"""First argument of a supervisor's command line; the second is the state folder."""
 END_S = 60.0
-"""LabRecorder's waits up to five seconds for each of its threads."""
+"""LabRecorder's program waits up to five seconds for each of its threads."""
 _GIVEN_UP_S = 5.0
-"""For one whose file nobody wants."""
+"""Limit if the file is discarded anyway."""
 _POLL_S = 0.1
 _ALREADY, _NOT_RUN = 3, 4
 
@@ -39,7 +39,7 @@ def launch(state: Path) -> None:
     Raises
     ------
     OSError
-        It cannot be started.
+        If it cannot be started.
     """
     folder = RecorderFolder(state)
     with folder.supervisor_log.open("wb") as log:
@@ -47,7 +47,7 @@ def launch(state: Path) -> None:
 
 
 def supervise(state: Path) -> int:
-    """Record what the state folder requests; return the exit code of this process."""
+    """Make the recording requested in the state folder; return the exit code."""
     folder = RecorderFolder(state)
     lock = folder.try_lock()
     if lock is None:
@@ -83,8 +83,8 @@ class _Supervisor:
         self._folder.save(replace(recording, ended=time.time(), code=code, problem=problem))
 
     def _start(self, recording: SavedRecording) -> subprocess.Popen[bytes]:
-        # A service that ends tells all its processes, and only the supervisor is to decide. What is
-        # ignored stays so in the program that is started.
+        # A service that stops signals all its processes, but only the supervisor should end the
+        # program. Ignored signals stay ignored in the program that is started.
         for number in _requests():
             signal.signal(number, signal.SIG_IGN)
         with self._folder.output.open("wb") as output:
@@ -93,22 +93,23 @@ class _Supervisor:
                 stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                # On Windows a path that it is given loses letters, its folder does not.
+                # On Windows the program garbles letters of a path argument, but not of its working
+                # folder.
                 cwd=Path(recording.file).parent,
                 env=_environment(self._folder.lsl_config),
                 creationflags=NO_WINDOW,
-                # Else a limit on the size of files would kill it.
+                # Otherwise a limit on the size of files would kill it.
                 restore_signals=False,
             )
         for number in _requests():
             signal.signal(number, lambda _number, _frame: self._request_end())
         if sys.platform == "win32":
-            # The recorder's program would be ended like any other, with its file open.
+            # Otherwise Windows ends the recording program like any other, with its file open.
             windows_shutdown.watch(self._request_end, before_others=True)
         return process
 
     def _end(self, process: subprocess.Popen[bytes], recording: SavedRecording) -> str:
-        """Have the program close its file; return what went wrong."""
+        """End the program, which closes its file; return what went wrong."""
         limit_s = _GIVEN_UP_S if self._folder.is_given_up else END_S
         send(process, b"\n")
         close_input(process)
@@ -131,7 +132,7 @@ class _Supervisor:
 
 
 def _environment(lsl_config: Path) -> Mapping[str, str]:
-    # LabRecorder's program loses letters of a name that its code page lacks.
+    # LabRecorder's program garbles letters of a path that its code page lacks.
     folder = ansi_folder(lsl_config.parent) or lsl_config.parent
     environment = {**os.environ, "LSLAPICFG": str(folder / lsl_config.name)}
     libraries = library_folder()

@@ -1,8 +1,8 @@
-"""Plays a recording as LSL streams, sample by sample as it was recorded.
+"""Replays a recording as LSL streams, sample by sample with the original timing.
 
-:mod:`.source` opens what is to be played; :mod:`.live` looks whether a real stream, for which a
-played one could be taken, is on the network; :mod:`.outlet` offers one stream with the header as
-it was recorded, and :mod:`.player` sends all of them in time, by :mod:`.timeline`;
-:mod:`.lateness` counts how late that was. :mod:`.playing` puts these together, for the command
-and for :mod:`.player_process`, which plays for the page and tells it by :mod:`.told`.
+:mod:`.source` opens the recording; :mod:`.outlet` offers one stream with its recorded header, and
+:mod:`.player` sends the samples of all streams on time and measures how late they are.
+:mod:`.playing` combines these for the command and for :mod:`.player_process`, and refuses a replay
+that could be mistaken for a real stream on the network. The player process plays for the page and
+reports to it with the messages in :mod:`.told`.
 """

@@ -1,4 +1,4 @@
-"""Offers one recorded stream again."""
+"""Offers one recorded stream as an LSL outlet."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.samples import Texts
 
-# The fields of this computer. LSL puts its own texts in place of these, but only where one is;
-# an address that is not empty it would believe.
+# Fields about the sending computer. LSL only fills in those that exist, and would keep an old
+# address, so they are present but empty.
 _BLANK = {
     "version": "1.1",
     "created_at": "0",
@@ -39,10 +39,10 @@ _BLANK = {
 
 
 def played_description(header: RecordedHeader, source_id: str, replay: Replay) -> str:
-    """Return the full description of a stream that is to be played, as XML.
+    """Return the full XML description of a stream to play.
 
-    It is the recorded one, with everything in ``desc`` as it was. At another speed the nominal
-    rate is that of the stamps, else every receiver would miss samples, or find too many.
+    It is the recorded description with ``desc`` unchanged. At a different speed, the nominal rate
+    is scaled to match the timestamps; otherwise receivers would report missing or surplus samples.
     """
     root = ET.Element("info")
     fields = {
@@ -66,10 +66,10 @@ Tap = Callable[[NDArray[np.float64], NDArray[Any]], None]
 
 
 class Block(Protocol):
-    """Some samples of a stream, which go out part by part."""
+    """A block of samples, which is sent in parts."""
 
     def push(self, begin: int, end: int) -> None:
-        """Send some of them, `end` excluded."""
+        """Send the samples from `begin` to before `end`."""
         ...
 
 
@@ -83,10 +83,10 @@ class _Texts:
 
 
 class _Numbers:
-    """Keeps where samples stand in memory.
+    """Sends numeric samples by their memory addresses.
 
-    To find that out with each sample of each of many streams, as pylsl does, takes longer than LSL
-    takes to take them in.
+    With many streams, looking up the addresses for every sample, as pylsl does, takes longer than
+    the push itself.
     """
 
     def __init__(
@@ -97,13 +97,13 @@ class _Numbers:
         form: ChannelFormat,
     ) -> None:
         self._push, self._outlet = _PUSHES[form], outlet
-        # They stay as long as their addresses are used.
+        # Kept alive as long as their addresses are used.
         self._values, self._stamps = np.ascontiguousarray(values), np.ascontiguousarray(stamps)
         self._values_at, self._stamps_at = self._values.ctypes.data, self._stamps.ctypes.data
 
     def push(self, begin: int, end: int) -> None:
         count, channels = end - begin, self._values.shape[1]
-        # It has no error but that of a number of values that are no samples.
+        # Its only possible error is a number of values that does not fit the channels.
         self._push(
             self._outlet.obj,
             self._values_at + begin * channels * self._values.itemsize,
@@ -115,7 +115,7 @@ class _Numbers:
 
 
 class _Tapped:
-    """Shows what is sent to somebody else, too."""
+    """Passes the samples sent to a callback, too."""
 
     def __init__(
         self, block: Block, tap: Tap, stamps: NDArray[np.float64], values: NDArray[Any]
@@ -129,7 +129,7 @@ class _Tapped:
 
 
 def _push_function(letter: str) -> Callable[..., int]:
-    # Not the one that pylsl uses: it knows no types of arguments.
+    # A function object other than pylsl's, because argument types are declared on it.
     function = lib[f"lsl_push_chunk_{letter}tnp"]
     pointer = ctypes.c_void_p
     function.argtypes = (pointer, pointer, ctypes.c_ulong, pointer, ctypes.c_int32)
@@ -147,13 +147,13 @@ _PUSHES = {
 
 
 class PlayedOutlet:
-    """An outlet like the recorded one; it is on the network from the beginning.
+    """An outlet like the recorded one; it is visible on the network at once.
 
     Attributes
     ----------
     tap
-        Is given stamps, shape (n,), and values, shape (n, n_channels), of what was sent; of text
-        there are no channels.
+        Called with the timestamps, shape (n,), and values, shape (n, n_channels), that were sent;
+        values of text streams have no channels.
 
     Raises
     ------
@@ -174,12 +174,12 @@ class PlayedOutlet:
             raise ReplayError(ReplayReason.NO_OUTLET, message) from error
 
     def block(self, samples: Samples, stamps: NDArray[np.float64]) -> Block:
-        """Return what sends samples.
+        """Return a block that sends samples.
 
         Parameters
         ----------
         stamps : ndarray of float64, shape (n_samples,)
-            LSL times of now.
+            LSL times to send.
         """
         if isinstance(samples.values, list):
             block: Block = _Texts(self._outlet, samples.values, stamps)
@@ -190,7 +190,7 @@ class PlayedOutlet:
         return block if self.tap is None else _Tapped(block, self.tap, stamps, shown)
 
     def has_receiver(self) -> bool:
-        """Whether anybody receives it."""
+        """Whether it has a receiver."""
         return self._outlet.have_consumers()
 
 
@@ -199,6 +199,6 @@ def _info(description: str) -> pylsl.StreamInfo:
     function.restype, function.argtypes = ctypes.c_void_p, (ctypes.c_char_p,)
     info = pylsl.StreamInfo(handle=function(description.encode()))
     if not info.channel_count():
-        # LSL says why in place of the name.
+        # On failure, LSL returns the reason in place of the name.
         raise RuntimeError(info.name())
     return info

@@ -1,4 +1,4 @@
-"""Sends the samples of all streams in time, from one thread."""
+"""Sends the samples of all streams on time, from one thread."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason
 from biosensor_gateway.recording.xdf.container import Damage
 
 PACE_S = 0.002
-"""What is due within this time is sent together, so that many streams cost no more than few."""
+"""Samples due within this time are sent together, so many streams cost little more than few."""
 LAP_PAUSE_S = 1.0
-"""Between the end and the next begin, by the clock of now: a gap, as between two recordings."""
-# LSL sends from threads of its own, and drops what it has not sent when an outlet ends.
+"""Pause between two rounds in real time, like the gap between two recordings."""
+# LSL sends from its own threads, and drops unsent samples when an outlet closes.
 _LINGER_S = 1.0
 _LEAD_S = 0.05
 _LOOK_S = 0.05
 BIN_S = 0.0001
 _BINS = 100_000
-# Folded together only now and then: a block has a sample or two.
+# Blocks of one or two samples are added to the histogram in groups, which is faster.
 _MOST_BLOCKS = 1024
 
 
@@ -46,9 +46,9 @@ class Order:
     Attributes
     ----------
     speed
-        Seconds of the recording in one second, above 0.
+        Seconds of the recording per second, above 0.
     loop
-        Whether to begin again at the end, until stopped.
+        Whether to start again at the end, until stopped.
     waits
         Whether to wait until each stream has a receiver.
     as_original
@@ -63,14 +63,14 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where the player is; times in seconds of the recording.
+    """Progress of the player; times in seconds of the recording.
 
     Attributes
     ----------
     lap
-        How often it has begun, 0 while it waits for receivers.
+        Number of rounds started, 0 while it waits for receivers.
     received
-        How many streams somebody receives.
+        Number of streams with a receiver.
     """
 
     lap: int
@@ -81,28 +81,28 @@ class Progress:
 
 
 class Player:
-    """Plays what was chosen of an open recording.
+    """Plays a selection from an open recording.
 
     Parameters
     ----------
     chosen
-        The recording must stay open.
+        Selection from a recording that must stay open.
     file_hash
-        What tells this recording from others.
+        Identifies the recording.
 
     Attributes
     ----------
     streams
-        Those that are played, also such as hold nothing: a receiver may wait for them.
+        Streams to play, including empty ones, because a receiver may wait for them.
     left_out
-        Those that are not played, for their stamps are on no LSL clock.
+        Streams that are not played, because they are not on an LSL clock.
     lateness
-        Of all samples that were sent.
+        Lateness of all samples sent.
 
     Raises
     ------
     ReplayError
-        ``EMPTY``, if no stream holds a sample in the span of time.
+        ``EMPTY``, if no stream has samples in the time range.
     """
 
     def __init__(self, chosen: Chosen, order: Order, file_hash: str) -> None:
@@ -122,17 +122,17 @@ class Player:
 
     @property
     def damages(self) -> tuple[Damage, ...]:
-        """What of the recording cannot be played."""
+        """Parts of the recording that cannot be played."""
         return self._chosen.contents.damages
 
     @property
     def recorded_ids(self) -> list[str]:
-        """source_ids of the streams when they were measured; some may be empty."""
+        """source_ids of the streams when they were recorded; some may be empty."""
         return [_recorded_id(each) for each in self.streams]
 
     @property
     def own_ids(self) -> list[str]:
-        """source_ids of the streams as they are played."""
+        """source_ids of the played streams."""
         recorded = self.recorded_ids
         if self._order.as_original:
             return recorded
@@ -146,7 +146,7 @@ class Player:
         ]
 
     def offer(self) -> None:
-        """Put all streams on the network; nothing is sent yet.
+        """Offer all streams on the network, without sending samples yet.
 
         Raises
         ------
@@ -165,15 +165,15 @@ class Player:
             self._outlets[stream.number] = PlayedOutlet(header, source_id, replay)
 
     def watch(self, tap: Callable[[str, NDArray[np.float64], NDArray[Any]], None]) -> None:
-        """Have a function given what is sent, with the source_id it is sent under.
+        """Set a callback for the samples sent, with their source_id.
 
-        Call it after `offer`; see `PlayedOutlet.tap`. It is called from the thread that plays.
+        Call this after `offer`. The callback runs in the playing thread; see `PlayedOutlet.tap`.
         """
         for outlet, source_id in zip(self._outlets.values(), self.own_ids, strict=True):
             outlet.tap = partial(tap, source_id)
 
     def progress(self) -> Progress:
-        """Return where it is; may be called from any thread."""
+        """Return the progress; may be called from any thread."""
         return Progress(
             lap=self._lap,
             position_s=self._position_s - self.begin_s,
@@ -183,7 +183,7 @@ class Player:
         )
 
     def run(self, stopping: threading.Event) -> None:
-        """Play to the end, or until it is to stop; call it once, after `offer`.
+        """Play to the end, or until `stopping` is set; call it once, after `offer`.
 
         Raises
         ------
@@ -222,7 +222,7 @@ class Player:
         ]
 
     def _play(self, tracks: Sequence[Track], timeline: Timeline, stopping: threading.Event) -> None:
-        # The number tells tracks apart that are due at the same time.
+        # The number breaks ties between tracks due at the same time.
         due = [(each.due_s, number) for number, each in enumerate(tracks)]
         heapq.heapify(due)
         while due and due[0][0] < math.inf and not stopping.is_set():
@@ -232,7 +232,7 @@ class Player:
                 number = due[0][1]
                 stamps = tracks[number].send(until_s, timeline)
                 self._sent += len(stamps)
-                # What a device had told long before goes first, at once.
+                # Samples older than the recording, such as a device's state, are sent first.
                 self.lateness.add(pylsl.local_clock(), stamps, timeline.start_s)
                 heapq.heapreplace(due, (tracks[number].due_s, number))
             wait_s = (due[0][0] - until_s) / timeline.speed
@@ -246,7 +246,7 @@ def _recorded_id(stream: Stream) -> str:
 
 
 class Lateness:
-    """A histogram of 0.1 ms, so that hours of samples take no more memory than a second."""
+    """A histogram in steps of 0.1 ms, whose memory does not grow with the recording."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
@@ -254,15 +254,15 @@ class Lateness:
         self._most_s = 0.0
 
     def add(self, sent_s: float, stamps: NDArray[np.float64], since_s: float = -math.inf) -> None:
-        """Take in samples.
+        """Add samples.
 
         Parameters
         ----------
         sent_s
-            LSL time at which they had been given to LSL.
+            LSL time at which they had been passed to LSL.
         stamps : ndarray of float64, shape (n_samples,)
         since_s
-            What is stamped before that was late by intent, and is not counted.
+            Samples with earlier timestamps are late on purpose and not counted.
         """
         self._blocks.append((sent_s, since_s, stamps))
         if len(self._blocks) >= _MOST_BLOCKS:
@@ -270,12 +270,12 @@ class Lateness:
 
     @property
     def most_s(self) -> float:
-        """How late the latest sample was."""
+        """The largest lateness of a sample."""
         self._fold()
         return self._most_s
 
     def percentile_s(self, percent: float) -> float:
-        """Return within which time so many of the samples were sent; 0 if there are none."""
+        """Return a percentile of the lateness; 0 without samples."""
         self._fold()
         sums: NDArray[np.int64] = np.cumsum(self._counts)
         if not sums[-1]:
@@ -297,7 +297,7 @@ class Lateness:
 
 
 class Track:
-    """Reads a stream chunk by chunk, the next one as soon as the last one has been sent.
+    """Reads a stream chunk by chunk, each as soon as the previous one was sent.
 
     Parameters
     ----------
@@ -307,8 +307,8 @@ class Track:
     Attributes
     ----------
     due_s
-        When its next sample was recorded, infinite after the last. One whose stamp runs back
-        goes out with the one before it.
+        Time of its next sample in the recording, infinite after the last. A sample with an earlier
+        timestamp than the previous one is sent together with it.
 
     Raises
     ------
@@ -327,17 +327,17 @@ class Track:
         self._read()
 
     def send(self, until_s: float, timeline: Timeline) -> NDArray[np.float64]:
-        """Send what is due of the present chunk.
+        """Send the samples of the current chunk that are due.
 
         Parameters
         ----------
         until_s
-            Time of the recording, from `due_s` on.
+            Time in the recording, at least `due_s`.
 
         Returns
         -------
         ndarray of float64, shape (n_samples,)
-            Stamps of what was sent.
+            Timestamps of the samples sent.
         """
         if self._samples is None:
             return np.empty(0)
@@ -359,9 +359,9 @@ class Track:
         if self._samples is None:
             self.due_s = math.inf
             return
-        # From the chunk before on, so that a chunk that begins earlier goes out at once.
+        # Not before the previous chunk, so that an earlier chunk is sent at once.
         due = np.maximum.accumulate(np.maximum(self._samples.times, self.due_s))
-        # Asked for one by one, numbers of Python are three times as fast as those of numpy.
+        # Accessed one by one, Python floats are three times as fast as numpy scalars.
         self._due = due.tolist()
         self.due_s = self._due[0]
 
@@ -373,11 +373,11 @@ class Timeline:
     Attributes
     ----------
     start_s
-        LSL time, now, at which the recording's `begin_s` is played.
+        Current LSL time at which the recording's `begin_s` is played.
     begin_s
-        LSL time on the clock of the computer that recorded.
+        LSL time on the recorder's clock.
     speed
-        Seconds of the recording in one second, above 0.
+        Seconds of the recording per second, above 0.
     """
 
     start_s: float
@@ -385,15 +385,15 @@ class Timeline:
     speed: float
 
     def stamps(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return when samples are played.
+        """Return the LSL times at which samples are played.
 
         Parameters
         ----------
         times : ndarray of float64, shape (n_samples,)
-            When they were recorded.
+            Their times in the recording.
         """
         return self.start_s + (times - self.begin_s) / self.speed
 
     def recorded(self, lsl_s: float) -> float:
-        """Return the time of the recording that is played at an LSL time."""
+        """Return the time in the recording that is played at an LSL time."""
         return self.begin_s + (lsl_s - self.start_s) * self.speed

@@ -1,8 +1,8 @@
-"""Plays a recording in a process of its own, for a program that shows it.
+"""Plays a recording in a separate process, for a program that displays it.
 
-What to play comes as a line of JSON, and the end of the input ends the replay, however the
-program that started it ends. The output has frames as the agent's feed has them, see
-`biosensor_gateway.agent.feed_frames`: in each ``STATUS`` is the JSON of `Told`.
+The process reads its job as a line of JSON. The end of its input ends the replay, also when the
+program that started it crashes. The output consists of frames as in the agent's feed, see
+`biosensor_gateway.agent.feed_frames`; each ``STATUS`` contains a `Told` as JSON.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _ALLOWED_BY = "tick 'also beside the real sensors'"
 
 
 def play_for_another() -> int:
-    """Play what the input asks for; return the exit code of this process."""
+    """Play the job on standard input; return the exit code of this process."""
     job = ReplayJob.model_validate_json(first_line())
     configure_lsl(job.lsl.overrides)
     stopping = threading.Event()
@@ -56,7 +56,7 @@ def play_for_another() -> int:
 
 
 def _play(job: ReplayJob, stopping: threading.Event, teller: _Teller) -> list[str]:
-    """Play to the end; return what is to be said of it."""
+    """Play to the end; return sentences about the result."""
     with prepared(job.wanted, _ALLOWED_BY) as player:
         known = [*words.damaged(player.damages), *words.left_out(player)]
         player.watch(teller.put)
@@ -67,7 +67,7 @@ def _play(job: ReplayJob, stopping: threading.Event, teller: _Teller) -> list[st
 
 
 class _Teller:
-    """Writes frames from a thread of its own: a reader that is slow delays no sample."""
+    """Writes frames from a separate thread, so that a slow reader does not delay samples."""
 
     def __init__(self, output: BinaryIO) -> None:
         self._output = output
@@ -76,20 +76,20 @@ class _Teller:
         self.progress = ReplayProgress()
 
     def put(self, source_id: str, stamps: NDArray[np.float64], values: NDArray[Any]) -> None:
-        """Tell what was sent, soon."""
+        """Queue samples that were sent."""
         message = samples_frame(source_id, stamps.tolist(), values)
         with self._lock:
             self._waiting.put(message, len(stamps))
 
     def tell(self, told: Told) -> None:
-        """Say how it goes, after what waits; not if nobody listens any more."""
+        """Write a status after the queued frames; does nothing after the reader has gone."""
         with self._lock:
             self._waiting.put(frame(FrameKind.STATUS, told.model_dump_json().encode()), 0)
         self._flush()
 
     @contextmanager
     def following(self, player: Player, said: list[str]) -> Generator[None]:
-        """Tell of a player while the context lasts."""
+        """Report the state of a player while the context is open."""
         is_over = threading.Event()
 
         def note() -> None:
@@ -131,5 +131,5 @@ class _Teller:
             self._output.write(messages)
             self._output.flush()
         except OSError:
-            # Its reader has died, and the end of the input says so, too.
+            # The reader has died, which also ends the input and so the replay.
             return

@@ -1,4 +1,4 @@
-"""Gets a recording ready to be played, for the command and for the page."""
+"""Prepares a replay, for the command and for the page."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from biosensor_gateway.recording.replay.source import (
 )
 
 SEARCH_S = 2.0
-"""LSL asks the network several times in this time; one answer may get lost."""
+"""LSL sends several queries in this time, because an answer may get lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What to play, and how; `may_be_beside`: although the real streams are here, too."""
+    """What to play and how; `may_be_beside` allows it while the real streams are visible."""
 
     file: Path
     wish: Wish
@@ -33,26 +33,26 @@ class Wanted:
 
 @contextmanager
 def prepared(wanted: Wanted, allowed_by: str) -> Generator[Player]:
-    """Open a recording, see that it may be played, and put its streams on the network.
+    """Open a recording, check that it may be replayed, and offer its streams.
 
     Parameters
     ----------
     allowed_by
-        How to play although a real stream is there, for the sentence that refuses it.
+        For the error message: how to allow a replay while a real stream is visible.
 
     Yields
     ------
     Player
-        To be run.
+        Ready to run.
 
     Raises
     ------
     BagError, RecordingError
         If the file cannot be read.
     ConfigError
-        If what is wanted is not in it.
+        If the selection is not in it.
     ReplayError
-        If it is not played, see its reasons.
+        If it cannot be replayed; see its reasons.
     """
     with opened(wanted.file) as contents:
         chosen = choose(contents, wanted.wish)
@@ -76,20 +76,20 @@ def refuse_if_present(
     allowed_by: str,
     may_be_beside: bool,
 ) -> None:
-    """Look for streams for some seconds.
+    """Search for some seconds for streams that forbid a replay.
 
     Parameters
     ----------
     own
-        source_ids under which streams are to be played.
+        source_ids of the streams to play.
     recorded
-        source_ids that the same streams had when they were measured.
+        source_ids of the same streams when they were recorded.
     file
-        What is to be played, for the sentence.
+        For the error message: the recording.
     allowed_by
-        How to play although a real one is there, for the sentence.
+        For the error message: how to allow a replay while a real stream is visible.
     may_be_beside
-        Whether the real streams may be there.
+        Whether the real streams may be visible.
 
     Raises
     ------

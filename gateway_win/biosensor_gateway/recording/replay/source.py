@@ -1,4 +1,4 @@
-"""Opens what is to be played, and names the reasons for which it is not."""
+"""Opens the recording to replay, and defines the errors of a replay."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from biosensor_gateway.recording.xdf.container import RecordingError, RecordingR
 
 @unique
 class ReplayReason(Enum):
-    """What keeps a recording from being played."""
+    """Why a recording cannot be replayed."""
 
     LIVE = "live"
-    """A stream that is to be played is on the network, measured now."""
+    """The real stream is on the network now."""
     PLAYED = "played"
-    """Somebody plays this recording already."""
+    """This recording is already being replayed."""
     EMPTY = "empty"
-    """There is no sample to play."""
+    """There are no samples to play."""
     NO_OUTLET = "no_outlet"
     """LSL cannot offer a stream."""
     REFUSED = "refused"
-    """The process that was to play it says why, for any of these reasons or another."""
+    """The player process failed, for any of these reasons or another."""
 
 
 class ReplayError(GatewayError):
-    """A recording is not played."""
+    """A recording cannot be replayed."""
 
 
 _BAGS = frozenset({".mcap", ".db3"})
@@ -40,14 +40,14 @@ _HASH_CHARACTERS = 12
 
 @contextmanager
 def opened(path: Path) -> Generator[Contents]:
-    """Open a recording, or a bag of ROS by way of one in the folder for temporary files.
+    """Open a recording, or a ROS bag that is converted to a temporary recording.
 
     Raises
     ------
     BagError
-        If a bag cannot be read, or no recording made of it.
+        If a bag cannot be read or converted.
     RecordingError
-        If there is no such file, it cannot be read, or it is no XDF file.
+        If the file does not exist, cannot be read or is not an XDF file.
     """
     if path.is_dir() or path.suffix.lower() in _BAGS:
         with _imported(path) as recording, open_contents(recording) as contents:
@@ -59,18 +59,18 @@ def opened(path: Path) -> Generator[Contents]:
 
 @contextmanager
 def _imported(bag: Path) -> Generator[Path]:
-    """Turn a bag into a recording that is gone at the end."""
+    """Convert a bag to a temporary recording."""
     from biosensor_gateway.recording.bag.importing import import_bag  # noqa: PLC0415 - rosbags
 
     with TemporaryDirectory(prefix="biosensor-gateway-replay-") as folder:
-        # Its name is in the headers.
+        # Named like the bag, because the headers of played streams contain the file name.
         recording = Path(folder, bag.resolve().name)
         import_bag(bag, recording)
         yield recording
 
 
 def content_hash(path: Path) -> str:
-    """Return what tells a recording from any other, whatever its file is called.
+    """Return a hash of a recording's content, which identifies it whatever its file name.
 
     Raises
     ------

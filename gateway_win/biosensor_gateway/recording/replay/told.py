@@ -1,4 +1,4 @@
-"""Messages between a process that plays a recording and whoever started it."""
+"""Messages between a player process and the program that started it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from biosensor_gateway.settings.models import LslSettings
 
 @unique
 class Phase(StrEnum):
-    """How far a replay is."""
+    """Phase of a replay."""
 
     OPENING = "opening"
     WAITING = "waiting"
@@ -27,12 +27,12 @@ class Phase(StrEnum):
 
 
 class ReplayJob(BaseModel):
-    """What to play; see `Wanted`, and the options of ``biosensor-gateway replay``.
+    """What to play; see `Wanted` and the options of ``biosensor-gateway replay``.
 
     Attributes
     ----------
     lsl
-        What our settings say of it.
+        LSL section of the settings.
     """
 
     file: Path
@@ -46,7 +46,7 @@ class ReplayJob(BaseModel):
 
     @property
     def wanted(self) -> Wanted:
-        """The same, for the player."""
+        """The job in the form that `prepared` takes."""
         return Wanted(
             self.file,
             Wish(self.streams, self.begin, self.end),
@@ -56,20 +56,20 @@ class ReplayJob(BaseModel):
 
 
 class PlayedStream(BaseModel):
-    """One stream that is played, as its header says.
+    """One played stream, according to its header.
 
     Attributes
     ----------
     source_id
-        Under which it is played.
+        The source_id of the played stream.
     sensor, unit, participant, label
-        Of whom it was recorded; of another program's stream its name and computer.
+        The recorded device and participant; for another program's stream, its name and computer.
     channels, units, roles
-        One a channel; of text there are none.
+        One per channel; empty for text.
     nominal_hz
         At the speed of the replay.
     is_empty
-        Whether the recording has no sample of it.
+        Whether the recording has no samples of it.
     """
 
     source_id: str
@@ -89,17 +89,17 @@ class PlayedStream(BaseModel):
 
 
 class ReplayProgress(BaseModel):
-    """Where a replay is; times in seconds of the recording.
+    """Progress of a replay; times in seconds of the recording.
 
     Attributes
     ----------
     lap
-        How often it has begun.
+        Number of rounds started.
     received, streams
-        How many of its streams somebody receives, and how many there are.
+        Number of streams with a receiver, and number of all streams.
     said
-        What is to be known of it, one sentence each: what cannot be played, why it was refused,
-        and at the end how it went.
+        Sentences for the user: what cannot be played, why it was refused, and a summary at the
+        end.
     """
 
     phase: Phase = Phase.OPENING
@@ -113,7 +113,7 @@ class ReplayProgress(BaseModel):
 
 
 class Told(BaseModel):
-    """What the process tells; the streams once, when they are on the network."""
+    """A report of the process; the streams are included once, when they are on the network."""
 
     progress: ReplayProgress
     streams: list[PlayedStream] | None = None

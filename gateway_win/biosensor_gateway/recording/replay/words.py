@@ -1,4 +1,4 @@
-"""The sentences and the line of progress of a replay."""
+"""The sentences and the progress line of a replay."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ _MOST_DAMAGES = 3
 
 
 def span(seconds: float) -> str:
-    """Return a time in a recording as it can be typed, ``h:mm:ss``."""
+    """Return a time in a recording as ``h:mm:ss``, which options accept, too."""
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}"
 
 
 def damaged(damages: Sequence[Damage]) -> Iterator[str]:
-    """Say what of the recording cannot be played."""
+    """Yield warnings about parts of the recording that cannot be played."""
     for each in damages[:_MOST_DAMAGES]:
         yield (
             f"warning: bytes {each.start} to {each.end} of the recording cannot be read "
@@ -29,7 +29,7 @@ def damaged(damages: Sequence[Damage]) -> Iterator[str]:
 
 
 def left_out(player: Player) -> Iterator[str]:
-    """Say which streams are not played, and why."""
+    """Yield warnings about streams that are not played."""
     for each in player.left_out:
         yield (
             f"warning: {each.header.name} is not played, for {each.clock_error}; --streams "
@@ -38,7 +38,7 @@ def left_out(player: Player) -> Iterator[str]:
 
 
 def begun(file: str, player: Player, speed: float) -> str:
-    """Say what is played."""
+    """Return the sentence for the start."""
     progress = player.progress()
     how = "" if speed == 1 else f" at {speed:g} times its speed"
     return (
@@ -48,7 +48,7 @@ def begun(file: str, player: Player, speed: float) -> str:
 
 
 def line(progress: Progress, streams: int) -> str:
-    """Say in one line how it goes."""
+    """Return the progress line."""
     received = f"{progress.received} of {_streams(streams)} received"
     if not progress.lap:
         return f"waiting for receivers: {received}"
@@ -58,7 +58,7 @@ def line(progress: Progress, streams: int) -> str:
 
 
 def ended(player: Player, *, was_stopped: bool) -> Iterator[str]:
-    """Say what was played, and how well in time."""
+    """Yield sentences about what was played, and how punctually."""
     progress, late = player.progress(), player.lateness
     if was_stopped:
         rounds = f" of round {progress.lap}" if progress.lap > 1 else ""

@@ -1,6 +1,6 @@
-"""Takes one person out of recordings, exports and bags: a plan first, then the work, then a proof.
+"""Removes one person from recordings, exports and bags, and verifies that nothing is left.
 
-:mod:`.traces` says what names a person and what of the data would give them away, :mod:`.planning`
-looks through folders, :mod:`.recordings`, :mod:`.texts` and :mod:`.bags` write files again without
-them, and :mod:`.work` carries the plan out and searches all that is left.
+:mod:`.traces` recognises a person's names and pieces of their data, :mod:`.planning` searches
+folders and plans the changes, :mod:`.recordings`, :mod:`.texts` and :mod:`.bags` rewrite files
+without the person, and :mod:`.work` executes the plan and searches the remaining files.
 """

@@ -1,4 +1,4 @@
-"""Writes a bag again without one person."""
+"""Rewrites a bag without the data of one person."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def is_bag(folder: Path) -> bool:
 
 
 def topics_of(folder: Path, person: Person) -> tuple[list[str], int]:
-    """Return the topics that are of a person, and how many there are of others.
+    """Return a person's topics, and the number of other people's topics.
 
     Raises
     ------
     Exception
-        Of the library, if it cannot be read.
+        Any of the library's, if it cannot be read.
     """
     with Reader(folder) as reader:
         names = list(dict.fromkeys(each.topic for each in reader.connections))
@@ -34,12 +34,12 @@ def topics_of(folder: Path, person: Person) -> tuple[list[str], int]:
 
 
 def write_without(folder: Path, target: Path, person: Person) -> None:
-    """Write it without the person's topics, and without messages that name them.
+    """Copy it without the person's topics, and without messages that name them.
 
     Raises
     ------
     Exception
-        Of the library, if it cannot be read or written.
+        Any of the library's, if it cannot be read or written.
     """
     plugin = StoragePlugin.SQLITE3 if list(folder.glob("*.db3*")) else StoragePlugin.MCAP
     made = target.with_name(f"{target.name}.made")

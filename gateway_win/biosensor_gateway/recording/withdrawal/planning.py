@@ -1,4 +1,4 @@
-"""Looks through folders for a person, and says what is to be done with each file."""
+"""Searches folders for a person, and plans what to do with each file."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _EXPORTED = frozenset(
 
 @unique
 class Action(StrEnum):
-    """What is to be done with a file or folder."""
+    """What to do with a file or folder."""
 
     DELETE = "delete"
     REWRITE = "rewrite"
-    """Without the person."""
+    """Rewrite it without the person."""
     LOOK = "look"
-    """By a person: nothing is done, since it is not clear whose it is or how to change it."""
+    """Leave it for the user, because its owner or how to change it is unclear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +42,14 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be done to take a person out.
+    """The steps to remove a person.
 
     Attributes
     ----------
     places
-        The folders that were looked through.
+        The folders searched.
     files
-        How many files were looked at.
+        Number of files inspected.
     """
 
     person: str
@@ -60,7 +60,7 @@ class Plan:
 
 
 def plan(name: str, places: Sequence[Path]) -> Plan:
-    """Find a person in files and folders."""
+    """Plan the removal of a person from files and folders."""
     person, pieces = Person(name), Pieces()
     looked = _Looking(person, pieces)
     steps = [step for place in places for step in looked.at(place)]
@@ -73,7 +73,7 @@ class _Looking:
         self.files = 0
 
     def at(self, place: Path) -> Iterator[Step]:
-        """Give the steps for a file or folder."""
+        """Yield the steps for a file or folder."""
         if place.is_symlink():
             return
         if not place.is_dir():
@@ -157,7 +157,7 @@ class _Looking:
             return Step(path, Action.DELETE, "a bag of this person's recording")
         try:
             own, others = bags.topics_of(path, self._person)
-        # The library has errors of many kinds, and what it cannot read is said.
+        # The library raises many kinds of errors; an unreadable bag is reported.
         except Exception as error:  # noqa: BLE001 - any of a library's
             return Step(path, Action.LOOK, f"the bag cannot be read: {error}")
         if not own:

@@ -1,4 +1,4 @@
-"""Writes a recording again without one person."""
+"""Rewrites a recording without one person."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ _PIECES_OF_A_STREAM = 5
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What of a person is in a recording.
+    """Traces of a person in a recording.
 
     Attributes
     ----------
     own
-        Names of their streams.
+        Names of the person's streams.
     others
         Participants of the other streams.
     unnamed
-        How many streams name nobody, but for those of agent and node.
+        Number of streams without a participant, except the agent's and node's own.
     texts
-        Names of the streams of text that name them.
+        Names of the text streams that contain the person's name.
     """
 
     own: tuple[str, ...]
@@ -60,7 +60,7 @@ class Seen:
 
 
 def look(path: Path, person: Person, pieces: Pieces) -> Seen:
-    """Find a person in a recording, and take in pieces of their data.
+    """Find a person in a recording, and collect pieces of their data.
 
     Raises
     ------
@@ -83,14 +83,14 @@ def look(path: Path, person: Person, pieces: Pieces) -> Seen:
 
 
 def take_pieces_of_all(path: Path, pieces: Pieces) -> None:
-    """Take in pieces of all data of a recording, which goes as a whole."""
+    """Collect pieces of all data of a recording that will be deleted."""
     with open_contents(path) as contents:
         for stream in contents.streams:
             _take_pieces(stream, pieces)
 
 
 def is_of(header: RecordedHeader, person: Person) -> bool:
-    """Whether a stream is of a person: its header says so, or its name does."""
+    """Whether a stream belongs to a person, by its header or else by its name."""
     if header.identity is not None and header.identity.participant:
         return person.is_called(header.identity.participant)
     return person.is_in(header.name) or person.is_in(header.source_id)
@@ -104,7 +104,7 @@ def _take_pieces(stream: Stream, pieces: Pieces) -> None:
 
 
 def is_named(path: Path, person: Person) -> bool:
-    """Whether a header or a text of a recording names a person, or something cannot be read.
+    """Whether a recording's headers or texts name a person, or parts cannot be read.
 
     Raises
     ------
@@ -137,9 +137,9 @@ def _names(stream: Stream, person: Person) -> bool:
 
 
 def write_without(path: Path, target: Path, person: Person) -> None:
-    """Write a recording without a person's streams, and without their name in what others said.
+    """Copy a recording without a person's streams, and without their name in other texts.
 
-    What cannot be read is left out, since nobody knows whose it is.
+    Unreadable parts are left out, because they could be the person's.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def write_without(path: Path, target: Path, person: Person) -> None:
 
 @dataclass(slots=True)
 class _Kept:
-    """A stream that stays; it counts what is written."""
+    """A stream that is kept; counts what is written for its footer."""
 
     header: RecordedHeader
     clock_offsets: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
@@ -182,7 +182,7 @@ class _Copy:
         self._sorter = StreamSorter(_Kept, fixes_headers=True)
 
     def take(self, chunk: Chunk) -> None:
-        """Write one chunk, as it is or without the person.
+        """Write one chunk, unchanged or without the person.
 
         Raises
         ------
@@ -244,7 +244,7 @@ class _Copy:
 
 
 def without(text: str, person: Person) -> str | None:
-    """Return a text of a stream without a person; None if it is about them alone."""
+    """Return a stream's text without a person; None if it is only about them."""
     if not person.is_in(text):
         return text
     try:

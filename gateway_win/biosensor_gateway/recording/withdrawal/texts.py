@@ -1,4 +1,4 @@
-"""Writes tables, JSON, notes, EDF and BDF again without one person; numbers are no letters."""
+"""Rewrites tables, JSON, notes, EDF and BDF without one person."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ LONGEST_JSON = 64_000_000
 
 
 def is_table(path: Path) -> bool:
-    """Whether it is a table, packed or not."""
+    """Whether it is a table, compressed or not."""
     return path.name.lower().endswith(TABLES)
 
 
 def is_text(path: Path) -> bool:
-    """Whether lines or objects of it can be taken out."""
+    """Whether lines or objects can be removed from it."""
     return is_table(path) or path.suffix.lower() in (*NOTES, ".json")
 
 
 def open_plain(path: Path) -> BinaryIO:
-    """Open a file, unpacked if it is packed by gzip."""
+    """Open a file, decompressing it if needed."""
     with path.open("rb") as file:
         is_packed = file.read(2) == b"\x1f\x8b"
     return gzip.open(path, "rb") if is_packed else path.open("rb")  # type: ignore[return-value]
 
 
 def lines_of(path: Path, person: Person) -> int:
-    """Return how many lines of a file name a person."""
+    """Return the number of lines in a file that name a person."""
     with open_plain(path) as file:
         return sum(person.is_in_bytes(each) for each in _rows(file, path))
 
 
 def write_without(path: Path, target: Path, person: Person) -> None:
-    """Write it without the lines, or in JSON the objects, that name a person.
+    """Copy it without the lines, or JSON objects, that name a person.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def _kept(file: BinaryIO, path: Path, person: Person) -> Iterator[bytes]:
 
 
 def _rows(lines: Iterable[bytes], path: Path) -> Iterator[bytes]:
-    """Give the rows of a table: in quotes a cell may have several lines."""
+    """Yield the rows of a table; a quoted cell may span several lines."""
     if ".csv" not in path.name.lower():
         yield from lines
         return
@@ -89,7 +89,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class Layout(NamedTuple):
-    """Where texts are in an EDF or BDF file: in its head, and in spans of each record."""
+    """Where an EDF or BDF file has text: in its header, and in parts of each record."""
 
     head: int
     record: int
@@ -97,12 +97,12 @@ class Layout(NamedTuple):
 
 
 def layout_of(file: BinaryIO, path: Path) -> Layout:
-    """Read the head of a file.
+    """Read the header of a file.
 
     Raises
     ------
     ValueError
-        If it is none of these.
+        If it is neither EDF nor BDF.
     """
     file.seek(0)
     head = file.read(_HEAD)
@@ -122,12 +122,12 @@ def layout_of(file: BinaryIO, path: Path) -> Layout:
 
 
 def texts_of_edf(path: Path) -> Iterator[bytes]:
-    """Give the head, and the annotations of each record.
+    """Yield the header, and the annotations of each record.
 
     Raises
     ------
     ValueError
-        If it is no such file.
+        If it is neither EDF nor BDF.
     """
     with path.open("rb") as file:
         layout = layout_of(file, path)
@@ -139,14 +139,14 @@ def texts_of_edf(path: Path) -> Iterator[bytes]:
 
 
 def write_edf_without(path: Path, target: Path, person: Person) -> None:
-    """Write it with other letters, as many, in place of a person's name.
+    """Copy it with a person's name replaced by a text of the same length.
 
     Raises
     ------
     OSError
         If it cannot be read or written.
     ValueError
-        If it is no such file.
+        If it is neither EDF nor BDF.
     """
     with path.open("rb") as file, new_file(target, like=path) as new:
         layout = layout_of(file, path)
@@ -162,7 +162,7 @@ def write_edf_without(path: Path, target: Path, person: Person) -> None:
 def is_in_message(content: bytes, person: Person) -> bool:
     """Whether a text in a message of ROS names a person.
 
-    A text in CDR has its length before it, in four bytes, and a zero behind it.
+    In CDR, a text is preceded by its length in four bytes and followed by a zero byte.
     """
     for start, end in person.places(content):
         begin = content.rfind(b"\0", 0, start) + 1

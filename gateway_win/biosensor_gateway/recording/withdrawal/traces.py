@@ -1,4 +1,4 @@
-"""Traces of a person in files: names, and pieces of their data by which these are found again."""
+"""Traces of a person in files: names, and pieces of data to search for."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from biosensor_gateway.recording.export.numbers import numbers, rows_of_numbers
 from biosensor_gateway.settings.names import label
 
 INSTEAD = "withdrawn"
-"""Stands where a text of others names the person."""
+"""Replaces the person's name in texts about others."""
 _SAMPLES = 8
 _FEWEST_VALUES = 4
 _MOST_PIECES = 400
 
 
 class Person:
-    """Who withdraws, by the names that files have for them.
+    """The withdrawing person, with all forms of the name in files.
 
     Parameters
     ----------
     name
-        As the recordings have it.
+        As in the recordings.
     """
 
     def __init__(self, name: str) -> None:
         self.name = name
         names = "|".join(re.escape(each) for each in dict.fromkeys([name, label(name)]))
         pattern = rf"(?<![0-9A-Za-z])(?:{names})(?![0-9A-Za-z])"
-        # In another case it is another name for a computer, and the same for a reader.
+        # Case is ignored, because a reader recognises the name in any case.
         self._text = re.compile(pattern, re.IGNORECASE)
         self._bytes = re.compile(pattern.encode(), re.IGNORECASE)
 
@@ -42,30 +42,30 @@ class Person:
         return bool(participant) and label(participant).lower() == label(self.name).lower()
 
     def is_in(self, text: str) -> bool:
-        """Whether a text names them."""
+        """Whether a text contains the name."""
         return self._text.search(text) is not None
 
     def is_in_bytes(self, content: bytes) -> bool:
-        """Whether bytes name them."""
+        """Whether bytes contain the name."""
         return self._bytes.search(content) is not None
 
     def places(self, content: bytes) -> Iterator[tuple[int, int]]:
-        """Give where in bytes the name is, from its first to behind its last."""
+        """Yield the range of each occurrence of the name, with the end excluded."""
         return (each.span() for each in self._bytes.finditer(content))
 
     def blanked(self, content: bytes) -> bytes:
-        """Return bytes with as many other letters in place of the name."""
+        """Return bytes with each letter of the name replaced by an x."""
         return self._bytes.sub(lambda found: b"x" * len(found[0]), content)
 
     def masked(self, text: str) -> str:
-        """Return a text without the name."""
+        """Return a text with the name replaced."""
         return self._text.sub(INSTEAD, text)
 
     def pruned(self, content: object) -> object:
-        """Return what JSON holds without all that is theirs; None if nothing is left.
+        """Return JSON content without the person's data; None if nothing is left.
 
-        An object that says it is of the participant goes as a whole, and so does each key and each
-        text of a list that names them; other texts are masked.
+        Objects of the participant are removed completely, as are keys and list items that contain
+        the name; in other texts the name is replaced.
         """
         if isinstance(content, dict):
             told = cast("dict[str, object]", content)
@@ -87,12 +87,12 @@ class Person:
 
 @dataclass(slots=True)
 class Pieces:
-    """Pieces of the data that were taken out, in the forms in which files hold them."""
+    """Pieces of the removed data, in the forms in which files may contain them."""
 
     found: list[bytes] = field(default_factory=list[bytes])
 
     def take(self, samples: Samples) -> None:
-        """Take in some samples of a stream of numbers."""
+        """Add pieces from some samples of a numeric stream."""
         if len(self.found) >= _MOST_PIECES or isinstance(samples.values, list):
             return
         values = samples.values[:_SAMPLES]
@@ -101,12 +101,12 @@ class Pieces:
         self.found += _forms(samples, values)
 
     def in_bytes(self, content: bytes) -> bool:
-        """Whether one of them is in bytes."""
+        """Whether bytes contain one of them."""
         return any(each in content for each in self.found)
 
     @property
     def longest(self) -> int:
-        """Bytes of the longest."""
+        """Length of the longest piece in bytes."""
         return max(map(len, self.found), default=0)
 
 
@@ -115,7 +115,7 @@ def _forms(samples: Samples, values: np.ndarray[Any, Any]) -> Iterator[bytes]:
     if values.dtype != np.float64:
         yield values.astype("<f8").tobytes()
     line = rows_of_numbers(samples.times[:1], values[:1])
-    # A line of one short number may be anybody's.
+    # A short line, such as a single number, could be in anyone's data.
     if len(line) > 16:
         yield line.strip()
     if values.shape[1] == 1:
@@ -123,7 +123,7 @@ def _forms(samples: Samples, values: np.ndarray[Any, Any]) -> Iterator[bytes]:
 
 
 def blocks(parts: Iterable[bytes], overlap: int) -> Iterator[bytes]:
-    """Join what follows each other by so many bytes, so that nothing is missed at a border."""
+    """Yield parts with the last `overlap` bytes before them, to find matches across borders."""
     rest = b""
     for part in parts:
         block = rest + part

@@ -1,4 +1,4 @@
-"""Carries a plan out, and proves that nothing is left."""
+"""Executes a plan, and verifies that nothing is left."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _BAGS = (".mcap", ".db3", ".zstd")
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What became of one file.
+    """The result for one file.
 
     Attributes
     ----------
     before, after
-        SHA-256 of the file; `after` is empty if it is gone.
+        SHA-256 of the file; `after` is empty if it was deleted.
     error
-        Why nothing was done, as a sentence; empty if it was.
+        Why the step failed, as a sentence; empty if it succeeded.
     """
 
     path: Path
@@ -44,7 +44,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """A file in which something of the person is still found."""
+    """A file that still contains traces of the person."""
 
     path: Path
     what: str
@@ -52,16 +52,16 @@ class Left:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was done, and what a search found afterwards.
+    """What was done, and the result of the search afterwards.
 
     Attributes
     ----------
     looked_at
-        Files that need a person's eyes.
+        Files that the user must inspect.
     searched
-        Files that were searched for names and for pieces of the data.
+        Number of files searched for names and pieces of the data.
     pieces
-        How many of these.
+        Number of these pieces.
     """
 
     person: str
@@ -73,12 +73,12 @@ class Report:
 
     @property
     def is_clean(self) -> bool:
-        """Whether all was done, and nothing is left."""
+        """Whether everything was done and nothing is left."""
         return not (self.left or self.looked_at or any(each.error for each in self.done))
 
 
 def carry_out(plan: Plan) -> Report:
-    """Do what a plan says, file by file, and search what is left."""
+    """Execute a plan file by file, and search the remaining files."""
     person = Person(plan.person)
     done = [
         each for step in plan.steps if step.action is not Action.LOOK for each in _do(step, person)
@@ -105,7 +105,7 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
             shutil.rmtree(step.path)
         else:
             step.path.unlink()
-    # Whatever a file holds, the others are done, and what was not is said.
+    # An error in one file must not stop the others; it is reported.
     except Exception as error:  # noqa: BLE001 - any of a library's
         yield Done(step.path, step.action, before.get(step.path, ""), error=str(error))
         return
@@ -118,7 +118,7 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
 
 
 def _rewrite(path: Path, person: Person) -> None:
-    """Write it beside and put it in its place, so that it is there whole at any time."""
+    """Write a temporary file and replace the original, so a complete file always exists."""
     write: Callable[[Path, Path, Person], None] = texts.write_without
     if path.is_dir():
         write = bags.write_without
@@ -168,7 +168,7 @@ def _found(path: Path, person: Person, pieces: Pieces) -> Iterator[str]:
 
 
 def _is_named(path: Path, person: Person) -> bool:
-    """Whether a text in a file names a person; numbers are never taken for letters."""
+    """Whether a text in a file names a person; numeric data is not searched."""
     if is_recording(path):
         return recordings.is_named(path, person)
     if path.suffix in _BAGS:
@@ -184,7 +184,7 @@ def _is_named(path: Path, person: Person) -> bool:
 
 
 def _content(path: Path) -> Iterator[bytes]:
-    """Give what a file holds, unpacked."""
+    """Yield the contents of a file, decompressed."""
     if is_recording(path):
         with open_recording(path) as opened:
             yield from _blocks_of(opened.file)

@@ -1,7 +1,7 @@
-"""Judges whether a LabRecorder recording (an XDF file) can be trusted, and salvages what is cut.
+"""Checks whether a LabRecorder recording (an XDF file) is sound, and salvages damaged ones.
 
-:mod:`.framing` and :mod:`.container` cut the file into chunks, :mod:`.header` and
-:mod:`.samples` decode their contents, :mod:`.sorting` and :mod:`.recording` gather them by
-stream; :mod:`.measuring` turns each stream into figures, :mod:`.judging` the figures into
-findings and :mod:`.printing` both into text or JSON. :mod:`.salvage` writes another file.
+:mod:`.framing` and :mod:`.container` split the file into chunks, :mod:`.header` and
+:mod:`.samples` decode their contents, :mod:`.sorting` and :mod:`.recording` collect them by
+stream; :mod:`.measuring` computes statistics of each stream, :mod:`.judging` derives findings from
+them and :mod:`.printing` formats both as text or JSON. :mod:`.salvage` writes a repaired file.
 """

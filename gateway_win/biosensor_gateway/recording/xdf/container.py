@@ -1,8 +1,8 @@
-"""Cuts an XDF file into its chunks, and finds the next one where it is damaged.
+"""Splits an XDF file into its chunks, and finds the next chunk after damaged bytes.
 
-After the magic ``XDF:`` a file is a row of chunks, whose frames :mod:`.framing` reads.
-LabRecorder writes a boundary chunk with a fixed UUID every 10 s. Behind a damage it is
-read on at the next boundary or at the next chunk that makes sense, whatever comes first.
+A file is the magic ``XDF:`` and then a sequence of chunks; :mod:`.framing` reads their frames.
+LabRecorder writes a boundary chunk with a fixed UUID every 10 s. After damaged bytes, reading
+continues at the next boundary or the next valid chunk, whichever comes first.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ _GZIP_MAGIC = b"\x1f\x8b"
 # The largest window, with gzip's header and checksum.
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 _PACKED_BLOCK_BYTES = 4096
-# A damaged length may claim most of the file, so what is larger must have something behind it.
+# A damaged length field may span most of the file, so a larger chunk is only accepted if another
+# one follows it.
 _UNDOUBTED_BYTES = 1 << 24
-# As many are no end of a good file.
+# An undamaged file does not end with this many zeros.
 _ZEROS_AT_END = 64
 
 
@@ -47,15 +48,15 @@ class Chunk(NamedTuple):
     Attributes
     ----------
     tag
-        What it holds.
+        Kind of content.
     content
         What comes after the tag.
     start, end
         Offsets of the whole chunk in the file, `end` excluded.
     damages
-        How many damages come before it.
+        Number of damaged places before it.
     is_found
-        Whether it was searched for behind a damage, so that it may be none.
+        Whether it was found by searching after damaged bytes, so it may not be a real chunk.
     """
 
     tag: Tag
@@ -67,7 +68,7 @@ class Chunk(NamedTuple):
 
     @property
     def stream_id(self) -> int:
-        """Number of the stream that it is of; for all but file headers and boundaries.
+        """Number of the stream that it belongs to; file headers and boundaries have none.
 
         Raises
         ------
@@ -93,11 +94,11 @@ class Damage:
     start, end
         Offsets in the file, `end` excluded.
     what
-        What is wrong at `start`, as the rest of a sentence.
+        What is wrong at `start`; the end of a sentence.
     breaks_off
         Nothing after `start` can be read.
     is_foreign
-        It is a whole chunk of a kind that the format does not have, so nothing known is lost.
+        It is a complete chunk of a kind that the format does not define, so no known data is lost.
     """
 
     start: int
@@ -109,7 +110,7 @@ class Damage:
 
 @unique
 class RecordingReason(Enum):
-    """Why a recording cannot be read at all, or not be salvaged."""
+    """Why a recording cannot be read at all, or cannot be salvaged."""
 
     NOT_FOUND = "not_found"
     UNREADABLE = "unreadable"
@@ -117,21 +118,21 @@ class RecordingReason(Enum):
     GROWS = "grows"
     """It is still being written."""
     EMPTY = "empty"
-    """Not a single sample can be read."""
+    """No sample can be read."""
     UNWRITABLE = "unwritable"
-    """The other file cannot be written."""
+    """The salvaged file cannot be written."""
 
 
 class RecordingError(GatewayError):
-    """Nothing of the recording can be read, or nothing can be written of it."""
+    """The recording cannot be read, or no file can be written from it."""
 
 
 class ChunkError(Exception):
-    """The content of a chunk makes no sense; the text is the rest of a sentence."""
+    """The content of a chunk is invalid; the text is the end of a sentence."""
 
 
 class _Broken(NamedTuple):
-    """No chunk was read: why, where it ends by its frame if it has one, and if of no known kind."""
+    """Why no chunk was read, its end if its frame gives one, and whether its kind is unknown."""
 
     what: str
     end: int | None = None
@@ -182,7 +183,7 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
     Raises
     ------
     RecordingError
-        If there is no such file, it cannot be read, or it is something else.
+        If the file does not exist, cannot be read or is not an XDF file.
     """
     try:
         with ExitStack() as stack:
@@ -208,7 +209,7 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
 
 
 def _what_it_is(head: bytes) -> str:
-    """Say what a file is instead, as far as it is known by how it begins."""
+    """Return what kind of file it is instead, judging by its first bytes."""
     if not head:
         return "it is empty"
     if not head.strip(b"\0"):
@@ -220,11 +221,11 @@ def _what_it_is(head: bytes) -> str:
 
 
 def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:
-    """Unpack as far as possible; return whether that is to the end."""
+    """Decompress as much as possible; return whether the end was reached."""
     packed.seek(0)
     member = zlib.decompressobj(_GZIP_WINDOW)
     rest = b""
-    # What was unpacked of a block is lost if the block is damaged, so blocks are small.
+    # All data of a damaged block is lost, so blocks are small.
     while block := rest or packed.read(_PACKED_BLOCK_BYTES):
         if member.eof:
             member = zlib.decompressobj(_GZIP_WINDOW)
@@ -237,21 +238,21 @@ def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:
 
 
 def read_chunks(file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> tuple[Damage, ...]:
-    """Hand every readable chunk to `take`, in the order of the file.
+    """Pass every readable chunk to `take`, in the order of the file.
 
     Parameters
     ----------
     file
         Seekable, with the magic at its beginning.
     size
-        Length of the file in bytes; what is appended meanwhile is not read.
+        Length of the file in bytes; anything appended while reading is ignored.
     take
-        Raises :class:`ChunkError` for a content that makes no sense.
+        Raises :class:`ChunkError` if the content is invalid.
 
     Returns
     -------
     tuple of Damage
-        What could not be read, in the order of the file, neighbours joined.
+        The bytes that could not be read, in the order of the file; adjacent ranges are merged.
     """
     reader = _Reader(file, size, take)
     position = len(MAGIC)
@@ -266,7 +267,7 @@ class _Reader:
         self.damages: list[Damage] = []
 
     def read_from(self, position: int) -> int:
-        """Read the chunk at `position`, or the next behind a damage; return where it ends."""
+        """Read the chunk at `position`, or else the next valid one; return where it ends."""
         read = self._read_one(position)
         if isinstance(read, int):
             return read
@@ -274,7 +275,7 @@ class _Reader:
         is_beside = bool(self.damages) and self.damages[-1].end == position
         if is_beside:
             start, what = self.damages[-1].start, self.damages.pop().what
-        # Counted before the search, because what is found comes after it.
+        # Appended before the search, so that a chunk found there counts this damage.
         self.damages.append(_damage(start, self._size, self._size, what))
         begin, end = self._resume(position + 1, read.end)
         if read.is_foreign and not is_beside and begin == end == read.end:
@@ -284,7 +285,7 @@ class _Reader:
         return end
 
     def _with_zeros(self, what: str, end: int) -> str:
-        """Add to what is wrong that the file ends with zeros, if that is so."""
+        """Mention in the description that the file ends with zeros, if it does."""
         if end < self._size:
             return what
         self._file.seek(max(0, self._size - _ZEROS_AT_END))
@@ -294,18 +295,18 @@ class _Reader:
         )
 
     def _resume(self, start: int, frame_end: int | None) -> tuple[int, int]:
-        """Return where a damage ends, and the chunk that was read behind it, if one was."""
+        """Return where the damage ends, and where the next chunk ends, if there is one."""
         size = self._size
         if frame_end is None:
             return self._find(start, size) or (size, size)
-        # A chunk that makes no sense may have a wrong length and hide others.
+        # An invalid chunk may have a wrong length and so cover valid chunks.
         hidden = self._find(start, frame_end)
         if hidden is None and is_frame(self._file, frame_end, size):
             return frame_end, frame_end
         return hidden or self._find(frame_end, size) or (size, size)
 
     def _find(self, start: int, end: int) -> tuple[int, int] | None:
-        """Read the first chunk that begins between two places; return where it is."""
+        """Read the first chunk that begins between two offsets; return its start and end."""
         for place in find_frames(self._file, start, end):
             read = self._read_one(place, is_found=True)
             if isinstance(read, int):
@@ -313,7 +314,7 @@ class _Reader:
         return None
 
     def _read_one(self, position: int, *, is_found: bool = False) -> _Broken | int:
-        """Read the chunk at `position`; return where it ends, or what is wrong."""
+        """Read the chunk at `position`; return its end, or what is wrong."""
         file = self._file
         try:
             frame = read_frame(file, position)
@@ -332,7 +333,7 @@ class _Reader:
         return frame.end
 
     def _require_likely(self, frame: Frame, position: int) -> None:
-        """Refuse a chunk that is none, before its content is read."""
+        """Reject a chunk that is unlikely to be real, before its content is read."""
         if not frame.is_known:
             raise ChunkError("its tag is unknown")
         length = frame.end - position

@@ -1,8 +1,8 @@
 """Compares what the capture agent counted with what a recording holds.
 
-Once a second the agent's ``counters`` stream says, by source_id, how many samples
-were pushed and lost since the agent began, and the stamp of the newest one. So
-between two of these readings the file must hold as many samples as were pushed.
+Once a second the agent's ``counters`` stream reports, by source_id, how many samples were pushed
+and lost since the agent started, and the timestamp of the newest one. So between two of these
+readings the file must contain as many samples as were pushed.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 
 from biosensor_common.refusals import LATELY_S
 
-# At its stop the recorder loses what came in the last 0.5 s, and some devices send
-# what they measured only after a second or two.
+# When the recorder stops it loses the samples of the last 0.5 s, and some devices send their
+# samples a second or two late.
 TAIL_S = 3.0
-# Text keeps every digit of a stamp, but a recorder may compute one again.
+# The text has every digit of a timestamp, but a recorder may compute omitted ones from the rate.
 _SAME_STAMP_S = 1e-6
 
 
 class Reading(NamedTuple):
-    """What the agent had counted of one stream at one moment, by the agent's clock `told_at`.
+    """The agent's counts for one stream at one moment, `told_at` on the agent's clock.
 
-    `refused` are sentences about what was not passed on as it came.
+    `refused` are sentences about data that was not passed on unchanged.
     """
 
     pushed: int
@@ -43,20 +43,20 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordedCounters:
-    """The agent's counters of one stream against its recording.
+    """The agent's counters of one stream, compared with its recording.
 
     Attributes
     ----------
     pushed
-        Samples that the agent pushed between the compared readings.
+        Samples that the agent pushed between the readings compared.
     held
-        Samples of the same time in the file.
+        Samples in the file in the same time.
     lost
-        Samples that the agent counted as lost before LSL while it was recorded.
+        Samples lost before they reached LSL during the recording, as counted by the agent.
     restarts
-        How often the agent began to count again.
+        How often the agent restarted its counts.
     is_off
-        The settings or the model of the device have no such data.
+        The stream is switched off in the settings, or the device's model does not have it.
     """
 
     pushed: int
@@ -69,14 +69,14 @@ class RecordedCounters:
 def parse_readings(
     texts: Iterable[str], times: Iterable[float] = ()
 ) -> tuple[dict[str, list[Reading]], int]:
-    """Read the samples of a counters stream, and their stamps where they are given.
+    """Parse the samples of a counters stream, with their timestamps if given.
 
     Returns
     -------
     dict
         Readings by source_id, in the order of the file.
     int
-        Number of samples that could not be read.
+        Number of samples that could not be parsed.
     """
     readings: dict[str, list[Reading]] = {}
     unreadable = 0
@@ -111,20 +111,20 @@ def _entries(text: str) -> dict[str, Reading]:
 def compare(
     readings: Sequence[Reading], stamps: NDArray[np.float64], end: float
 ) -> RecordedCounters:
-    """Compare the readings of one stream with its stamps.
+    """Compare the readings of one stream with its timestamps.
 
-    Compared is from the first reading that the recording of the stream reaches to the
-    last one that it had to reach.
+    Compares the time between the first reading that the recording of the stream covers and the
+    last reading that it should cover.
 
     Parameters
     ----------
     readings
         In the order of the file, at least one.
     stamps : ndarray, shape (n_samples,)
-        All stamps of the stream on its own clock.
+        All timestamps of the stream on its own clock.
     end
-        When the last reading was taken, on the same clock; of the `TAIL_S` before,
-        nothing needs to be in the file.
+        When the last reading was taken, on the same clock; samples of the last `TAIL_S` may be
+        missing from the file.
     """
     ordered = np.sort(stamps[np.isfinite(stamps)])
     runs = _runs(readings)
@@ -139,9 +139,10 @@ def compare(
 
 
 def refusals(readings: Sequence[Reading]) -> list[str]:
-    """Return the newest sentence of each kind about what was not passed on as it came.
+    """Return the newest sentence of each kind about data that was not passed on unchanged.
 
-    What the first reading has is of the time before, unless it stays.
+    Sentences of the first reading are about the time before the recording, unless later readings
+    repeat them.
     """
     first = readings[0]
     earlier = {each for each in first.refused if not _stays(each, readings)}
@@ -150,7 +151,7 @@ def refusals(readings: Sequence[Reading]) -> list[str]:
 
 
 def newest_of_each_kind(sentences: Iterable[str]) -> list[str]:
-    """Return the last one of those that differ in nothing but numbers, which grow."""
+    """Return the last of the sentences that differ only in their numbers, which grow."""
     return list({re.sub(r"[0-9.]+", "", each): each for each in sentences}.values())
 
 
@@ -160,7 +161,7 @@ def _stays(sentence: str, readings: Sequence[Reading]) -> bool:
 
 
 def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:
-    """Cut where the agent was started again."""
+    """Split the readings where the agent was restarted."""
     runs: list[list[Reading]] = [[]]
     for reading in readings:
         before = runs[-1][-1] if runs[-1] else reading
@@ -174,10 +175,11 @@ def _compare_run(
     run: Sequence[Reading], stamps: NDArray[np.float64], tail_begin: float
 ) -> RecordedCounters:
     lost = run[-1].lost - run[0].lost
-    # Nothing recorded at all: the first reading is the only beginning there is.
+    # Without recorded samples, the comparison starts at the first reading.
     first, last = (stamps[0], stamps[-1]) if len(stamps) else (-np.inf, -np.inf)
     reached = [reading for reading in run if reading.last_stamp >= first - _SAME_STAMP_S]
-    # Some devices tell of a beat six seconds later: what was told of in the tail may be older.
+    # Some devices report a beat up to six seconds late, so samples counted in the tail may be
+    # older than the tail.
     while reached and reached[-1].last_stamp > last + _SAME_STAMP_S:
         if not (reached[-1].last_stamp > tail_begin or reached[-1].told_at > tail_begin):
             break
@@ -193,9 +195,9 @@ def _compare_run(
 
 
 def _up_to(reading: Reading, stamps: NDArray[np.float64]) -> tuple[int, int]:
-    """Return how many samples of the file had been pushed at a reading, at least and at most.
+    """Return the minimum and maximum number of the file's samples pushed before a reading.
 
-    Events that happened at one moment have one stamp, and a reading may come between them.
+    Simultaneous events share a timestamp, and a reading may be taken between them.
     """
     around = np.array([-_SAME_STAMP_S, _SAME_STAMP_S]) + reading.last_stamp
     earlier, most = np.searchsorted(stamps, around, side="right").tolist()

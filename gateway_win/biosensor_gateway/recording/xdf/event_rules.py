@@ -1,4 +1,4 @@
-"""Judges a recording by what the capture agent said in it of its devices."""
+"""Checks a recording against the device events that the capture agent sent into it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_SPELLS = 3
 
 
 def tells_devices(recording: Recording) -> bool:
-    """Whether an agent says in a recording which devices it had."""
+    """Whether a recording contains an agent's list of devices."""
     events = (each.texts for each in recording.streams if each.header.is_events)
     return any(_states(each) for each in events)
 
@@ -29,12 +29,12 @@ def tells_devices(recording: Recording) -> bool:
 def judge_devices(
     streams: Sequence[Measured], extent: Extent, without: Collection[str] = ()
 ) -> Iterator[Finding]:
-    """Say what was not recorded, or not to the end, of the devices that an agent had.
+    """Report devices of an agent that were not recorded, or not until the end.
 
     Parameters
     ----------
     without
-        source_ids of those that a person has left out on purpose.
+        source_ids of sensors that the user has excluded.
     """
     for events in streams:
         if not events.stream.header.is_events:
@@ -65,7 +65,7 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
             text = f"{device} was never there ({how}), so nothing of it was recorded"
             yield Finding(Level.WARNING, "absent", "", text)
         elif not is_counted:
-            # Else each of its streams is named that was left out.
+            # Otherwise each missing stream is reported by name.
             text = f"the agent also had {device}, of which nothing was recorded"
             yield Finding(Level.ERROR, "left-out", "", text)
 
@@ -78,7 +78,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
         if event.get("event") == EventKind.DEVICE_REMOVED and identity in recorded:
             ended[identity] = _time(event)
         elif event.get("event") == EventKind.DEVICE_ADDED:
-            # Under the same name the recorder finds its streams again.
+            # A device added again under the same name is recorded again.
             ended.pop(identity, None)
     for identity, at in ended.items():
         who = f" of {identity.participant}" if identity.participant else ""
@@ -92,7 +92,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
 def _away(
     own: Sequence[Measured], events: Measured, extent: Extent, without: Collection[str]
 ) -> Iterator[Finding]:
-    """Say of each recorded device when it was paused, or not connected."""
+    """Report when each recorded device was paused or not connected."""
     for device, spells in _spells(events.stream.texts).items():
         streams = [each for each in own if _device(each) == device]
         if not streams or not spells:
@@ -101,7 +101,7 @@ def _away(
         more = len(spells) - _MOST_SPELLS
         said += f" and {more} times more" if more > 0 else ""
         named = _named(own, device)
-        # A battery's level may be older than the recording.
+        # A battery level may have been measured before the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
             yield Finding(Level.WARNING, "away", "", f"{named} was {said}")
@@ -114,9 +114,9 @@ def _away(
 
 
 def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
-    """Say of each recorded device when its stamps were found wrong, and put right by a jump."""
+    """Report when the timestamps of each recorded device were corrected by a jump."""
     for device, found in _of_recorded(own, events, EventKind.CLOCK_REANCHORED).items():
-        # Of a device that counts again nothing was stamped before it was known.
+        # When a device restarts its clock, no sample is stamped before that is detected.
         sizes = {_time(each): each.get("seconds") for each in found}
         known = {at: size for at, size in sizes.items() if isinstance(size, int | float)}
         if known:
@@ -134,7 +134,7 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
 
 
 def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
-    """Say of each recorded device when data that were due did not come."""
+    """Report when expected data of each recorded device did not arrive."""
     for device, found in _of_recorded(own, events, EventKind.STREAMS_SILENT).items():
         spans = [each for each in found if _number(each, "seconds") > 0]
         if spans:
@@ -181,7 +181,7 @@ def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
 def _of_recorded(
     own: Sequence[Measured], events: Measured, kind: EventKind
 ) -> Mapping[str, list[Mapping[str, Any]]]:
-    """Return the events of a kind by ``sensor/unit`` of the devices that were recorded."""
+    """Return the events of one kind for the recorded devices, by ``sensor/unit``."""
     recorded = {_device(each) for each in own}
     found: dict[str, list[Mapping[str, Any]]] = {}
     for event in _events(events.stream.texts):
@@ -197,7 +197,7 @@ def _number(event: Mapping[str, Any], name: str) -> float:
 
 
 def _named(own: Sequence[Measured], device: str) -> str:
-    """Return a recorded device by ``sensor/unit``, and who wears it."""
+    """Return the ``sensor/unit`` of a recorded device, with its participant if known."""
     person = next(each.stream.header.identity for each in own if _device(each) == device)
     return f"{device} of {person.participant}" if person and person.participant else device
 
@@ -208,7 +208,7 @@ def _device(stream: Measured) -> str:
 
 
 class _Spell(NamedTuple):
-    """How a device was away, from one LSL time in s to another; None where nothing says when."""
+    """A time in which a device did not send, in LSL seconds; None where an end is unknown."""
 
     how: str
     since: float | None
@@ -216,7 +216,7 @@ class _Spell(NamedTuple):
 
 
 def _spells(texts: Sequence[str]) -> Mapping[str, list[_Spell]]:
-    """Return when each device did not send, by ``sensor/unit``."""
+    """Return the times in which each device did not send, by ``sensor/unit``."""
     now: dict[str, tuple[str, float | None]] = {}
     found: dict[str, list[_Spell]] = {}
     for event in _events(texts):
@@ -224,7 +224,7 @@ def _spells(texts: Sequence[str]) -> Mapping[str, list[_Spell]]:
             before, since = now.get(device, ("", None))
             if device in now and how == before:
                 continue
-            # How it was at first, it has been since the recording began.
+            # The first known state applies from the start of the recording.
             now[device] = how, _time(event) if device in now else None
             if before:
                 found.setdefault(device, []).append(_Spell(before, since, _time(event)))
@@ -235,7 +235,7 @@ def _spells(texts: Sequence[str]) -> Mapping[str, list[_Spell]]:
 
 
 def _ways(event: Mapping[str, Any], before: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Say of devices how they are away from an event on; empty if they are not."""
+    """Yield how each device in an event is absent; an empty text if it is not."""
     kind, devices = event.get("event"), event.get("devices")
     if kind == EventKind.HEARTBEAT and isinstance(devices, dict):
         for device, state in cast("dict[str, object]", devices).items():
@@ -263,7 +263,7 @@ def _spell(spell: _Spell, events: Measured, extent: Extent) -> str:
 
 
 def _states(texts: Sequence[str]) -> Mapping[str, dict[str, None]]:
-    """Return the states of each device, by ``sensor/unit``, in the order of heartbeats."""
+    """Return the states of each device by ``sensor/unit``, in the order of the heartbeats."""
     found: dict[str, dict[str, None]] = {}
     for event in _events(texts):
         devices: object = event.get("devices")

@@ -18,9 +18,9 @@ class ExpectedStream:
     Attributes
     ----------
     source_id
-        Empty if `name` is all that is known of it; it may be either then.
+        Empty if only `name` is known, which may then be a name or a source_id.
     must_have_samples
-        Whether to expect samples too; a sensor's event may never have happened.
+        Whether samples are expected too; an event stream may be empty.
     """
 
     name: str
@@ -28,19 +28,19 @@ class ExpectedStream:
     must_have_samples: bool = False
 
     def is_met_by(self, header: RecordedHeader) -> bool:
-        """Whether a recorded stream is the expected one."""
+        """Whether a recorded stream matches."""
         if self.source_id:
             return header.source_id == self.source_id
         return self.name in (header.name, header.source_id)
 
 
 def by_name(names: Iterable[str]) -> tuple[ExpectedStream, ...]:
-    """Expect streams by name or source_id, with samples."""
+    """Return expected streams, given by name or source_id; each must have samples."""
     return tuple(ExpectedStream(name, must_have_samples=True) for name in names)
 
 
 def by_devices(devices: Iterable[DeviceSettings]) -> tuple[ExpectedStream, ...]:
-    """Expect every stream of every enabled device of the settings.
+    """Return every stream of every enabled device in the settings.
 
     Raises
     ------

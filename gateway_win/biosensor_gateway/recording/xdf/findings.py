@@ -15,9 +15,8 @@ from biosensor_gateway.recording.participants import compare_file
 class Level(StrEnum):
     """How bad a finding is.
 
-    ``ERROR``: something is wrong or missing in the file. ``WARNING``: the file is
-    right, and something happened that whoever analyses it must know. ``NOTE``: good
-    to know.
+    ``ERROR``: something is wrong or missing in the file. ``WARNING``: the file is intact, but
+    something happened that matters for the analysis. ``NOTE``: for information.
     """
 
     ERROR = "error"
@@ -27,14 +26,14 @@ class Level(StrEnum):
 
 @unique
 class About(StrEnum):
-    """What a finding is about, in the order in which findings are told."""
+    """What a finding is about, in the order of the report."""
 
     PERSONS = "persons"
-    """Data of persons, and the recording as a whole."""
+    """Data of participants, and the recording as a whole."""
     OTHERS = "others"
     """Streams of other programs."""
     OURSELVES = "ourselves"
-    """What the agent and the node record of themselves: counters and events."""
+    """The agent's and the node's own streams: counters and events."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +43,9 @@ class Finding:
     Attributes
     ----------
     code
-        What it is about, for scripts.
+        Identifier for scripts.
     stream
-        Name of the stream, empty if it is about the whole file.
+        Name of the stream; empty for the whole file.
     """
 
     level: Level
@@ -56,7 +55,7 @@ class Finding:
     about: About = About.PERSONS
 
     def of(self, about: About) -> Finding:
-        """Return the same about something; what we record of ourselves spoils nobody's data."""
+        """Return a copy about this subject; about our own streams, with a milder level."""
         milder = _MILDER if about is About.OURSELVES else {}
         return replace(self, about=about, level=milder.get(self.level, self.level))
 
@@ -64,7 +63,7 @@ class Finding:
 def other_participants(
     path: Path, identities: Iterable[DeviceIdentity | None]
 ) -> Iterator[Finding]:
-    """Say whether a recording is called after somebody else than those who wear its sensors."""
+    """Report if the file name names a participant other than those wearing the sensors."""
     mismatch = compare_file(path, identities)
     if mismatch is not None:
         level = Level.ERROR if mismatch.is_all else Level.WARNING
@@ -75,6 +74,6 @@ _MILDER = {Level.ERROR: Level.WARNING, Level.WARNING: Level.NOTE}
 
 
 def in_order(findings: Iterable[Finding]) -> list[Finding]:
-    """Sort by what they are about, and then the worst first; else the order stays."""
+    """Sort by subject, then by severity with the worst first; the sort is stable."""
     subjects, levels = list(About), list(Level)
     return sorted(findings, key=lambda each: (subjects.index(each.about), levels.index(each.level)))

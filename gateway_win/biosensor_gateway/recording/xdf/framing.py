@@ -1,7 +1,7 @@
-"""Reads and writes the frames of chunks, and finds where one may begin.
+"""Reads and writes the frames of chunks, and finds possible starts of chunks.
 
-A frame is one byte that tells how many bytes the length has (1, 4 or 8), the length, and a
-tag of two bytes; then comes the content. All is little-endian, and the length counts tag
+A frame consists of the size of the length field in bytes (one byte: 1, 4 or 8), the length, and a
+tag of two bytes; the content follows. All numbers are little-endian, and the length includes tag
 and content. See https://github.com/sccn/xdf/wiki/Specifications.
 """
 
@@ -21,7 +21,7 @@ _LENGTH_SIZES = frozenset({1, 4, 8})
 _TAG_BYTES = 2
 _LONGEST_HEAD = 1 + 8 + _TAG_BYTES
 _BLOCK_BYTES = 1 << 20
-# The beginning of a frame with one of the known tags, for each size of the length.
+# The start of a frame with a known tag, for each size of the length field.
 _HEAD = re.compile(
     rb"\x01(?=.[\x01-\x06]\x00)|\x04(?=.{4}[\x01-\x06]\x00)|\x08(?=.{8}[\x01-\x06]\x00)", re.DOTALL
 )
@@ -29,7 +29,7 @@ _HEAD = re.compile(
 
 @unique
 class Tag(IntEnum):
-    """What a chunk holds."""
+    """Kind of a chunk."""
 
     FILE_HEADER = 1
     STREAM_HEADER = 2
@@ -40,7 +40,7 @@ class Tag(IntEnum):
 
     @property
     def title(self) -> str:
-        """Its name for a person."""
+        """Its name in sentences."""
         return self.name.lower().replace("_", " ")
 
 
@@ -48,11 +48,11 @@ _TAGS = frozenset(Tag)
 
 
 class FrameError(Exception):
-    """Nothing that could be a chunk begins here; the text says what does."""
+    """No chunk begins here; the text says why."""
 
 
 class Frame(NamedTuple):
-    """Where in the file a chunk is; its tag may be unknown, and its end behind the file's."""
+    """The place of a chunk in the file; its tag may be unknown, and its end past the file's."""
 
     tag: int
     content_start: int
@@ -60,22 +60,22 @@ class Frame(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether there are chunks of this kind."""
+        """Whether the format defines this kind of chunk."""
         return self.tag in _TAGS
 
     @property
     def title(self) -> str:
-        """What it is, for a person."""
+        """Its description in sentences."""
         return f"a {Tag(self.tag).title} chunk" if self.is_known else f"a chunk of kind {self.tag}"
 
 
 def read_frame(file: BinaryIO, position: int) -> Frame:
-    """Read the frame at `position`, which is before the file's end.
+    """Read the frame at `position`, which must be before the end of the file.
 
     Raises
     ------
     FrameError
-        If there is none.
+        If there is no frame.
     """
     file.seek(position)
     head = file.read(_LONGEST_HEAD)
@@ -93,7 +93,7 @@ def read_frame(file: BinaryIO, position: int) -> Frame:
 
 
 def is_frame(file: BinaryIO, position: int, size: int) -> bool:
-    """Whether a chunk of a known kind seems to begin at `position`, or the file ends there."""
+    """Whether a known kind of chunk seems to begin at `position`, or the file ends there."""
     if position >= size:
         return position == size
     try:
@@ -103,11 +103,11 @@ def is_frame(file: BinaryIO, position: int, size: int) -> bool:
 
 
 def find_frames(file: BinaryIO, start: int, end: int) -> Iterator[int]:
-    """Give every place from `start` to before `end` at which a chunk may begin."""
+    """Yield every offset from `start` up to but excluding `end` at which a chunk may begin."""
     position = start
     while position < end:
         file.seek(position)
-        # The head of a frame that begins with the block's last byte is searched, too.
+        # Blocks overlap, so that a frame that begins at the end of a block is found.
         searched = file.read(min(_BLOCK_BYTES, end - position) + _LONGEST_HEAD - 1)
         last = min(_BLOCK_BYTES, end - position)
         for found in _HEAD.finditer(searched):
@@ -118,7 +118,7 @@ def find_frames(file: BinaryIO, start: int, end: int) -> Iterator[int]:
 
 
 def framed(tag: Tag, content: bytes) -> bytes:
-    """Return a chunk."""
+    """Return a complete chunk with this content."""
     length = _TAG_BYTES + len(content)
     size = next(size for size in sorted(_LENGTH_SIZES) if length < 1 << (8 * size))
     return bytes([size]) + length.to_bytes(size, "little") + tag.to_bytes(2, "little") + content

@@ -20,22 +20,22 @@ from biosensor_common.stream_header import BLOCK, StreamHeader
 from biosensor_gateway.recording.xdf.container import ChunkError
 
 MAX_XML_CHARACTERS = 64_000_000
-# No device samples faster, so a rate above it is a damaged header.
+# No device samples faster, so a higher rate means a damaged header.
 _MAX_RATE_HZ = 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class RobotTopic:
-    """What ``ros_to_lsl`` says of a topic that it sends.
+    """What the header of a stream from ``ros_to_lsl`` says about its topic.
 
     Attributes
     ----------
     stamped_by
-        What the first sample was stamped by: the message's header, its source, or its arrival.
+        Origin of the first sample's timestamp: the message's header, its source, or its arrival.
     clock
-        What was known of the clock that made the stamps: one word.
+        What was known about the clock of the timestamps; one word.
     edge_s
-        By how much that clock may be behind, or is ahead if negative; NaN if it does not say.
+        How far that clock may be behind, or is ahead if negative; NaN if not given.
     """
 
     topic: str
@@ -46,7 +46,7 @@ class RobotTopic:
 
 @dataclass(frozen=True, slots=True)
 class RecordedHeader:
-    """What the file says of one stream before its samples.
+    """The header of one recorded stream.
 
     Attributes
     ----------
@@ -55,26 +55,25 @@ class RecordedHeader:
     created_at
         LSL time at which the outlet was made, on its host's clock; NaN if unknown.
     labels, units
-        One for each channel; a number and empty text where the header gives none.
+        One per channel; a number and an empty text where the header gives none.
     can_drop_samples
-        Whether samples may be missing, so that loaders keep every stamp as it is.
+        Whether samples may be missing, so that loaders must not smooth the timestamps.
     identity, data_name
-        Which of our streams it is; None and empty if it is another program's.
+        Identifies one of our streams; None and empty for another program's stream.
     refused
-        Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
+        Why a ``<biosensor>`` block was rejected; empty if there was none or it was accepted.
     replay
-        Of which recording the stream was played; None if it was measured then.
+        The recording that was replayed; None for a stream that was recorded live.
     robot
-        The topic of which ``ros_to_lsl`` made the stream; None if it did not.
+        The topic that ``ros_to_lsl`` turned into the stream; None for other streams.
     xml
         The header as it was recorded.
     may_be_older
         Whether its samples may have been measured long before the recording began.
     window_s
-        How far back its values look at most, by what it says of a feature; None of what was
-        measured.
+        Longest time window of a feature's values; None for measured streams.
     is_guessed
-        Whether its text is not UTF-8, so that its characters are guessed.
+        Whether its text is not UTF-8, so the encoding was guessed.
     """
 
     name: str
@@ -105,22 +104,22 @@ class RecordedHeader:
 
     @property
     def is_of_agent(self) -> bool:
-        """Whether a capture agent sent it while it was recorded, and so counted its samples."""
+        """Whether a capture agent sent it live, and so counted its samples."""
         return self.is_ours and self.replay is None and not self._is_from(NODE)
 
     @property
     def is_counters(self) -> bool:
-        """Whether the capture agent counts its samples in this stream."""
+        """Whether it is the capture agent's stream of sample counts."""
         return self._is_from(AGENT, "counters")
 
     @property
     def is_events(self) -> bool:
-        """Whether the capture agent says in this stream what happens to its devices."""
+        """Whether it is the capture agent's stream of device events."""
         return self._is_from(AGENT, "events")
 
     @property
     def is_events_of_node(self) -> bool:
-        """Whether a node says in this stream what happened to the topics that it sends."""
+        """Whether it is a node's stream of events about the topics that it sends."""
         return self._is_from(NODE, "events")
 
     @property
@@ -130,7 +129,7 @@ class RecordedHeader:
 
     @property
     def is_regular(self) -> bool:
-        """Whether samples are meant to be equidistant."""
+        """Whether it has a nominal sample rate."""
         return self.rate > 0
 
     def _is_from(self, program: str, data_name: str = "") -> bool:
@@ -143,28 +142,28 @@ class RecordedHeader:
         Raises
         ------
         SpecError
-            ``MALFORMED`` if there is no XML.
+            ``MALFORMED`` if it is not XML.
         """
         return read_xml(self.xml, MAX_XML_CHARACTERS)
 
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """What the recorder says of one stream after its samples; None where it says nothing."""
+    """The footer of one recorded stream; fields that it lacks are None."""
 
     sample_count: int | None
 
 
 @dataclass(frozen=True, slots=True)
 class FileClock:
-    """What a file says of its clock.
+    """How the file's clock relates to Unix time.
 
     Attributes
     ----------
     resolution_s
-        How far off it may be.
+        How far off a pair may be.
     pairs
-        Ascending, at least one.
+        Moments on both clocks, ascending, at least one.
     """
 
     resolution_s: float
@@ -172,10 +171,10 @@ class FileClock:
 
 
 def decoded(content: bytes | memoryview) -> tuple[str, bool]:
-    """Return a text, and whether its characters are guessed, for it is not UTF-8.
+    """Return a text, and whether its encoding was guessed because it is not UTF-8.
 
-    Programs on Windows often send what the computer's own code page makes of a text. What has
-    characters of UTF-8 beside others is UTF-8 with a damage.
+    Programs on Windows often send text in the computer's code page. Text that contains some valid
+    UTF-8 characters outside ASCII is taken as damaged UTF-8.
     """
     try:
         return str(content, "utf-8"), False
@@ -239,15 +238,16 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
 
 
 def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
-    """Return the content of a stream header chunk in its right form, and what was wrong with it.
+    """Return the corrected content of a stream header chunk, and what was wrong with it.
 
-    Fixed is what some programs write: control characters (a C string's end), a bare ``&``, a
-    document type, blanks around fields, a comma in numbers, ``cf_float32``, no nominal rate.
+    Fixes the errors that some programs make: control characters (such as the end of a C string), a
+    bare ``&``, a document type, spaces around fields, a decimal comma, ``cf_float32``, no nominal
+    rate.
 
     Raises
     ------
     ChunkError
-        If it cannot be read even so.
+        If the corrected content cannot be read either.
     """
     text, _ = decoded(content)
     wrong: list[str] = []
@@ -301,7 +301,7 @@ def parse_footer(content: bytes) -> Footer:
 
 
 def parse_file_header(content: bytes) -> str:
-    """Return when the recording was begun by the recorder's own words, empty if it is silent.
+    """Return the recorder's text for the start time of the recording; empty if there is none.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def parse_file_header(content: bytes) -> str:
 
 
 def parse_file_clock(content: bytes) -> FileClock | None:
-    """Return unix time by the file's clock; None if the file header does not tell it.
+    """Return how the file's clock relates to Unix time; None if the file header does not say.
 
     Raises
     ------
@@ -377,7 +377,7 @@ def _robot(root: ET.Element) -> RobotTopic | None:
 
 
 def _own(xml: str) -> tuple[StreamHeader | None, str]:
-    """Return what the header says of itself, and why that was refused."""
+    """Return our own part of the header, or why it was rejected."""
     try:
         return read_header(xml), ""
     except SpecError as error:

@@ -1,4 +1,4 @@
-"""Judges a recording as a whole: the file, its streams together, and the agent's counts."""
+"""Checks a recording as a whole: the file, all its streams, and the agent's counts."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from biosensor_gateway.recording.xdf.report import Measured, Report, extent
 from biosensor_gateway.recording.xdf.stream_rules import judge_stream
 
 _MOST_DAMAGES = 10
-# The fastest messages in a lab's network take no longer: what is later may be the clock.
+# The fastest messages in a lab's network take no longer; a larger delay may be a clock error.
 MAX_EDGE_S = 0.02
-# It is seen in the agent's counters, and tells of its sensors' streams.
+# This finding is detected in the agent's counters but concerns the sensors' streams.
 _OF_PERSONS = frozenset({"held-up"})
 _IN_ORDER = ("synchronised", "unknown", "")
 
@@ -38,7 +38,7 @@ _IN_ORDER = ("synchronised", "unknown", "")
 def judge(
     recording: Recording, expected: Sequence[ExpectedStream] = (), without: Collection[str] = ()
 ) -> Report:
-    """Measure every stream of a recording and say what is wrong; see `check` of the verdict."""
+    """Measure every stream of a recording and report what is wrong; see `verdict.check`."""
     streams = [Measured(stream, measure(stream)) for stream in recording.streams]
     streams, findings = compare_with_agent(streams)
     length = extent(streams)
@@ -60,7 +60,7 @@ def judge(
         ),
     ]
     if not _has_footers(recording):
-        # Said once for the whole file.
+        # Reported once for the whole file.
         findings = [finding for finding in findings if finding.code != "no-footer"]
     return Report(recording, tuple(streams), length, tuple(in_order(findings)))
 
@@ -145,7 +145,7 @@ def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
 
 
 def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
-    """Say once for each recording that was played which of the streams are no live ones."""
+    """Report once for each replayed recording which streams came from it."""
     played = Counter(replay.title for each in measured if (replay := each.stream.header.replay))
     for title, count in played.items():
         streams = "1 stream is" if count == 1 else f"{count} streams are"
@@ -166,7 +166,7 @@ def _unaligned(measured: Sequence[Measured]) -> Iterator[Finding]:
 
 
 class _Told(NamedTuple):
-    """What the node said of one clock at one moment."""
+    """The node's report on one clock at one moment."""
 
     word: str
     edge_s: float
@@ -177,7 +177,7 @@ class _Told(NamedTuple):
 
 
 def judge_robot_clocks(streams: Sequence[Measured]) -> Iterator[Finding]:
-    """Say which streams of topics have stamps whose clock is not known to be right."""
+    """Report which streams from topics have timestamps of a clock not known to be right."""
     heard = {
         each.stream.header.hostname: list(_heartbeats(each.stream.texts))
         for each in streams
@@ -225,7 +225,7 @@ def _clocks(topic: object) -> Iterator[_Told]:
 
 
 def _inside(content: object, name: str) -> Mapping[str, Any]:
-    """Return an object that is inside of another one; an empty one if there is none."""
+    """Return an object nested in another one; an empty one if there is none."""
     inner = cast("Mapping[str, object]", content).get(name) if isinstance(content, dict) else None
     nothing: Mapping[str, Any] = {}
     return cast("Mapping[str, Any]", inner) if isinstance(inner, dict) else nothing
@@ -237,9 +237,9 @@ def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], lis
     Returns
     -------
     list of Measured
-        The same streams, with the comparison where there is one.
+        The same streams, with the comparison where one is possible.
     list of Finding
-        What is to be said of the counters themselves.
+        Findings about the counters themselves.
     """
     compared = list(streams)
     findings: list[Finding] = []
@@ -286,12 +286,12 @@ def _refused(stream: Measured, run: Sequence[Reading]) -> Iterator[Finding]:
 def _left_out(
     streams: Sequence[Measured], readings: Mapping[str, Sequence[Reading]], counters: RecordedHeader
 ) -> Iterator[Finding]:
-    """Name what was pushed and not recorded, once for each device."""
+    """Report streams that were pushed but not recorded, once for each device."""
     of_device: dict[str, list[str]] = {}
     for source_id, run in readings.items():
         was_pushed = run[-1].pushed > run[0].pushed
         if was_pushed and not _places(streams, source_id, counters.hostname):
-            # No other part of a source_id has this sign.
+            # No other part of a source_id contains a hyphen.
             of_device.setdefault(source_id.rpartition("-")[0], []).append(source_id)
     for device, ids in of_device.items():
         if len(ids) == 1:
@@ -303,7 +303,7 @@ def _left_out(
 
 
 def _uncounted(streams: Sequence[Measured]) -> Iterator[Finding]:
-    # Of a replay nobody counts, nor of what a node says of itself.
+    # The agent counts neither replays nor a node's own streams.
     counted = [each.stream.header for each in streams if each.stream.header.is_of_agent]
     if counted and not any(header.is_counters for header in counted):
         text = "the agent's counters were not recorded, so nothing can be compared with them"

@@ -1,4 +1,4 @@
-"""Turns the stamps and clock offsets of one stream into figures; pure arithmetic."""
+"""Computes statistics from the timestamps and clock offsets of one stream."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from biosensor_gateway.recording.xdf.pace import MOST_LOST, SECTION, Cuts, Pace,
 from biosensor_gateway.recording.xdf.recording import RecordedStream
 from biosensor_gateway.recording.xdf.sender_clock import Offset, runs_of
 
-# Two samples whose stamps are further apart than this many periods are not neighbours.
+# Between timestamps further apart than this many periods, samples are missing.
 GAP_PERIODS = 1.5
-# Other programs often stamp with the time at which they push, so their stamps jitter.
+# Other programs often use the time at which they push, so their timestamps jitter.
 FOREIGN_JITTER_S = 0.1
-# Of a stream that consists of gaps, the longest are enough.
+# A badly damaged stream may have very many gaps.
 MOST_GAPS_LISTED = 100
-# A stamp further off is not on the LSL clock of its computer.
+# A timestamp further off is not on its computer's LSL clock.
 MAX_STAMP_ERROR_S = 30.0
-# No computer is up for longer; LSL's clock begins when it is switched on.
+# LSL's clock starts when the computer boots, and no computer is assumed to run for longer.
 MAX_UPTIME_S = 366 * 86400.0
-# The years 2001 to 2286.
+# Unix times from 2001 to 2286.
 _UNIX_S = (1e9, 1e10)
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A break in a regular stream.
+    """A gap in a regular stream.
 
     Attributes
     ----------
     after
-        Stamp of the last sample before it, on the stream's clock, in s.
+        Timestamp of the last sample before it, on the stream's clock, in s.
     length_s
         Time between the samples on either side.
     lost
-        Samples that would fit into it, an estimate.
+        Estimated number of lost samples.
     """
 
     after: float
@@ -49,7 +49,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Gaps:
-    """All breaks of a stream; of more than `MOST_GAPS_LISTED` only the longest are listed."""
+    """All gaps of a stream; only the longest `MOST_GAPS_LISTED` are listed."""
 
     count: int = 0
     lost: int = 0
@@ -59,17 +59,17 @@ class Gaps:
 
 @dataclass(frozen=True, slots=True)
 class ClockOffsets:
-    """How a stream's clock stood against the recorder's, in s.
+    """Statistics of the offsets between a stream's clock and the recorder's, in s.
 
     Attributes
     ----------
     drift_ppm
-        Slope of a straight line through the offsets, between resets if there are any; None if
-        there are fewer than two.
+        Slope of a straight line through the offsets between resets; None if there are fewer than
+        two.
     scatter_s
-        How far the offsets stray from that line at most.
+        Largest deviation from that line.
     resets
-        How often the clock began again or was set.
+        How often the clock restarted or was set.
     """
 
     count: int = 0
@@ -82,26 +82,27 @@ class ClockOffsets:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What the samples of one stream say of themselves.
+    """Statistics of the samples of one stream.
 
     Attributes
     ----------
     first, last
-        Earliest and latest stamp on the stream's clock, in s, without stray ones; None without
-        samples. Of a stream whose clock began again, all times are the recorder's.
+        Earliest and latest timestamp on the stream's clock, in s, without outliers; None without
+        samples. If the stream's clock restarted, all times are on the recorder's clock.
     backward_steps
-        How often a stamp is earlier than the one before; in a regular stream of another program
-        by more than its way of stamping explains.
+        How often a timestamp is earlier than the previous one; in another program's regular
+        stream, only if bursts and jitter do not explain it.
     bad_stamps
-        Stamps that are no numbers.
+        Number of timestamps that are NaN or infinite.
     rate_hz
-        Samples a second from first to last; None for fewer than two samples.
+        Samples per second from first to last; None for fewer than two samples.
     rate_between_gaps_hz
         The same without the gaps; None also for irregular streams.
     clock_error
-        Why the stamps are not on the LSL clock; empty if they are.
+        Why the timestamps are not on the LSL clock; empty if they are.
     pace
-        How the stamps of another program lie about a line; None where each is meant as it is.
+        How the timestamps of another program deviate from a line; None where each timestamp is
+        exact.
     """
 
     first: float | None
@@ -123,8 +124,8 @@ class Figures:
 
 
 def measure(stream: RecordedStream) -> Figures:
-    """Work out all figures of one stream."""
-    # A damaged file may hold times that no arithmetic can bear.
+    """Compute all statistics of one stream."""
+    # Times in a damaged file may overflow.
     with np.errstate(over="ignore", invalid="ignore"):
         return _measure(stream)
 
@@ -136,7 +137,7 @@ def _measure(stream: RecordedStream) -> Figures:
     offsets = stream.clock_offsets
     clock = summarise_offsets(offsets)
     if clock.resets:
-        # Its own stamps would make gaps and steps back of that.
+        # In its own timestamps, a clock restart would look like a gap or a step back.
         stamps = stream.times()
         finite = stamps[np.isfinite(stamps)]
     count = max(1, stream.sample_count)
@@ -169,26 +170,26 @@ def _measure(stream: RecordedStream) -> Figures:
 
 
 def is_exact(header: RecordedHeader) -> bool:
-    """Whether each stamp is meant as it is: in our streams, and where samples may be missing."""
+    """Whether each timestamp is exact: in our streams, and where samples may be missing."""
     return header.is_ours or header.can_drop_samples
 
 
 def cuts_of(
     blocks: Iterable[NDArray[np.float64]], header: RecordedHeader, section: int = SECTION
 ) -> Cuts | None:
-    """Find where runs begin in a regular stream whose stamps say little one by one.
+    """Find where runs begin in a regular stream whose single timestamps are inexact.
 
     Parameters
     ----------
     blocks
-        Times of its samples, finite, in s; looked at only if the header makes it necessary.
+        Finite times of its samples in s; only read if the timestamps are inexact.
     section
-        How many samples are looked at together.
+        Number of samples analysed together.
 
     Returns
     -------
     Cuts or None
-        None if each step tells by itself; see `longest_step_s`.
+        None if the timestamps are exact, so single steps are enough; see `longest_step_s`.
     """
     if is_exact(header):
         return None
@@ -213,10 +214,10 @@ def _gaps_of(pace: Pace, stamps: NDArray[np.float64]) -> Gaps:
 
 
 def longest_step_s(header: RecordedHeader) -> float:
-    """Return how far apart neighbouring stamps may be; infinite in an irregular stream.
+    """Return the largest step between timestamps without a gap; infinite if irregular.
 
-    Where the header says that samples can be missing, and in our own streams, every
-    stamp is meant as it is; elsewhere stamps are allowed to jitter.
+    Timestamps are exact in our own streams and where the header says that samples can be missing;
+    elsewhere they may jitter.
     """
     if not header.is_regular:
         return math.inf
@@ -224,7 +225,7 @@ def longest_step_s(header: RecordedHeader) -> float:
 
 
 def find_gaps(stamps: NDArray[np.float64], header: RecordedHeader) -> Gaps:
-    """Find the places where samples of a regular stream are missing.
+    """Find the gaps of a regular stream.
 
     Parameters
     ----------
@@ -260,9 +261,9 @@ def _rate_between_gaps(
 
 
 def summarise_offsets(offsets: Sequence[Offset]) -> ClockOffsets:
-    """Work out range and drift of (time, offset) pairs in s, for each run of the clock alone.
+    """Compute range and drift of (time, offset) pairs in s, separately for each clock run.
 
-    The single last one of an outlet that was just going tells nothing.
+    A single last offset, measured while the outlet was closing, is ignored.
     """
     runs = [run for _, run in runs_of(offsets)]
     if len(runs) > 1 and len(runs[-1]) == 1:
@@ -296,16 +297,16 @@ def _drift_and_scatter(run: Sequence[Offset]) -> tuple[float, float] | None:
 def clock_error(
     header: RecordedHeader, offsets: Sequence[tuple[float, float]], first: float, last: float
 ) -> str:
-    """Say why stamps from `first` to `last` are not on the LSL clock, empty if they are.
+    """Return why timestamps from `first` to `last` are not on the LSL clock; empty if they are.
 
-    The recorder notes the stream's own LSL clock with every clock offset, and the
-    header has the time at which the outlet was made; samples must fit to that.
+    Every clock offset contains the stream's own LSL time, and the header contains the time at
+    which the outlet was created; the timestamps must be consistent with both.
     """
     unix = " (they are unix time)" if _UNIX_S[0] < first < _UNIX_S[1] else ""
-    # Of an outlet that has just gone, LabRecorder notes that its clock stood at 0.
+    # For an outlet that has just closed, LabRecorder writes a clock time of 0.
     times = [time for time, _ in offsets if time]
     if times:
-        # What tells of a device may have been measured at any time before.
+        # The state of a device may have been measured long before the recording.
         early_s = 0.0 if header.may_be_older else min(times) - last
         error_s = max(first - max(times), early_s)
         if error_s > MAX_STAMP_ERROR_S:

@@ -1,9 +1,9 @@
-"""Judges the stamps of another program's regular stream by a line over the sample number.
+"""Analyses inexact timestamps of another program's regular stream with a line fit.
 
-Such programs often stamp a sample when it arrives, many at once or one after the other, so that
-neighbouring stamps say little. Over many samples a stamp is the time of measuring and a delay that
-is never negative: the earliest ones lie on a line. Samples are missing where that line jumps ahead
-and stays there, by more than it ever moves without.
+Such programs often use the arrival time of a sample as its timestamp, so that single steps are
+meaningless. A timestamp is the time of measurement plus a delay that is never negative, so over
+many samples the earliest timestamps lie on a line over the sample number. Samples are missing
+where that line jumps forward permanently, by more than it moves elsewhere.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MOST_LOST = 1_000_000_000
-"""Stamps that jump to another clock must not make a count that nobody can read."""
+"""Limit of the estimate, for timestamps that jump to another clock."""
 STEP_BACK_S = 1.0
-"""Stamps that step back further are of another clock, or of a clock that was set."""
+"""Larger steps back mean another clock, or a clock that was set."""
 _FEW = 3
 NO_PAUSE_S = 3600.0
-"""Nobody pauses for longer, for a few samples more."""
+"""A longer pause followed by only a few samples is not plausible."""
 _FEWEST = 16
-"""In fewer samples no line can be seen."""
+"""Fewer samples are too few to fit a line."""
 _WINDOW_S, _LONGEST_WINDOW_S = 1.0, 16.0
 _BURSTS_IN_WINDOW = 8
-"""Of so many, one at least came without much delay."""
+"""Of this many bursts, at least one has a small delay."""
 _FEWEST_WINDOWS = 10
-"""Of fewer, nobody knows how far the line moves by itself."""
+"""Fewer windows are too few to estimate how far the line moves without gaps."""
 _AT_ONCE, _NOT_BY_CHANCE = 0.1, 0.3
-"""Part of a period within which stamps are as good as one; and part of the steps that are so."""
+"""Timestamps within 0.1 periods count as equal; from 0.3 of the steps on, not by chance."""
 _NOMINAL_HOLDS = 0.05
-"""A rate in a header that is further off is not that of the stream."""
+"""A header's rate that deviates by a larger fraction is wrong."""
 SECTION = 1 << 20
 _USUAL, _UNUSUAL = 95, 4
-"""Beyond so many times what 95 of 100 moves stay below, in a million moves none is by chance."""
+"""Moves beyond 4 times the 95th percentile are not by chance, even in a million moves."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A place where samples are missing.
+    """A gap: a place where samples are missing.
 
     Attributes
     ----------
     at
-        Number of the first sample behind it.
+        Index of the first sample after it.
     length_s
-        Time between the samples on either side, as the line has it.
+        Time between the samples on either side, according to the line.
     lost
-        How many samples would fit into it.
+        Estimated number of lost samples.
     """
 
     at: int
@@ -61,29 +61,29 @@ class Hole:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How the stamps of a stream lie about a line over the sample number.
+    """How the timestamps of a stream deviate from a line over the sample number.
 
     Attributes
     ----------
     period_s
-        Between two samples, by the slope of the line.
+        Sample period, from the slope of the line.
     burst
-        How many samples are stamped at once, or as good as; 1 where each has its own time.
+        Number of samples that share a timestamp, or nearly; 1 where each has its own.
     spread_s
-        By how much stamps are usually later than the line, at most.
+        Usual maximum by which timestamps are later than the line.
     moves_s
-        By how much the line moves without a hole.
+        How far the line moves without a gap.
     overlap_s
-        By how much a stamp is earlier than the one before it because of that, at most.
+        Largest step back between timestamps that this explains.
     holes
-        In their order.
+        In order.
     turns
-        Numbers of the samples at which stamps step back by more than `STEP_BACK_S`, or the line
-        falls and stays there.
+        Indexes of the samples at which timestamps step back by more than `STEP_BACK_S`, or the
+        line drops permanently.
     odd_steps_back
-        How often a stamp is earlier than the one before by more than bursts and jitter explain.
+        How often a timestamp steps back by more than bursts and jitter explain.
     stray
-        Numbers of the samples whose stamps are far away from those before and behind them.
+        Indexes of outliers: samples with timestamps far from those before and after.
     """
 
     period_s: float
@@ -96,23 +96,23 @@ class Pace:
     odd_steps_back: int
     stray: tuple[int, ...]
     ends_astray: bool = False
-    """Whether the last sample is stray, and more than a pause away."""
+    """Whether the last sample is an outlier by more than `NO_PAUSE_S`."""
 
     @property
     def cuts(self) -> tuple[int, ...]:
-        """Numbers of the samples with which a run begins, but for the first one."""
+        """Indexes of the samples at which a run begins, except the first run."""
         return tuple(sorted({*(each.at for each in self.holes), *self.turns}))
 
 
 def find_pace(stamps: Array, nominal_hz: float) -> Pace:
-    """Find line, bursts and holes.
+    """Find the line, bursts and gaps.
 
     Parameters
     ----------
     stamps : ndarray of float64, shape (n_samples,)
-        In the order of the file, in s; two at least are finite.
+        In the order of the file, in s; at least two are finite.
     nominal_hz
-        Rate that the header names; above 0.
+        Nominal rate in the header; above 0.
     """
     is_number = np.isfinite(stamps)
     is_stray = is_number & _stray(_filled(stamps, is_number), 1.0 / nominal_hz)
@@ -158,23 +158,23 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
 
 
 class Cuts:
-    """Finds where runs begin in a stream that comes in blocks.
+    """Finds where runs begin in a stream that is read in blocks.
 
     Parameters
     ----------
     nominal_hz
-        Rate that the header names; above 0.
+        Nominal rate in the header; above 0.
     section
-        How many samples are looked at together, so that no memory grows with the recording.
+        Number of samples analysed together, so that memory use stays constant.
 
     Attributes
     ----------
     numbers
-        Those of the samples with which a run begins, but for the first one, as far as known.
+        Indexes of the samples at which a run begins, except the first run, as found so far.
     holes, stray
-        As far as known; see `Pace`.
+        As found so far; see `Pace`.
     period_s
-        Between two samples, by the longest section; nominal before there is one.
+        Sample period, from the longest section; nominal before there is one.
     """
 
     def __init__(self, nominal_hz: float, section: int = SECTION) -> None:
@@ -187,17 +187,17 @@ class Cuts:
         self._begin = self._held = self._longest = 0
 
     def take(self, times: Array) -> None:
-        """Take in the times of the samples that follow; finite, shape (n_samples,)."""
+        """Add the finite times of the next samples, shape (n_samples,)."""
         self._blocks.append(times)
         self._held += len(times)
         if self._held >= self._section:
-            # What is near the border of a section cannot be judged by what follows.
+            # Near the end of a section too few samples follow to detect a jump, so half is kept.
             kept = self._look()[-self._section // 2 :]
             self._begin += self._held - len(kept)
             self._blocks, self._held = [kept], len(kept)
 
     def end(self) -> None:
-        """Say that there are no more."""
+        """Analyse the remaining samples; none follow."""
         if self._held:
             self._look()
 
@@ -206,7 +206,7 @@ class Cuts:
         if len(section) < 2:
             return section
         pace = find_pace(section, self._nominal_hz)
-        # The border is looked at twice.
+        # Samples near the border are analysed twice.
         last = self.numbers[-1] if self.numbers else 0
         self.numbers += [each for at in pace.cuts if (each := self._begin + at) > last]
         self.holes += [
@@ -220,7 +220,7 @@ class Cuts:
 
 
 def _filled(stamps: Array, is_good: NDArray[np.bool_]) -> Array:
-    """Return the stamps with others in place of those that are not good, between the good ones."""
+    """Return the timestamps with bad ones replaced by interpolation."""
     if is_good.all():
         return stamps
     number = np.arange(len(stamps))
@@ -228,7 +228,7 @@ def _filled(stamps: Array, is_good: NDArray[np.bool_]) -> Array:
 
 
 def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
-    """Find stamps that leave the line and are back on it after a few samples, or end with that."""
+    """Find timestamps that leave the line for a few samples, also at the very end."""
     is_stray = np.zeros(len(stamps), bool)
     far = np.flatnonzero(np.abs(np.diff(stamps)) > max(STEP_BACK_S, 10 * nominal_s)) + 1
     for at in far.tolist():
@@ -240,7 +240,7 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
                 is_stray[at:behind] = True
                 break
         else:
-            # An outlet that ends while it is recorded may leave garbage behind its last sample.
+            # An outlet that closes while it is recorded may leave garbage after its last sample.
             is_last = at + _FEW >= len(stamps) > 2 * _FEW
             if is_last and away_s > NO_PAUSE_S:
                 is_stray[at:] = True
@@ -248,45 +248,45 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
 
 
 def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[int, float]:
-    """Return in how many samples the line can be seen, and its usual slope there."""
+    """Return the number of samples needed to see the line, and its median slope."""
     usual_s = float(np.median(steps)) if len(steps) else nominal_s
     if _is_stamped_at_once(steps, nominal_s):
-        # The last one of those that are stamped at once was measured last.
+        # The last sample of a burst has the smallest delay.
         marks = np.flatnonzero(steps > _AT_ONCE * nominal_s)
         pushes, lag = marks, _BURSTS_IN_WINDOW
     else:
         if usual_s > 0 and abs(usual_s / nominal_s - 1) > _NOMINAL_HOLDS:
             nominal_s = usual_s
         marks = np.arange(len(stamps))
-        # What comes after something late comes sooner; what comes after a hole does not.
+        # After a late sample the next step is short; after a gap it is not.
         pushes, lag = np.flatnonzero(steps < usual_s / 2), 0
     several = 0.0
     if len(pushes) > 1:
         several = _BURSTS_IN_WINDOW * float(np.median(np.diff(pushes)))
     wanted = max(_WINDOW_S / nominal_s, min(several, _LONGEST_WINDOW_S / nominal_s))
-    # Of a short stream some windows are better than long ones, if each has some bursts.
+    # In a short stream, several short windows are better than long ones if each has some bursts.
     most = len(steps) / (2 if several else _FEWEST_WINDOWS)
     window = max(_FEWEST, int(min(wanted, most)))
     lag = lag or window
     if len(marks) < _FEWEST_WINDOWS * lag:
         return window, nominal_s
-    # Holes are in fewer than half of them.
+    # Fewer than half of the slopes contain a gap, so the median is not affected.
     slopes = (stamps[marks[lag:]] - stamps[marks[:-lag]]) / (marks[lag:] - marks[:-lag])
     slope_s = float(np.median(slopes))
     is_usual = np.abs(steps - usual_s) < _NOMINAL_HOLDS * usual_s
     if lag == window and is_usual.mean() > 0.5 and abs(slope_s / usual_s - 1) > _NOMINAL_HOLDS:
-        # No clock is so wrong, so there are holes everywhere.
+        # No clock is this wrong, so there are gaps everywhere.
         return window, usual_s
     return window, slope_s if slope_s > 0 else nominal_s
 
 
 def _is_late(rest_steps: Array, period_s: float) -> bool:
-    """Whether some came late: what comes after that comes sooner."""
+    """Whether some samples were delayed: after a delay the next step is short."""
     return bool((rest_steps < -period_s / 2).any())
 
 
 def _spread(rests: list[Array], window: int, period_s: float) -> tuple[float, float]:
-    """Return how much later than the line stamps are, and how far it moves without a hole."""
+    """Return the spread above the line, and how far the line moves without a gap."""
     blocks = [
         each[: len(each) // window * window].reshape(-1, window)
         for each in rests
@@ -297,13 +297,13 @@ def _spread(rests: list[Array], window: int, period_s: float) -> tuple[float, fl
         return whole_s, whole_s / _UNUSUAL
     moves = np.concatenate([np.diff(each.min(axis=1)) for each in blocks])
     spans = np.concatenate([each.max(axis=1) - each.min(axis=1) for each in blocks])
-    # A hole moves it ahead and never back; all else moves it both ways.
+    # A gap only moves the line forward; everything else moves it both ways.
     back = -moves[moves < 0]
     moves_s = float(np.percentile(back, _USUAL)) if len(back) else 0.0
     spread_s = float(np.median(spans))
     if not any(_is_late(np.diff(each), period_s) for each in rests):
         return spread_s, moves_s
-    # What a few windows show may be less than what comes to pass.
+    # A few windows may underestimate how far the line moves.
     part = _UNUSUAL if len(moves) < _FEWEST_WINDOWS else _UNUSUAL**2
     return spread_s, max(moves_s, spread_s / part)
 
@@ -311,17 +311,17 @@ def _spread(rests: list[Array], window: int, period_s: float) -> tuple[float, fl
 def _jumps(
     rest: Array, period_s: float, spread_s: float, most_s: float, window: int
 ) -> list[tuple[int, float]]:
-    """Find where the line jumps and stays, and how far."""
+    """Find where the line jumps forward permanently, and how far."""
     steps = np.diff(rest)
     places = np.flatnonzero(steps > period_s / 2) + 1
     lowest = _lowest(rest, window)
     jumps = lowest[places] - lowest[np.maximum(places - window, 0)]
     places = places[(jumps > most_s) | (places < window)]
-    # Of a few samples all may be late, and of one packet very much.
+    # A few samples may all be late, and one packet may be very late.
     late_s = max(most_s, _UNUSUAL * spread_s if _is_late(steps, period_s) else 0.0)
     found: dict[int, float] = {}
     bounds = [0, len(rest)]
-    # The greatest first: beside a hole there are fewer samples by which to judge another place.
+    # The largest first: near a known gap, fewer samples remain to judge another place.
     waiting = places[np.argsort(-steps[places - 1], kind="stable")].tolist()
     while waiting:
         again: list[int] = []
@@ -330,7 +330,8 @@ def _jumps(
             before = rest[max(bounds[at - 1], place - window) : place]
             following = rest[place : min(bounds[at], place + window)]
             before_s = float(before.min())
-            # What was only held up comes all at once: as many samples later it is on the line.
+            # Delayed samples arrive all at once, so as many samples later they are on the line
+            # again.
             held_up = int(1.5 * (float(following.max()) - before_s) / period_s) + 1
             after_s = float(rest[place : min(bounds[at], place + max(window, held_up))].min())
             is_told = min(len(before), len(following)) >= window
@@ -338,7 +339,7 @@ def _jumps(
             if jump_s <= (most_s if is_told else late_s):
                 continue
             if jump_s >= 2 * steps[place - 1]:
-                # There is another one near, which may be found yet.
+                # Another gap is near and may be found first.
                 again.append(place)
                 continue
             found[place] = jump_s
@@ -348,26 +349,26 @@ def _jumps(
 
 
 def _rests(stamps: Array, turns: list[int], period_s: float) -> list[Array]:
-    """Return how far the stamps are above a line through the first of each part."""
+    """Return how far the timestamps of each part are above a line through its first one."""
     parts = [stamps[begin:end] for begin, end in pairwise([0, *turns, len(stamps)])]
     return [part - period_s * np.arange(len(part)) for part in parts]
 
 
 def _falls(rest: Array, most_s: float, window: int) -> list[int]:
-    """Find where the line falls and stays: samples stand there twice, or the clock was set back."""
+    """Find where the line drops permanently: repeated samples, or a clock set back."""
     found: list[int] = []
     for place in (np.flatnonzero(np.diff(rest) < -most_s) + 1).tolist():
         begin = max(found[-1] if found else 0, place - window)
         before, following = rest[begin:place], rest[place : place + window]
         is_told = min(len(before), len(following)) >= window
-        # What had only come late was above the line; before a fall all is.
+        # Late samples lie above the line one by one; before a drop all samples do.
         if is_told and float(before.min()) - float(following.max()) > most_s:
             found.append(place)
     return found
 
 
 def _lowest(values: Array, window: int) -> Array:
-    """Return the least of as many values from each one on; fewer at the end."""
+    """Return the minimum of a window starting at each value; shorter at the end."""
     found, length = values.copy(), 1
     while length < min(window, len(values)):
         step = min(length, window - length)
@@ -377,7 +378,7 @@ def _lowest(values: Array, window: int) -> Array:
 
 
 def _slope_s(runs: list[Array], usual_s: float, window: int) -> float:
-    """Return the slope of one line through the earliest stamps of all runs, by least squares."""
+    """Return the common slope through the earliest timestamps of all runs, by least squares."""
     products = squares = 0.0
     for run in runs:
         number = np.arange(len(run), dtype=np.float64)
@@ -394,13 +395,13 @@ def _slope_s(runs: list[Array], usual_s: float, window: int) -> float:
 
 
 def _is_stamped_at_once(steps: Array, period_s: float) -> bool:
-    """Whether samples share a time, or as good as, and not by chance."""
+    """Whether samples share a timestamp, or nearly, more often than by chance."""
     at_once = np.count_nonzero(np.abs(steps) <= _AT_ONCE * period_s)
     return bool(at_once > _NOT_BY_CHANCE * len(steps))
 
 
 def _burst(steps: Array, period_s: float) -> int:
-    """Return how many samples share a time, or as good as; 1 where none do."""
+    """Return how many samples share a timestamp, or nearly; 1 where none do."""
     if not _is_stamped_at_once(steps, period_s):
         return 1
     ends = np.flatnonzero(np.abs(steps) > _AT_ONCE * period_s)

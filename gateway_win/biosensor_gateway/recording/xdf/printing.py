@@ -1,4 +1,4 @@
-"""Prints the report as text for a person and as JSON for a script."""
+"""Formats the report as text for users and as JSON for scripts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEADINGS = {
 
 
 def as_json(report: Report) -> str:
-    """Return the report as JSON; gaps are in s since the recording's begin, NaN is null."""
+    """Return the report as JSON; gaps are in s since the start of the recording, NaN is null."""
     recording = report.recording
     content = {
         "file": str(recording.path),
@@ -47,7 +47,7 @@ def _finding_as_json(finding: Finding) -> dict[str, object]:
 
 
 def finite(content: object) -> object:
-    """Replace numbers that JSON does not know, which only damaged files have."""
+    """Replace NaN and infinity, which JSON does not have; only damaged files contain them."""
     if isinstance(content, dict):
         items = cast("dict[str, object]", content).items()
         return {key: finite(value) for key, value in items}
@@ -57,7 +57,7 @@ def finite(content: object) -> object:
 
 
 def printable(text: str) -> str:
-    """Keep what a stranger wrote from steering the terminal."""
+    """Replace control characters, so that recorded text cannot control the terminal."""
     return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
 
 
@@ -106,7 +106,7 @@ def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
 
 
 def as_text(report: Report) -> str:
-    """Return the report as lines for a person."""
+    """Return the report as text."""
     lines = [line for each in report.streams for line in _stream_lines(each, report)]
     for about, findings in groupby(report.findings, key=lambda each: each.about):
         lines += [heading] if (heading := _HEADINGS[about]) else []

@@ -1,7 +1,7 @@
-"""Reads a recording: everything about its streams except the values themselves.
+"""Reads a recording: everything about its streams except their values.
 
-The file is read once, chunk by chunk. Kept in memory are the stamps (8 bytes a
-sample) and the samples of the agent's counters and events; values are only searched for NaN.
+The file is read once, chunk by chunk. Only the timestamps (8 bytes per sample) and the samples of
+the agent's counters and events are kept in memory; values are only checked for NaN.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ class RecordedStream:
     Attributes
     ----------
     nan_counts : ndarray of int64, shape (n_channels,)
-        Samples without a value, by channel.
+        Number of NaN samples of each channel.
     clock_offsets
-        LSL time on the stream's clock, and what to add to it to get the recorder's, in s.
+        Pairs of LSL time on the stream's clock and the offset to the recorder's clock, in s.
     footer
-        None if the recorder did not come to write it.
+        None if the recorder did not write one.
     texts
-        Samples of the counters and events of agents and of a node's events, with their text; empty
-        for all other streams.
+        Samples of the agent's counters and events and of a node's events; empty for all other
+        streams.
     guessed_texts
-        How many are not UTF-8, so that their characters are guessed.
+        Number of texts that are not UTF-8, so their encoding was guessed.
     """
 
     header: RecordedHeader
@@ -48,14 +48,14 @@ class RecordedStream:
     texts: list[str] = field(default_factory=list[str])
     guessed_texts: int = 0
     _stamps: array[float] = field(default_factory=lambda: array("d"))
-    # How many samples come before each clock offset.
+    # Number of samples before each clock offset, which assigns samples to clock runs.
     _before_offsets: array[int] = field(default_factory=lambda: array("q"))
 
     @property
     def stamps(self) -> NDArray[np.float64]:
         """LSL time of every sample on the stream's own clock, in the order of the file.
 
-        A view, so nothing can be taken in while it is held.
+        This is a view, so no samples can be added while it is in use.
         """
         return np.frombuffer(self._stamps, np.float64) if self._stamps else np.empty(0)
 
@@ -80,12 +80,12 @@ class RecordedStream:
         return self.footer is None and (self.header.is_recordable or self.sample_count > 0)
 
     def take_samples(self, chunk: Chunk) -> None:
-        """Decode the samples of a chunk and take them in.
+        """Decode the samples of a chunk and add them.
 
         Raises
         ------
         ChunkError
-            If they cannot be decoded; none of them is taken in then.
+            If they cannot be decoded; none of them is added then.
         """
         last_stamp = self._stamps[-1] if self._stamps else 0.0
         block = decode(chunk.body, self.header, last_stamp)
@@ -97,31 +97,31 @@ class RecordedStream:
             self.texts.extend(block.texts)
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
-        """Take in one of `clock_offsets`."""
+        """Add one of `clock_offsets`."""
         self.clock_offsets.append((taken_at, offset))
         self._before_offsets.append(self.sample_count)
 
     def take_footer(self, footer: Footer, _chunk: Chunk) -> None:
-        """Take in the footer."""
+        """Set the footer."""
         self.footer = footer
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a file holds.
+    """The contents of a recording, without values.
 
     Attributes
     ----------
     size
-        Bytes, uncompressed.
+        Uncompressed, in bytes.
     begun
-        When, by the recorder's own words; empty if it does not say.
+        The recorder's text for the start time; empty if there is none.
     streams
         In the order of their headers.
     damages
-        What could not be read.
+        Bytes that could not be read.
     orphans
-        Number of chunks by stream number, of streams whose header is not readable.
+        By stream number, the number of chunks of streams whose header is not readable.
     """
 
     path: Path
@@ -133,12 +133,12 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read everything of a recording that can be read.
+    """Read as much of a recording as possible.
 
     Raises
     ------
     RecordingError
-        If there is no such file, it cannot be read, or it is no XDF file.
+        If the file does not exist, cannot be read or is not an XDF file.
     """
     sorter = StreamSorter(_new_stream)
     with open_recording(path) as (file, size, is_unpacked_whole):

@@ -1,4 +1,4 @@
-"""The report on one recording, as the rules fill it and the printers read it."""
+"""The report on one recording: filled by the rules, formatted by the printers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One stream with its figures, and the agent's count of it where there is one."""
+    """One stream with its statistics, and the agent's counts where available."""
 
     stream: RecordedStream
     figures: Figures
@@ -27,20 +27,19 @@ class Measured:
 
     @property
     def recorder_offset_s(self) -> float:
-        """What to add to times of its figures to get the recorder's clock, in s."""
+        """Offset from the times in its statistics to the recorder's clock, in s."""
         offsets = self.stream.clock_offsets
         return offsets[0][1] if offsets and not self.figures.offsets.resets else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """When a recording begins and ends on the recorder's clock, in s.
+    """Start and end of a recording on the recorder's clock, in s.
 
-    That is the first and last sample of all streams that are on the LSL clock; of all others where
-    there is none. Of ours that have
-    no rate only where there are no others: a device may compute a heart rate for seconds, and a
-    web experiment sends a marker when it can. So, too, of those that tell of a device, which may
-    be older than the recording.
+    They are the first and last sample of all streams on the LSL clock, or of all streams if none
+    is. Our own streams without a rate, and those about the state of a device, count only if there
+    are no others: a device may compute a heart rate for seconds, a web experiment sends a marker
+    when it can, and a device's state may be older than the recording.
     """
 
     begin: float
@@ -48,13 +47,13 @@ class Extent:
 
     @property
     def length_s(self) -> float:
-        """Seconds from begin to end."""
+        """Seconds from start to end."""
         return self.end - self.begin
 
     def since_begin(self, stamp: float, measured: Measured) -> float:
-        """Turn a stamp of a stream into seconds since the recording began.
+        """Convert a timestamp of a stream to seconds since the start of the recording.
 
-        A stream that is on another clock counts from its own first sample.
+        In a stream on another clock, times count from its own first sample.
         """
         if measured.figures.clock_error:
             return stamp - (measured.figures.first or 0.0)
@@ -62,7 +61,7 @@ class Extent:
 
 
 def extent(streams: Sequence[Measured]) -> Extent:
-    """Work out the extent of a recording; empty at 0 if no stream has samples."""
+    """Compute the extent of a recording; from 0 to 0 if no stream has samples."""
     on_clock = [each for each in streams if not each.figures.clock_error]
     present = _bounds(on_clock) or _bounds(streams)
     timely = [bound for bound in present if not bound[0].may_be_older]
@@ -87,7 +86,7 @@ def _comes_when_it_comes(header: RecordedHeader) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What is to be said about a recording; `findings` are sorted by what they are about."""
+    """Everything found out about a recording; `findings` are sorted by subject."""
 
     recording: Recording
     streams: tuple[Measured, ...]
@@ -96,14 +95,14 @@ class Report:
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing is wrong; warnings and notes do not count."""
+        """Whether there are no errors; warnings and notes do not count."""
         return all(finding.level is not Level.ERROR for finding in self.findings)
 
     @property
     def can_be_salvaged(self) -> bool:
-        """Whether the file is cut or damaged, and samples can be read nevertheless.
+        """Whether the file is truncated or damaged, but samples can be read.
 
-        A last sample of another time is a damage, too.
+        A last sample with a timestamp far away counts as damage.
         """
         recording = self.recording
         is_open = any(each.is_unclosed for each in recording.streams)

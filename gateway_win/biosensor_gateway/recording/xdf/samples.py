@@ -1,4 +1,4 @@
-"""Decodes samples chunks: a stamp or none, then one value a channel, sample by sample."""
+"""Decodes samples chunks: for each sample an optional timestamp and one value per channel."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LENGTH_SIZES = frozenset({1, 4, 8})
 
 
 Texts = list[tuple[str, ...]]
-"""One tuple a sample, one text a channel."""
+"""One tuple per sample, with one text per channel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +36,14 @@ class Block:
     Attributes
     ----------
     stamps : ndarray of float64, shape (n_samples,)
-        LSL time on the stream's own clock; where the recorder left a stamp out,
-        one period after the sample before.
+        LSL time on the stream's own clock; where the recorder omitted a timestamp, one period
+        after the previous sample.
     values : ndarray, shape (n_samples, n_channels), or list of tuple
-        In the stream's own format; may be a view of the chunk. Of a stream of text a list.
+        In the stream's own format; may be a view of the chunk. A list in text streams.
     unstamped
-        How many samples come before the first that has a stamp of its own.
+        Number of samples before the first one that has its own timestamp.
     guessed
-        How many of its texts are not UTF-8, so that their characters are guessed.
+        Number of texts that are not UTF-8, so their encoding was guessed.
     """
 
     stamps: NDArray[np.float64]
@@ -53,14 +53,14 @@ class Block:
 
     @property
     def nan_counts(self) -> NDArray[np.int64] | int:
-        """Samples without a value, by channel; zero in streams of text or integers."""
+        """Number of NaN samples of each channel; zero in streams of text or integers."""
         if isinstance(self.values, list) or self.values.dtype.kind != "f":
             return 0
         return np.asarray(np.isnan(self.values).sum(axis=0), np.int64)
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """First channel of a stream of text, else empty."""
+        """The first channel of a text stream; empty for other streams."""
         return tuple(each[0] for each in self.values) if isinstance(self.values, list) else ()
 
 
@@ -70,7 +70,7 @@ def decode(content: memoryview, header: RecordedHeader, last_stamp: float) -> Bl
     Parameters
     ----------
     last_stamp
-        Stamp of the stream's sample before, 0 before the first.
+        Timestamp of the stream's previous sample, 0 before the first.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _decode_numbers(
     dtype = _DTYPES[header.format]
     stamped = record(header.format, header.channel_count)
     if len(body) == count * stamped.itemsize:
-        # Most chunks: every sample has its stamp, so all have one size.
+        # In most chunks every sample has a timestamp, so all samples have the same size.
         samples = np.frombuffer(body, stamped)
         if bool((samples["size"] == _STAMP_BYTES).all()):
             return Block(samples["stamp"].copy(), samples["values"])
@@ -113,9 +113,9 @@ def _decode_numbers(
 
 @cache
 def record(channel_format: ChannelFormat, channel_count: int) -> np.dtype[Any]:
-    """Return the layout of a sample of numbers that has a stamp.
+    """Return the layout of a numeric sample that has a timestamp.
 
-    Its fields are ``size`` (8, in bytes, of the stamp), ``stamp`` and ``values``.
+    Its fields are ``size`` (of the timestamp: 8 bytes), ``stamp`` and ``values``.
     """
     values = (_DTYPES[channel_format], (channel_count,))
     return np.dtype([("size", "u1"), ("stamp", "<f8"), ("values", *values)])
@@ -140,7 +140,7 @@ def _sample_offsets(body: memoryview, count: int, value_bytes: int) -> NDArray[n
 def _gather(
     raw: NDArray[np.uint8], starts: NDArray[np.int64], dtype: np.dtype[Any], columns: int
 ) -> NDArray[Any]:
-    """Read `columns` values from each of the places."""
+    """Read `columns` values at each start."""
     width = dtype.itemsize * columns
     picked = raw[starts[:, np.newaxis] + np.arange(width)]
     return picked.reshape(-1).view(dtype).reshape(len(starts), columns)
@@ -149,8 +149,8 @@ def _gather(
 def _complete(
     given: NDArray[np.float64], is_stamped: NDArray[np.bool_], last_stamp: float, period: float
 ) -> NDArray[np.float64]:
-    """Put the stamps that were left out between those that are given."""
-    # A sample counts its periods from the last given stamp, or from the chunk before.
+    """Fill in omitted timestamps, one period after the previous one each."""
+    # Periods count from the last given timestamp, or from the previous chunk.
     anchors = np.concatenate(([last_stamp], given))
     latest = np.cumsum(is_stamped)
     places = np.flatnonzero(is_stamped)
@@ -201,7 +201,7 @@ def _text_stamp(
 
 
 def _variable_length(body: memoryview, position: int) -> tuple[int, int]:
-    """Read a number that is preceded by its size; return it and where it ends."""
+    """Read a number that is preceded by its size; return it and the offset of its end."""
     size = body[position] if position < len(body) else 0
     end = position + 1 + size
     if size not in _LENGTH_SIZES or end > len(body):

@@ -1,12 +1,11 @@
-"""Brings stamps of a stream's own clock onto the recorder's, by the clock offsets in the file.
+"""Converts timestamps between a stream's clock and the recorder's, by recorded clock offsets.
 
-The recorder measures every few seconds how the clock of a stream's computer stands against its
-own. A straight line through these offsets is what EEGLAB's and pyxdf's loaders use, too, as
-the `XDF specification <https://github.com/sccn/xdf/wiki/Specifications>`_ asks for. Here it is
-a robust one (Huber's weights, by iterated least squares), because a network that is busy for a
-moment makes single offsets wrong. Where the computer was started again or its clock was
-set, a line of its own follows. Stamps that are far from all measurements, such as unix time, get
-the offset and no drift.
+Every few seconds the recorder measures the offset between its own clock and that of a stream's
+computer. EEGLAB's and pyxdf's loaders fit a straight line to these offsets, as the `XDF
+specification <https://github.com/sccn/xdf/wiki/Specifications>`_ demands. Here the fit is robust
+(Huber's weights, by iterated least squares), because a busy network makes single offsets wrong.
+After a restart of the computer or a change of its clock, a separate line follows. Timestamps far
+from all measurements, such as Unix time, get the offset without drift.
 """
 
 from __future__ import annotations
@@ -22,30 +21,30 @@ from numpy.typing import NDArray
 from biosensor_common.device_clock import READING_LIMIT_S
 
 JUMP_S = 1.0
-"""An offset that changes by more between two measurements belongs to a clock begun again."""
+"""An offset that changes by more between two measurements means that the clock restarted."""
 _LEAST_STEP_S, _USUAL_CHANGES, _BESIDE = 0.05, 10, 5
-"""A clock was set where offsets change by so much, and so many times more than usual; as many on
-either side tell whether it stayed so."""
+"""A clock was set where offsets change by this much in s, and this many times more than usual;
+this many offsets on either side show whether the change lasts."""
 LEAST_FOR_DRIFT = 3
-"""Fewer offsets say nothing about drift; their median holds for all times."""
+"""Fewer offsets are too few to estimate drift; their median is used for all times."""
 EXTRAPOLATED_S = 600.0
-"""So long before the first and after the last measurement the drift is taken to go on."""
+"""The drift is extrapolated this long before the first and after the last measurement."""
 
 _ROUNDS = 20
-# Huber's: 95 % as efficient as least squares where errors are normal.
+# Huber's constant: 95 % as efficient as least squares for normally distributed errors.
 _HUBER = 1.345
-# The standard deviation of normal errors by their median amount.
+# Ratio of the standard deviation of normal errors to their median absolute value.
 _PER_MEDIAN = 1.4826
 _LEAST_SCALE_S = 1e-9
 
 
 Offset = tuple[float, float]
-"""LSL time on the stream's clock, and what to add to it to get the recorder's, in s."""
+"""LSL time on the stream's clock, and the offset to the recorder's clock, in s."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """Offsets of one run of the clock: `offset + slope * (stamp - middle)`."""
+    """Offsets within one run of the clock: `offset + slope * (stamp - middle)`."""
 
     begin: int
     first: float
@@ -55,11 +54,11 @@ class _Line:
     slope: float
 
     def offsets(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what to add to stamps; long before and after the run no drift is known."""
+        """Return the offsets of timestamps; drift is extrapolated only for a limited time."""
         return self.offset + self.slope * (np.clip(stamps, *self._ends) - self.middle)
 
     def stamps(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the stamps of times: what `offsets` makes of them added."""
+        """Return the timestamps that `offsets` converts to these times."""
         stamps = self.middle + (times - self.middle - self.offset) / (1 + self.slope)
         is_outside = stamps != np.clip(stamps, *self._ends)
         if is_outside.any():
@@ -75,13 +74,13 @@ class _Line:
 
 
 class SenderClock:
-    """What to add to the stamps of one stream.
+    """Clock offsets of one stream, over all runs of its clock.
 
     Parameters
     ----------
     offsets
-        LSL time on the stream's clock, and what to add to it to get the recorder's, in s, in
-        the order of the file. Without any, stamps stay as they are.
+        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s, in the
+        order of the file. Without any, timestamps stay unchanged.
     """
 
     def __init__(self, offsets: Sequence[tuple[float, float]]) -> None:
@@ -89,26 +88,25 @@ class SenderClock:
 
     @property
     def is_known(self) -> bool:
-        """Whether the recorder has measured the clock at all."""
+        """Whether the recorder measured any offset."""
         return bool(self._lines)
 
     @property
     def restarts(self) -> int:
-        """How often the clock began again."""
+        """How often the clock restarted."""
         return max(0, len(self._lines) - 1)
 
     def to_recorder(
         self, stamps: NDArray[np.float64], offsets_before: int = 0
     ) -> NDArray[np.float64]:
-        """Return the recorder's time of neighbouring samples, in s.
+        """Return the recorder's time of consecutive samples, in s.
 
         Parameters
         ----------
         stamps : ndarray of float64, shape (n_samples,)
             On the stream's own clock.
         offsets_before
-            How many clock offsets come before them in the file, which tells runs of the clock
-            apart.
+            Number of clock offsets before them in the file, which identifies the run of the clock.
         """
         if not self._lines or not len(stamps):
             return stamps
@@ -120,7 +118,7 @@ class SenderClock:
         return stamps + offsets
 
     def parts(self, times: NDArray[np.float64]) -> list[slice]:
-        """Divide times on the recorder's clock where the stream's own began again."""
+        """Split times on the recorder's clock where the stream's own clock restarted."""
         if len(self._lines) < 2 or not len(times):
             return [slice(0, len(times))]
         away = [each.away(times - each.offset) for each in self._lines]
@@ -128,12 +126,12 @@ class SenderClock:
         return [slice(begin, end) for begin, end in pairwise([0, *cuts.tolist(), len(times)])]
 
     def to_sender(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the stream's own time of samples, in s: what :meth:`to_recorder` is given.
+        """Return the stream's own time of samples, in s; the inverse of :meth:`to_recorder`.
 
         Parameters
         ----------
         times : ndarray of float64, shape (n_samples,)
-            On the recorder's clock, of one of its :meth:`parts`.
+            On the recorder's clock, within one of the :meth:`parts`.
         """
         if not self._lines or not len(times):
             return times
@@ -142,17 +140,17 @@ class SenderClock:
         return line.stamps(times)
 
     def _near(self, offsets_before: int) -> list[_Line]:
-        """Return the run of the clock that samples are of, or two: one may begin with them."""
+        """Return the clock run of samples, or two runs if a new one may begin with them."""
         earlier = [line for line in self._lines if line.begin < offsets_before]
         later = [line for line in self._lines if line.begin >= offsets_before]
-        # Samples of a new run may come before its first offset.
+        # Samples of a new run may precede its first offset.
         return earlier[-1:] + later[:1]
 
 
 def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[Offset]]]:
-    """Divide offsets where the clock began again; each run has its place among all of the file.
+    """Split offsets where the clock restarted; each run has its index in the file's offsets.
 
-    What no clock can read was damaged, and is passed over.
+    Values that no clock can show come from damage and are ignored.
     """
     known = [(at, *each) for at, each in enumerate(offsets) if all(map(_is_reading, each))]
     begins = [
@@ -172,9 +170,9 @@ def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[
 
 
 def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> list[int]:
-    """Find where a clock was set by less than `JUMP_S`, and stayed so.
+    """Find where a clock was set by less than `JUMP_S`.
 
-    A network that is busy for a moment makes an offset wrong, and the next ones right again.
+    A briefly busy network makes single offsets wrong, but the following ones are right again.
     """
     offsets = np.array([offset for _, _, offset in known[begin:end]])
     changes = np.abs(np.diff(offsets))
@@ -194,7 +192,7 @@ def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> l
 
 
 def _is_reading(value: float) -> bool:
-    # Not a number is not within the limit either.
+    # NaN is not within the limit either.
     return abs(value) <= READING_LIMIT_S
 
 
@@ -208,7 +206,7 @@ def _fit(begin: int, run: Sequence[tuple[float, float]]) -> _Line:
 
 
 def _robust_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
-    """Return value at 0 and slope of Huber's line."""
+    """Return the intercept and slope of Huber's line."""
     weights = np.ones_like(x)
     offset = slope = 0.0
     for _ in range(_ROUNDS):

@@ -25,18 +25,18 @@ _CLOCK_OFFSET = struct.Struct("<dd")
 
 
 class TakesChunks(Protocol):
-    """One stream; what takes a chunk raises `ChunkError` if it makes no sense, and is as before."""
+    """One stream; on an invalid chunk its methods raise `ChunkError` and change nothing."""
 
     def take_samples(self, chunk: Chunk, /) -> None:
-        """Take in the samples of a chunk."""
+        """Add the samples of a chunk."""
         ...
 
     def take_clock_offset(self, taken_at: float, offset: float, /) -> None:
-        """Take in LSL time on the stream's clock, and what to add to get the recorder's, in s."""
+        """Add an LSL time on the stream's clock and its offset to the recorder's, in s."""
         ...
 
     def take_footer(self, footer: Footer, chunk: Chunk, /) -> None:
-        """Take in what the recorder says at its end."""
+        """Set the footer."""
         ...
 
 
@@ -44,16 +44,16 @@ _StreamT = TypeVar("_StreamT", bound=TakesChunks)
 
 
 class NewHeader(NamedTuple):
-    """A stream header chunk that a file lacks, or has in a wrong form.
+    """A replacement for a stream header chunk that is missing or malformed.
 
     Attributes
     ----------
     start, end
-        Bytes that it stands in place of; the same if there is none.
+        Offsets of the bytes that it replaces; equal if the header is missing.
     content
-        Of the new one, without the stream's number.
+        Content of the new chunk, without the stream's number.
     wrong
-        What was wrong with the one that was there; empty if there was none.
+        What was wrong with the original; empty if there was none.
     """
 
     start: int
@@ -63,29 +63,29 @@ class NewHeader(NamedTuple):
 
 
 class StreamSorter(Generic[_StreamT]):
-    """Takes the chunks of a file in, in their order, and hands them to their streams.
+    """Passes the chunks of a file, in order, to their streams.
 
     Parameters
     ----------
     make
-        Makes a stream of its header.
+        Creates a stream from its header.
     fixes_headers
-        Whether to read headers of a wrong form, too.
+        Whether to read malformed headers, too.
     lost_headers
-        Contents of headers that are not in the file, by the numbers of their streams.
+        Contents of headers missing in the file, by stream number.
 
     Attributes
     ----------
     begun
-        When, by the recorder's own words; None if there was no file header.
+        The recorder's text for the start time; None if there was no file header.
     clock
-        Unix time by the file's clock; None of a recording that was not made of a bag.
+        How the file's clock relates to Unix time; None for a recording not imported from a bag.
     streams
-        By their numbers, in the order of their headers.
+        By stream number, in the order of their headers.
     orphans
-        Number of chunks by stream number, of streams whose header is not readable.
+        By stream number, the number of chunks of streams whose header is not readable.
     new_headers
-        By the numbers of their streams.
+        By stream number.
     """
 
     def __init__(
@@ -106,12 +106,12 @@ class StreamSorter(Generic[_StreamT]):
         self.orphans: Counter[int] = Counter()
 
     def take(self, chunk: Chunk) -> None:
-        """Take in one chunk.
+        """Process one chunk.
 
         Raises
         ------
         ChunkError
-            If its content makes no sense; nothing of it is taken in then.
+            If its content is invalid; nothing of it is used then.
         """
         if chunk.tag is Tag.FILE_HEADER:
             self.begun = parse_file_header(chunk.content)
@@ -152,14 +152,14 @@ class StreamSorter(Generic[_StreamT]):
             self.new_headers[chunk.stream_id] = NewHeader(chunk.start, chunk.start, content)
         if stream is None:
             if chunk.is_found:
-                # Nothing else tells that these bytes are a chunk.
+                # Without a known stream, these bytes are probably not a chunk.
                 raise ChunkError("its stream is unknown")
             self.orphans[chunk.stream_id] += 1
         elif chunk.tag is Tag.SAMPLES:
             stream.take_samples(chunk)
         elif chunk.tag is Tag.CLOCK_OFFSET:
             taken_at, offset = _clock_offset(chunk.body)
-            # LabRecorder writes zeros if the other computer does not answer the first time.
+            # LabRecorder writes zeros if the other computer does not answer at first.
             if taken_at:
                 stream.take_clock_offset(taken_at, offset)
         else:

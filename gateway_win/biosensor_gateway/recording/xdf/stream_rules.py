@@ -1,4 +1,4 @@
-"""The rules by which one stream is judged."""
+"""The rules that check one stream."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ Verdict = tuple[Level, str, str]
 
 # The recorder takes the first offset after 5 s.
 OFFSETS_DUE_S = 6.0
-# What loaders complain about, and what no oscillator explains.
+# Relative errors that loaders complain about, and that no oscillator explains.
 WRONG_RATE, ODD_RATE = 0.1, 0.01
 MIN_SAMPLES_FOR_RATE = 20
-# Of fewer that are due, all may fall before the recording's first moment and after its last.
+# If fewer samples are expected, all may fall before the start or after the end.
 FEWEST_DUE = 3
-# A good network keeps the offsets together; oscillators differ by less.
+# In a good network offsets scatter less, and oscillators drift less.
 MAX_SCATTER_S, MAX_DRIFT_PPM, MIN_OFFSETS_FOR_DRIFT = 0.01, 500.0, 5
-# Streams start and stop this far apart in a recording that is all right.
+# Streams of a good recording may start and stop this far apart.
 LATE_S = 5.0
 NAN_SHARE_TO_NOTE = 0.05
-# The agent's report comes once a second. What has no clock of its own is late by a second anyway.
+# The agent reports once a second. Streams without a device clock are up to a second late anyway.
 HELD_UP_S = 2.0
 _QUALIFIES = frozenset({Unit.BOOLEAN.value, Unit.FRACTION.value})
-# Gaps that pyxdf and the loader for MATLAB take for jitter unless told otherwise.
+# Shorter gaps are smoothed as jitter by default in pyxdf and in the loader for MATLAB.
 _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
 
 
@@ -118,7 +118,7 @@ def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
 
 
 def _bursts(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
-    """Say how another program stamps, where a loader may take that for gaps or steps back."""
+    """Report timestamps of another program that a loader may mistake for gaps or steps back."""
     pace = measured.figures.pace
     if pace is None:
         return
@@ -159,7 +159,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
 
 
 def _held_up(length_s: float, at: float) -> Verdict:
-    """Say what a late report of the agent means: it counts on, so nothing is missing by that."""
+    """Explain a late report of the agent; its counts are cumulative, so none is lost."""
     text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
     if length_s < HELD_UP_S:
         return Level.NOTE, "held-up", f"{text}; nothing is missing by that"
@@ -171,7 +171,7 @@ def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     figures, nominal = measured.figures, measured.stream.header.rate
     rate = figures.rate_between_gaps_hz
     too_few = measured.stream.sample_count < MIN_SAMPLES_FOR_RATE
-    # A report that comes late is followed by one that is in time.
+    # A late report is followed by one on time, which makes the rate look wrong.
     is_told = measured.stream.header.is_counters
     if rate is None or too_few or figures.backward_steps or is_told:
         return
@@ -232,7 +232,7 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     ]
     window_s = header.window_s
     if window_s is not None:
-        # Of a feature, these say how good others are, as far as something tells of it.
+        # In a feature, these channels tell the quality of others, if anything is known about it.
         unknown = ", ".join(label for label, unit in empty if unit in _QUALIFIES)
         empty = [each for each in empty if each[1] not in _QUALIFIES]
         if unknown:

@@ -1,4 +1,4 @@
-"""Says in a colour and sentences whether a recording can be trusted."""
+"""Sums up the check of a recording in a colour and sentences."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from biosensor_gateway.recording.xdf.report import Report
 class Colour(StrEnum):
     """How good a recording is.
 
-    ``GREEN``: nothing is wrong. ``AMBER``: the file is right, and something happened that
-    whoever analyses it must know. ``RED``: something is wrong or missing in the file.
+    ``GREEN``: nothing is wrong. ``AMBER``: the file is intact, but something happened that matters
+    for the analysis. ``RED``: something is wrong or missing in the file.
     """
 
     GREEN = "green"
@@ -29,7 +29,7 @@ class Colour(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class JudgedStream:
-    """One stream of the recording; `lost` is by the agent's count, None without one."""
+    """One stream of the recording; `lost` comes from the agent's count, None without one."""
 
     name: str
     source_id: str
@@ -40,18 +40,18 @@ class JudgedStream:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What there is to say about a recording, as plain values.
+    """The result of a check, as plain values.
 
     Attributes
     ----------
     sentence
-        All of it in one.
+        A summary.
     length_s
-        From the first sample of any stream to the last.
+        Time from the first sample of any stream to the last.
     findings
-        By what they are about, and then the worst first; of a green recording only notes.
+        Sorted by subject, then the worst first; a green recording has only notes.
     can_be_salvaged
-        Whether it is cut or damaged, and samples can be read nevertheless.
+        Whether it is truncated or damaged, but samples can be read.
     """
 
     file: str
@@ -70,19 +70,19 @@ def check(
     without: Collection[str] = (),
     told: Iterable[str] = (),
 ) -> Verdict:
-    """Read a recording and judge it.
+    """Read a recording and check it.
 
     Parameters
     ----------
     without
-        source_ids of sensors that a person has left out on purpose.
+        source_ids of sensors that the user has excluded.
     told
-        What its recorder says that the analysis must know.
+        The recorder's messages that matter for the analysis.
 
     Raises
     ------
     RecordingError
-        If there is no such file, it cannot be read, or it is no XDF file.
+        If the file does not exist, cannot be read or is not an XDF file.
     """
     report = judge(read_recording(file), expected, without)
     findings = [*report.findings, *(Finding(Level.WARNING, "told", "", each) for each in told)]

@@ -1,6 +1,6 @@
-"""Writes an XDF file, chunk by chunk, as LabRecorder does.
+"""Writes an XDF file chunk by chunk, like LabRecorder.
 
-See https://github.com/sccn/xdf/wiki/Specifications for what a chunk holds.
+The contents of chunks are specified at https://github.com/sccn/xdf/wiki/Specifications.
 """
 
 from __future__ import annotations
@@ -33,42 +33,42 @@ _OFFSET = struct.Struct("<dd")
 
 
 class Ended(Protocol):
-    """What a footer tells of a stream."""
+    """The data of a stream's footer."""
 
     @property
     def first(self) -> float:
-        """Stamp of the first sample, 0 without any."""
+        """Timestamp of the first sample, 0 without samples."""
         ...
 
     @property
     def last(self) -> float:
-        """Stamp of the last one."""
+        """Timestamp of the last sample, 0 without samples."""
         ...
 
     @property
     def sample_count(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         ...
 
     @property
     def clock_offsets(self) -> Sequence[tuple[float, float]]:
-        """LSL time on the stream's clock, and what to add to get the recorder's, in s."""
+        """LSL times on the stream's clock, with the offsets to the recorder's clock, in s."""
         ...
 
 
 def begin(
     file: BinaryIO, begun: str, clock: Sequence[ClockPair], resolution_s: float = 0.0
 ) -> None:
-    """Write the beginning of a file.
+    """Write the start of a file.
 
     Parameters
     ----------
     begun
-        Date and time of day, in ISO 8601; empty if nobody knows.
+        Date and time of the start, in ISO 8601; empty if unknown.
     clock
-        Moments on the file's clock and on that of the day, which no other program reads.
+        Moments on the file's clock and in Unix time; an extension that only this program reads.
     resolution_s
-        How far off these may be.
+        Maximum error of these pairs.
     """
     info = ET.Element("info")
     _add(info, "version", "1.0")
@@ -83,12 +83,12 @@ def begin(
 
 
 def boundary() -> bytes:
-    """Return the chunk at which readers go on behind a damage."""
+    """Return a boundary chunk, at which readers continue after damage."""
     return framed(Tag.BOUNDARY, BOUNDARY)
 
 
 def stream_header(number: int, xml: str | bytes) -> bytes:
-    """Return the chunk of a stream's header, with its XML as it is."""
+    """Return the chunk of a stream's header, with unchanged XML."""
     return framed(Tag.STREAM_HEADER, _number(number) + _encoded(xml))
 
 
@@ -98,13 +98,13 @@ def samples(
     stamps: NDArray[np.float64],
     values: NDArray[Any] | Texts | RawTexts,
 ) -> bytes:
-    """Return a chunk of samples, each with its stamp.
+    """Return a chunk of samples, each with its timestamp.
 
     Parameters
     ----------
     stamps : ndarray of float64, shape (n,)
     values : ndarray, shape (n, n_channels), or list of tuple
-        What the format of the stream can hold; text may be as bytes, as another program sent it.
+        Values in the format of the stream; text may be bytes, as another program sent it.
     """
     head = _number(number) + b"\x04" + struct.pack("<I", len(stamps))
     if isinstance(values, list):
@@ -129,12 +129,12 @@ def _texts(stamps: NDArray[np.float64], values: Texts | RawTexts) -> bytes:
 
 
 def clock_offset(number: int, taken_at: float, offset: float) -> bytes:
-    """Return a chunk of one measurement of a stream's clock."""
+    """Return a clock offset chunk."""
     return framed(Tag.CLOCK_OFFSET, _number(number) + _OFFSET.pack(taken_at, offset))
 
 
 def footer(number: int, stream: Ended) -> bytes:
-    """Return the chunk that LabRecorder writes of the samples that are there."""
+    """Return a stream footer chunk for the samples written, like LabRecorder."""
     root = ET.Element("info")
     _add(root, "first_timestamp", _decimal(stream.first))
     _add(root, "last_timestamp", _decimal(stream.last))

@@ -1,4 +1,4 @@
-"""Salvages a recording, and says what was kept and what is lost."""
+"""Salvages a recording, and reports what was kept and what is lost."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _FILE_HEADER = b'<?xml version="1.0"?><info><version>1.0</version></info>'
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A damage, and when it was, in s since the recording's begin; NaN where that is unknown."""
+    """Damaged bytes, with their time in s since the start; NaN where unknown."""
 
     damage: Damage
     begin_s: float
@@ -53,12 +53,12 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a recording.
+    """The result of salvaging a recording.
 
     Attributes
     ----------
     written
-        The new file; None if the recording is whole.
+        The new file; None if the recording is undamaged.
     closed
         Numbers of the streams that got a footer.
     """
@@ -71,13 +71,13 @@ class Outcome:
 
     @property
     def lost_bytes(self) -> int:
-        """Bytes of the recording that are not in the new file, footers left aside."""
+        """Bytes of the recording that are not in the new file, without footers."""
         orphans = sum(each.bytes for each in self.survey.orphans.values())
         return orphans + sum(each.damage.end - each.damage.start for each in self.places)
 
 
 def salvaged_path(path: Path) -> Path:
-    """Return where a salvaged recording goes if nobody says otherwise: beside the original."""
+    """Return the default path of the salvaged recording, next to the original."""
     bare = path
     for suffixes in (_PACKED_SUFFIXES, {SUFFIX}):
         if bare.suffix.lower() in suffixes:
@@ -86,20 +86,20 @@ def salvaged_path(path: Path) -> Path:
 
 
 def salvage(path: Path, target: Path, headers_from: Path | None = None) -> Outcome:
-    """Write what can be read of a recording to another file, if the recording is not whole.
+    """Write the readable parts of a damaged recording to another file.
 
     Parameters
     ----------
     headers_from
-        Another recording of the same streams, for headers that are lost: of the same name where
-        that can still be read, else of the same number.
+        Another recording of the same streams, to replace lost headers: of the stream with the same
+        name if that is still readable, else with the same number.
 
     Raises
     ------
     ConfigError
-        If something is at `target` already, or it has a wrong suffix.
+        If `target` exists or has a wrong suffix.
     RecordingError
-        If `path` cannot be read, holds no sample, or the other file cannot be written.
+        If `path` cannot be read or has no samples, or the other file cannot be written.
     """
     if target.suffix.lower() != SUFFIX:
         message = f"{target} will be no compressed file; give it a name that ends in {SUFFIX}"
@@ -167,7 +167,7 @@ def _place(damage: Damage, number: int, streams: Sequence[KeptStream], begin: fl
     if gaps:
         before, after = min(each.before for each in gaps), max(each.after for each in gaps)
     elif around:
-        # Chunks of different streams do not come strictly in the order of time.
+        # Chunks of different streams are not strictly in time order.
         before, after = _innermost(around)
     else:
         before = max((each.last + each.offset_s for each in streams), default=math.nan)
@@ -186,7 +186,7 @@ def _innermost(breaks: Sequence[Break]) -> tuple[float, float]:
 
 
 def write_salvaged(source: BinaryIO, survey: Survey, target: Path, original: Path) -> None:
-    """Write all chunks that are whole, unchanged, and the footers that are missing.
+    """Write all valid chunks unchanged, and add missing footers.
 
     Parameters
     ----------
@@ -195,12 +195,12 @@ def write_salvaged(source: BinaryIO, survey: Survey, target: Path, original: Pat
     target
         The file to write.
     original
-        Who can read it can read the new file.
+        The original file, whose access rights the new file gets.
 
     Raises
     ------
     RecordingError
-        If it cannot be written; there is no file then, unless there was one before.
+        If it cannot be written; no new file is left behind.
     """
     try:
         with new_file(target, like=original) as file:
@@ -221,7 +221,7 @@ def _write(source: BinaryIO, survey: Survey, target: BinaryIO) -> None:
     for start, end, instead in survey.changes():
         _copy(source, position, start, target)
         content = _restamped(source, instead) if isinstance(instead, Restamp) else instead
-        # A boundary chunk may stand anywhere, and so marks the place.
+        # A boundary chunk is allowed anywhere, so it marks the place of removed bytes.
         target.write(framed(Tag.BOUNDARY, BOUNDARY) if content is None else content)
         position = end
     _copy(source, position, survey.size, target)
@@ -240,11 +240,11 @@ def _copy(source: BinaryIO, start: int, end: int, target: BinaryIO) -> None:
 
 
 def _restamped(source: BinaryIO, chunk: Restamp) -> bytes:
-    """Return a samples chunk whose first sample has a stamp now."""
+    """Return a samples chunk with a timestamp added to its first sample."""
     frame = read_frame(source, chunk.start)
     source.seek(frame.content_start)
     content = source.read(chunk.end - frame.content_start)
-    # Before the first sample stand the stream's number and, after its size, their count.
+    # The first sample follows the stream's number and the count with its size.
     first = STREAM_ID_BYTES + 1 + content[STREAM_ID_BYTES]
     stamp = b"\x08" + struct.pack("<d", chunk.stamp)
     return framed(Tag.SAMPLES, content[:first] + stamp + content[first + 1 :])

@@ -1,4 +1,4 @@
-"""Prints what was salvaged, as sentences for a person and as JSON for a script."""
+"""Formats the result of salvaging, as sentences for users and as JSON for scripts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_PLACES = 10
 
 
 def as_json(outcome: Outcome) -> str:
-    """Return the outcome as JSON; times are in s since the recording's begin, NaN is null."""
+    """Return the outcome as JSON; times are in s since the start, NaN is null."""
     known = outcome.survey
     content = {
         "file": str(outcome.path),
@@ -50,7 +50,7 @@ def as_json(outcome: Outcome) -> str:
 
 
 def table(outcome: Outcome) -> list[tuple[str, str, str]]:
-    """Return a row for each stream that was kept, below `HEADINGS`."""
+    """Return a row for each kept stream, with the columns of `HEADINGS`."""
     return [
         (printable(stream.header.name), str(stream.sample_count), _lost_text(stream))
         for stream in outcome.survey.streams.values()
@@ -58,7 +58,7 @@ def table(outcome: Outcome) -> list[tuple[str, str, str]]:
 
 
 def before_table(outcome: Outcome) -> Iterator[str]:
-    """Say what is wrong with the recording."""
+    """Yield sentences about what is wrong with the recording."""
     known, places = outcome.survey, outcome.places
     if known.is_whole:
         yield (
@@ -84,7 +84,7 @@ def before_table(outcome: Outcome) -> Iterator[str]:
 
 
 def after_table(outcome: Outcome) -> Iterator[str]:
-    """Say what was done about it."""
+    """Yield sentences about what was done."""
     known = outcome.survey
     for number, orphans in known.orphans.items():
         name = f" ({printable(orphans.name)})" if orphans.name else ""

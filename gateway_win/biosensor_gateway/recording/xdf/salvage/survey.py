@@ -1,6 +1,6 @@
-"""Reads a damaged recording once, and says what of each stream is to be kept.
+"""Reads a damaged recording once, and determines what to keep of each stream.
 
-No stamps are remembered: files may exceed the memory.
+Timestamps are not kept in memory, because files may be larger than the memory.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from biosensor_gateway.recording.xdf.sorting import NewHeader, StreamSorter
 from biosensor_gateway.recording.xdf.writing import samples
 
 _FEWEST = 8
-"""Of fewer samples nobody can say which is garbage."""
+"""With fewer samples, garbage cannot be recognised."""
 
 
 class Break(NamedTuple):
-    """What a damage did to a stream.
+    """The effect of damage on a stream.
 
     Attributes
     ----------
     first, end
-        Numbers of the damages between the two samples, `end` excluded.
+        Range of the damages between the two samples, `end` excluded.
     before, after
-        Stamps of the samples on either side, on the stream's clock; `before` is NaN if
-        there was none.
+        Timestamps of the samples on either side, on the stream's clock; `before` is NaN if there
+        was none.
     is_gap
-        Whether samples are missing between them; never known of an irregular stream.
+        Whether samples are missing between them; always False for an irregular stream.
     """
 
     first: int
@@ -56,7 +56,7 @@ class Break(NamedTuple):
 
 
 class Restamp(NamedTuple):
-    """A samples chunk whose first sample is to get a stamp of its own."""
+    """A samples chunk whose first sample must get its own timestamp."""
 
     start: int
     end: int
@@ -64,7 +64,7 @@ class Restamp(NamedTuple):
 
 
 class _Resumption(NamedTuple):
-    """Samples behind a damage, as long as none of them has a stamp of its own."""
+    """Samples after damage, up to the first one that has its own timestamp."""
 
     chunk: Chunk
     first_damage: int
@@ -73,7 +73,7 @@ class _Resumption(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """A samples chunk whose last sample is left out, and what stands in its place."""
+    """A samples chunk whose last sample is removed, and the chunk that replaces it."""
 
     start: int
     end: int
@@ -87,15 +87,15 @@ class KeptStream:
     Attributes
     ----------
     first, last
-        Stamps of the first and the last sample, 0 without samples.
+        Timestamps of the first and last sample, 0 without samples.
     lost
-        Samples that would fit into the gaps at damages, an estimate.
+        Estimated number of samples lost in the damage.
     footer, footer_at
-        What the recorder said, and where in the file.
+        The recorder's footer, and its place in the file.
     untimed
-        Samples behind a damage whose stamps cannot be told, because none follows.
+        Number of samples after damage whose time is unknown, because no timestamp follows.
     cut
-        Where the last sample is garbage, as an outlet leaves it that goes while it is recorded.
+        Set if the last sample is garbage, which an outlet that closes while recorded may leave.
     """
 
     header: RecordedHeader
@@ -117,12 +117,12 @@ class KeptStream:
 
     @property
     def clock_offsets(self) -> list[tuple[float, float]]:
-        """LSL time on the stream's clock, and what to add to it to get the recorder's, in s."""
+        """Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s."""
         return list(zip(self._offsets[::2], self._offsets[1::2], strict=True))
 
     @property
     def offset_s(self) -> float:
-        """What to add to a stamp to get the recorder's clock; 0 where it was never measured."""
+        """Offset from a timestamp to the recorder's clock; 0 if never measured."""
         return self._offsets[1] if self._offsets else 0.0
 
     @property
@@ -132,7 +132,7 @@ class KeptStream:
 
     @property
     def has_right_footer(self) -> bool:
-        """Whether its footer counts the samples that are kept."""
+        """Whether the count in its footer matches the kept samples."""
         counted = None if self.footer is None else self.footer.sample_count
         # Older LabRecorders forget the first sample.
         return self.footer is not None and (
@@ -140,7 +140,7 @@ class KeptStream:
         )
 
     def take_samples(self, chunk: Chunk) -> None:
-        """Decode the samples of a chunk, and keep what is to be known of them."""
+        """Decode the samples of a chunk and update the statistics."""
         block = decode(chunk.body, self.header, self.last)
         if not len(block.stamps):
             return
@@ -159,16 +159,16 @@ class KeptStream:
         self._recent = (*self._recent, *block.stamps[-2:].tolist())[-2:]
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
-        """Take in one of `clock_offsets`."""
+        """Add one of `clock_offsets`."""
         self._offsets.extend((taken_at, offset))
 
     def take_footer(self, footer: Footer, chunk: Chunk) -> None:
-        """Take in a footer; of several, the last one counts."""
+        """Set the footer; the last of several counts."""
         self.footer = footer
         self.footer_at.append((chunk.start, chunk.end))
 
     def end(self) -> None:
-        """Note that nothing follows."""
+        """Finish: no more chunks follow."""
         self._forget_resumption()
         self._cut_garbage()
 
@@ -178,7 +178,7 @@ class KeptStream:
         chunk, recent = self._newest
         block = decode(chunk.body, self.header, recent[-1] if recent else 0.0)
         stamps = [*recent, *block.stamps[-3:-1].tolist()][-2:]
-        # What stays is to end well: the one before may be garbage itself.
+        # Cut only if the remaining samples end with a plausible timestamp.
         ends_well = all(abs(each - stamps[-1]) <= NO_PAUSE_S for each in stamps)
         if not ends_well or abs(self.last - stamps[-1]) <= NO_PAUSE_S:
             return
@@ -196,7 +196,7 @@ class KeptStream:
             self._resumed = None
 
     def _resume(self, block: Block, resumed: _Resumption) -> None:
-        """Find the stamp of the first sample behind a damage, once a stamp is there."""
+        """Compute the timestamp of the first sample after damage, once a timestamp is known."""
         unstamped = resumed.unstamped + block.unstamped
         if block.unstamped == len(block.stamps):
             self._resumed = resumed._replace(unstamped=unstamped)
@@ -210,7 +210,7 @@ class KeptStream:
         if is_gap:
             self.lost += round(min(step * self.header.rate, MOST_LOST)) - 1
         if unstamped and (is_gap or not has_begun):
-            # A loader would count on from the sample before the damage.
+            # Otherwise a loader would count periods from the sample before the damage.
             self.restamps.append(Restamp(resumed.chunk.start, resumed.chunk.end, after))
             if not has_begun:
                 self.first = after
@@ -219,7 +219,7 @@ class KeptStream:
             self.breaks.append(Break(*damages, resumed.before, after, is_gap))
 
 
-# What is left of a stream's header: its number and its name.
+# The readable rest of a damaged stream header: its number and its name.
 _HEADER_REST = re.compile(
     rb"\x02\x00(.{%d})\s*<.{0,4096}?<name>([^<]{1,256})</name>" % STREAM_ID_BYTES, re.DOTALL
 )
@@ -228,7 +228,7 @@ _SEARCHED_BYTES = 1 << 20
 
 @dataclass(slots=True)
 class Orphans:
-    """Chunks of a stream whose header is lost; `name` is empty if it cannot be read any more."""
+    """Chunks of a stream whose header is lost; `name` is empty if it is unreadable."""
 
     name: str = ""
     chunks: int = 0
@@ -237,16 +237,16 @@ class Orphans:
 
 @dataclass(slots=True)
 class Survey:
-    """What can be read of a recording.
+    """What can be read from a recording.
 
     Attributes
     ----------
     streams, orphans
-        By their numbers.
+        By stream number.
     damages
-        What cannot be read.
+        Bytes that cannot be read.
     new_headers
-        Of streams whose header was fixed or taken from another recording, by their numbers.
+        Headers that were fixed or taken from another recording, by stream number.
     """
 
     size: int
@@ -259,23 +259,23 @@ class Survey:
 
     @property
     def unclosed(self) -> list[int]:
-        """Numbers of the streams that should have a footer and have none."""
+        """Numbers of the streams whose footer is missing."""
         return [number for number, stream in self.streams.items() if stream.is_unclosed]
 
     @property
     def is_whole(self) -> bool:
-        """Whether it holds streams, and nothing is to be fixed."""
+        """Whether it has streams, and nothing needs to be fixed."""
         broken = self.damages or self.orphans or self.unclosed or self.new_headers
         broken = broken or any(each.cut for each in self.streams.values())
         return bool(self.streams) and not broken
 
     @property
     def sample_count(self) -> int:
-        """Samples of all streams."""
+        """Total number of samples."""
         return sum(stream.sample_count for stream in self.streams.values())
 
     def footers_due(self) -> list[int]:
-        """Return the numbers of the streams that need a footer: a first one, or a right one."""
+        """Return the numbers of the streams whose footer is missing or wrong."""
         wrong = [
             number
             for number, stream in self.streams.items()
@@ -284,7 +284,7 @@ class Survey:
         return sorted([*self.unclosed, *wrong])
 
     def changes(self) -> Iterator[tuple[int, int, Restamp | bytes | None]]:
-        """Give, in the order of the file, what is not to be copied: begin, end, what instead."""
+        """Yield what not to copy, in the order of the file: start, end, replacement."""
         changes: list[tuple[int, int, Restamp | bytes | None]] = [
             (each.start, each.end, framed(Tag.STREAM_HEADER, _numbered(number) + each.content))
             for number, each in self.new_headers.items()
@@ -301,7 +301,7 @@ class Survey:
             changes += [
                 (each.start, each.end, each) for each in stream.restamps if each.start != cut_at
             ]
-        # A header stands before what it is put in front of.
+        # Sorted by place only, so that a new header comes before the chunk at its place.
         yield from sorted(changes, key=lambda change: change[:2])
 
 
@@ -317,7 +317,7 @@ def survey(
     Parameters
     ----------
     lost_headers
-        Contents of headers that are not in it, by the numbers of their streams.
+        Contents of headers missing in it, by stream number.
 
     Raises
     ------
@@ -376,7 +376,7 @@ class _Surveyor:
 
 
 def _lost_headers(file: BinaryIO, damages: tuple[Damage, ...]) -> Iterator[tuple[int, str]]:
-    """Find numbers and names in headers that cannot be read."""
+    """Find numbers and names in damaged headers."""
     for damage in damages:
         file.seek(damage.start)
         rest = file.read(min(damage.end - damage.start, _SEARCHED_BYTES))
