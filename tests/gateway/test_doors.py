@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.core import TyperGroup
 
 from biosensor_gateway.cli.app import COMMANDS, app
 from biosensor_gateway.cli.lazy_group import Deferred
@@ -98,3 +99,13 @@ def test_the_list_says_what_the_command_says_of_itself(command: Deferred) -> Non
 def test_the_program_has_the_commands_of_the_table() -> None:
     assert list(app().commands.values()) == list(COMMANDS)
     assert len({command.name for command in COMMANDS}) == len(COMMANDS)
+
+
+@each_command
+def test_help_is_wrapped_by_the_console_alone(command: Deferred) -> None:
+    """Lines of the source are longer than a console of 80 columns, which would wrap them again."""
+    waiting = [command.load()]
+    while waiting:
+        found = waiting.pop()
+        assert "\n" not in (found.help or "").replace("\n\n", ""), found.name
+        waiting += found.commands.values() if isinstance(found, TyperGroup) else ()

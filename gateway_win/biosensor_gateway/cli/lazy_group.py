@@ -56,6 +56,17 @@ class QuickCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
 
+def _with_joined_lines(command: Command) -> Command:
+    """Join the lines of each paragraph of the help, because a console is narrower than our code."""
+    if command.help:
+        paragraphs = inspect.cleandoc(command.help).split("\n\n")
+        command.help = "\n\n".join(" ".join(each.splitlines()) for each in paragraphs)
+    if isinstance(command, TyperGroup):
+        for each in command.commands.values():
+            _with_joined_lines(each)
+    return command
+
+
 def _import_help() -> None:
     """Import typer's help with lazy placeholders for two classes.
 
@@ -106,10 +117,10 @@ class Deferred(TyperCommand):
         module, _, attribute = self.place.partition(":")
         found = getattr(import_module(module), attribute)
         if isinstance(found, typer.Typer):
-            return typer.main.get_group(found)
+            return _with_joined_lines(typer.main.get_group(found))
         alone = typer.Typer(add_completion=False)
         alone.command(self.name, cls=QuickCommand)(found)
-        return typer.main.get_command(alone)
+        return _with_joined_lines(typer.main.get_command(alone))
 
     def first_lines(self) -> str:
         """Return the first paragraph of the command's help, without importing the command."""
