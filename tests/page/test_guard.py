@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from tests.page.conftest import Answer, Programs, Server
+from tests.page.conftest import STARTED, Answer, Programs, Server
 
 pytestmark = pytest.mark.nightly
 
@@ -57,6 +57,23 @@ def test_the_way_in_opens_once_and_gives_a_cookie_that_scripts_cannot_read(
     assert server.request("GET", path, "").status == 403
     assert server.request("GET", "/door?token=wrong", "").status == 403
     assert server.request("GET", "/door", "").status == 403
+
+
+@pytest.mark.parametrize("mode", ["navigate", "no-cors"])
+def test_a_link_from_elsewhere_opens_the_door_alone_and_only_with_the_token(
+    server: Server, cookie: str, mode: str
+) -> None:
+    # As from the file by which a browser opens the page; what another page embeds is no link.
+    link = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": mode}
+    found = STARTED.search(server.programs.call("page", "--no-open"))
+    assert found is not None
+    path = found[0].removeprefix(server.origin)
+    assert server.request("GET", "/door?token=wrong", "", None, **link).status == 403
+    assert server.request("GET", "/api/v1/status", cookie, None, **link).status == 403
+    answer = server.request("GET", path, "", None, **link)
+    # No redirect: with what it leads to, a browser would not send the strict cookie.
+    assert answer.status == (200 if mode == "navigate" else 403)
+    assert ("Set-Cookie" in answer.headers) == (mode == "navigate")
 
 
 @pytest.mark.seam

@@ -46,7 +46,7 @@ def test_a_second_start_opens_another_window_of_the_same_server(
     found = STARTED.search(said)
     assert found is not None
     assert int(found[1]) == server.port
-    # What opens the page lies in no file, and is another one each time.
+    # What opens the page without a browser of ours lies in no file, and is another one each time.
     assert found[0] != server.address
     token = found[0].rpartition("=")[2].encode()
     files = [each for each in server.programs.folder.rglob("*") if each.is_file()]
@@ -133,6 +133,13 @@ def test_it_ends_after_its_last_window_but_not_while_an_agent_runs(
     assert server.process.wait(DEADLINE_S) == 0
 
 
+# What a browser was given to open: its contents, and who may read it and look into its folder.
+LOOK = """file=$(echo "$1" | sed 's/^--app=//; s,^file://,,')
+cat "$file" > "{0}"
+stat -c %a "$file" "$(dirname "$file")" >> "{0}"
+"""
+
+
 @pytest.fixture
 def profile(programs: Programs, tmp_path: Path) -> Generator[Path]:
     """Let a real Chromium be the browser of the programs; where it says what it was asked for."""
@@ -141,7 +148,7 @@ def profile(programs: Programs, tmp_path: Path) -> Generator[Path]:
     program = folder / "chromium"
     options = " ".join([*OPTIONS["args"], "--headless=new", "--remote-debugging-port=0"])
     program.write_text(
-        f'#!/bin/sh\necho "$@" > "{tmp_path}/asked"\n'
+        f'#!/bin/sh\necho "$@" > "{tmp_path}/asked"\n{LOOK.format(tmp_path / "file")}'
         f'exec "{OPTIONS["executable_path"]}" {options} --user-data-dir="{profile}" "$@"\n'
     )
     program.chmod(0o755)
@@ -164,15 +171,49 @@ def test_it_opens_a_window_of_its_own_and_ends_after_it(
     server = programs.start("page", "--window", "--end-after", SOON)
     port = profile / "DevToolsActivePort"
     until(lambda: port.exists() and port.read_text(), "a browser")
-    assert (tmp_path / "asked").read_text().startswith("--app=http://127.0.0.1:")
+    # Any user of the computer sees what stands on a command line.
+    asked = (tmp_path / "asked").read_text()
+    assert asked.startswith("--app=file:///")
+    assert "token" not in asked
+    seen = (tmp_path / "file").read_text()
+    assert STARTED.search(seen)
+    assert seen.split()[-2:] == ["600", "700"]
     address = f"http://127.0.0.1:{port.read_text().split()[0]}"
     # Who connects while the window is being made may wait for ever.
     until(lambda: "Biosensor Gateway" in page_titles(address), "the page in a window")
     opened = chromium.browser_type.connect_over_cdp(address)
     (page,) = opened.contexts[0].pages
     expect(page.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
+    assert not Path(asked.split()[0].removeprefix("--app=file://")).parent.exists()
     page.close()
     assert server.wait(DEADLINE_S) == 0
+
+
+def test_what_a_browser_has_not_opened_is_removed_with_the_page(
+    programs: Programs, tmp_path: Path
+) -> None:
+    browser = tmp_path / "usual-browser"
+    browser.write_text(
+        f'#!/bin/sh\n{LOOK.format(tmp_path / "file")}echo "$1" > "{tmp_path}/asked"\n'
+    )
+    browser.chmod(0o755)
+    programs.variables["BROWSER"] = f"{browser} %s"
+    server = programs.start("page")
+    asked = tmp_path / "asked"
+    until(lambda: asked.exists() and asked.read_text(), "a browser")
+    file = Path(asked.read_text().strip().removeprefix("file://"))
+    assert STARTED.search((tmp_path / "file").read_text())
+    assert file.exists()
+    # That of a second start is the running page's, too.
+    asked.unlink()
+    programs.call("page")
+    second = Path(asked.read_text().strip().removeprefix("file://"))
+    assert second != file
+    assert second.exists()
+    server.send_signal(signal.SIGINT)
+    assert server.wait(DEADLINE_S) == 0
+    assert not file.parent.exists()
+    assert not second.parent.exists()
 
 
 WINDOWED = [sys.executable, "-m", "biosensor_gateway.system.windowed"]

@@ -16,15 +16,15 @@ from biosensor_common.errors import ConfigError, ConfigReason, TransportError, T
 from biosensor_common.process_limits import limit_arenas
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.page.instance import (
-    ADDRESS,
     IS_SHARED,
     SETTINGS,
     ask_for_window,
     ask_to_end,
     page_folder,
+    way_into,
 )
 from biosensor_gateway.settings.places import settings_path, state_folder
-from biosensor_gateway.system.browser import open_page
+from biosensor_gateway.system.browser import WayIn, open_page
 
 SHARE_PORT = 8719
 """A fixed port, because it has to be opened in firewalls."""
@@ -87,15 +87,15 @@ def page(
         return
     path = (settings or settings_path()).absolute()
 
-    def show(address: str) -> None:
-        is_open = browser and open_page(address, in_window=window)
+    def show(way: WayIn) -> None:
+        is_open = browser and open_page(way, in_window=window)
         if window and not is_open:
             # The windowed program has no console on which the address could be read.
             message = (
                 "no browser could be opened; install Edge or Chrome, or choose a usual browser"
             )
             raise TransportError(TransportReason.ABSENT, message)
-        where = "is open in the browser" if is_open else f"opens once at: {address}"
+        where = "is open in the browser" if is_open else f"opens once at: {way.address}"
         typer.echo(f"The page {where}")
 
     if lsl:
@@ -116,7 +116,7 @@ def page(
 
 
 def _shown_by_another(
-    folder: Path, settings: Path, show: Callable[[str], None], *, wants_share: bool
+    folder: Path, settings: Path, show: Callable[[WayIn], None], *, wants_share: bool
 ) -> bool:
     """Ask a page that runs already for another window; return whether there is one."""
     running = ask_for_window(folder)
@@ -134,21 +134,21 @@ def _shown_by_another(
             "biosensor-gateway page --end"
         )
         raise TransportError(TransportReason.BUSY, message)
-    show(running[ADDRESS])
+    show(way_into(running))
     return True
 
 
 def _serve(
     folder: Path,
     settings: Path,
-    show: Callable[[str], None],
+    show: Callable[[WayIn], None],
     end_after_s: float,
     share_port: int | None,
 ) -> None:
     from biosensor_gateway.page.agent_page import AgentPage
 
-    def ready(address: str) -> None:
-        show(address)
+    def ready(way: WayIn) -> None:
+        show(way)
         if server.share is not None:
             typer.echo("Other computers look on, and change nothing, at:")
             for each in server.share.addresses:
@@ -200,7 +200,7 @@ class DeferredLog:
         self._stack.__exit__(kind, error, trace)
 
 
-def serve_network(settings: Path, show: Callable[[str], None]) -> None:
+def serve_network(settings: Path, show: Callable[[WayIn], None]) -> None:
     """Show the LSL streams that arrive here, until Ctrl-C.
 
     Parameters
@@ -208,7 +208,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     settings
         A settings file; only its LSL section is used.
     show
-        Opens an address in the browser, or prints it.
+        Opens the page in the browser, or prints its address.
 
     Raises
     ------
@@ -219,8 +219,8 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     """
     from biosensor_gateway.page.network_page import NetworkPage
 
-    def ready(address: str) -> None:
-        show(address)
+    def ready(way: WayIn) -> None:
+        show(way)
         typer.echo("Press Ctrl-C to end the page; no stream is touched.")
 
     # Each inlet has threads, and inlets are opened for the streams that are shown.

@@ -36,7 +36,7 @@ from biosensor_gateway.demo.demonstration import (
     unfilled_streams,
 )
 from biosensor_gateway.devices.registry import declaration, sensor_title
-from biosensor_gateway.page.instance import ADDRESS, ask_for_window, ask_to_end
+from biosensor_gateway.page.instance import ask_for_window, ask_to_end, way_into
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import printing
 from biosensor_gateway.recording.export.exporting import Task, export
@@ -144,12 +144,12 @@ class Trial:
                 message = f"the page has not started within {_PAGE_S:g} s; try it again"
                 raise TransportError(TransportReason.SILENT, message)
             time.sleep(_ASK_S)
-        address = str(answer[ADDRESS])
-        if self._opens and open_page(address, in_window=False):
+        way = way_into(answer)
+        if self._opens and open_page(way, in_window=False):
             say("The page is open in your browser.")
         else:
             say("Open the page in a browser on this computer; the address is good once:")
-            say(f"  {address}")
+            say(f"  {way.address}")
 
     def _ask_for_page(self) -> Mapping[str, Any] | None:
         try:

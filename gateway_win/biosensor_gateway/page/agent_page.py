@@ -15,8 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from biosensor_common.errors import ConfigError, GatewayError
-from biosensor_gateway.page.instance import ADDRESS, IS_SHARED, SETTINGS, only_server, reachable
+from biosensor_gateway.page.instance import (
+    ADDRESS,
+    IS_SHARED,
+    REDIRECT,
+    SETTINGS,
+    only_server,
+    reachable,
+)
 from biosensor_gateway.page.server import PageServer, cancelled, responsive
+from biosensor_gateway.system.browser import WayIn
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -39,7 +47,7 @@ class AgentPage:
     settings
         The settings file.
     on_ready
-        Called in a thread, as soon as the page can be opened, with an address that opens it once.
+        Called in a thread, as soon as the page can be opened, with a way in.
         An error that it raises ends the server.
     open_log
         Called in another thread once the page has something to show.
@@ -53,7 +61,7 @@ class AgentPage:
         self,
         folder: Path,
         settings: Path,
-        on_ready: Callable[[str], None],
+        on_ready: Callable[[WayIn], None],
         open_log: Callable[[], None],
         end_after_s: float = math.inf,
         share_port: int | None = None,
@@ -158,8 +166,10 @@ class AgentPage:
         """Accept requests of the same user's programs for a window, or for the end."""
 
         async def new_window(_arguments: Mapping[str, Any]) -> dict[str, Any]:
+            way = self._server.way_in()
             return {
-                ADDRESS: self._server.way_in(),
+                ADDRESS: way.address,
+                REDIRECT: way.redirect,
                 SETTINGS: str(self._settings),
                 IS_SHARED: self.share is not None,
             }

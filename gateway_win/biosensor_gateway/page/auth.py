@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 DOOR = "/door"
@@ -35,6 +35,14 @@ REFUSED_SOCKET = 1008
 _TOKENS_KEPT = 16
 _PREFLIGHT_HOLDS_S = 600
 _BEARER = "bearer "
+_GO_ON = """<!DOCTYPE html>
+<html lang="en">
+<meta charset="utf-8">
+<meta http-equiv="refresh" content="0;url=/">
+<title>Biosensor Gateway</title>
+<p><a href="/">Open the page</a></p>
+</html>
+"""
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
@@ -64,6 +72,11 @@ def is_same(given: str, secret: str) -> bool:
 class Keys:
     """Secrets that open the page: tokens for one use, and the cookie that replaces them.
 
+    Parameters
+    ----------
+    on_spent
+        Called with each token that opens nothing any more.
+
     Attributes
     ----------
     same_site
@@ -72,25 +85,32 @@ class Keys:
 
     same_site: Literal["lax", "strict"] = "strict"
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, on_spent: Callable[[str], None] = lambda _: None) -> None:
         # With the port in its name, because browsers send a cookie to every port of a computer.
         self.cookie_name = f"biosensor_gateway_{port}"
         self._cookie = secrets.token_urlsafe(32)
         self._tokens: list[str] = []
+        self._on_spent = on_spent
 
     def new_token(self) -> str:
         """Make a token that opens the page once."""
         token = secrets.token_urlsafe(32)
-        self._tokens = [*self._tokens, token][-_TOKENS_KEPT:]
+        self._tokens.append(token)
+        if len(self._tokens) > _TOKENS_KEPT:
+            self._spend(self._tokens[0])
         return token
 
     def cookie_for(self, token: str) -> str | None:
         """Use up a token, and return the cookie; None if the token is wrong or used."""
         for known in self._tokens:
             if is_same(token, known):
-                self._tokens.remove(known)
+                self._spend(known)
                 return self._cookie
         return None
+
+    def _spend(self, token: str) -> None:
+        self._tokens.remove(token)
+        self._on_spent(token)
 
     def fits(self, cookie: str) -> bool:
         """Whether a cookie is the right one."""
@@ -137,13 +157,15 @@ class BrowserRules:
         self.hosts = {each.partition("://")[2] for each in self._origins}
         self._is_secure = all(each.startswith("https:") for each in self._origins)
 
-    def foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
+    def foreign(self, path: str, headers: Headers, *, needs_origin: bool) -> Refusal | None:
         """Refuse a request that another web page has sent."""
         origin = headers.get("origin")
         if origin not in self._origins and (needs_origin or origin is not None):
             return Refusal(403, "Another web page has sent this; only the program's own may.")
-        is_link = self._keys.same_site == "lax" and headers.get("sec-fetch-mode") == "navigate"
-        if not is_link and headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
+        # The file by which `system.browser` opens the door counts as another page.
+        may_link = self._keys.same_site == "lax" or path == DOOR
+        is_link = may_link and headers.get("sec-fetch-mode") == "navigate"
+        if not is_link and _is_of_another_page(headers):
             return Refusal(403, "Another web page has sent this; only the program's own may.")
         return None
 
@@ -165,7 +187,10 @@ class BrowserRules:
         cookie = self._keys.cookie_for(request.query_params.get("token", ""))
         if cookie is None:
             return PlainTextResponse(self._refused + "\n", 403)
-        response = RedirectResponse("/", 303)
+        # After a link from another page, browsers send no strict cookie with what a redirect leads
+        # to, but they do after a link from this answer.
+        needs_own_link = self._keys.same_site == "strict" and _is_of_another_page(request.headers)
+        response = HTMLResponse(_GO_ON) if needs_own_link else RedirectResponse("/", 303)
         response.set_cookie(
             self._keys.cookie_name,
             cookie,
@@ -210,7 +235,7 @@ class ExperimentRules:
         self._token = token
         self._on_foreign = on_foreign
 
-    def foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
+    def foreign(self, path: str, headers: Headers, *, needs_origin: bool) -> Refusal | None:
         """Refuse a request without an origin, or from one that the settings do not name."""
         origin = headers.get("origin")
         if origin in self._origins:
@@ -273,7 +298,7 @@ class Guard:
 
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
-        refusal = self._foreign(headers, needs_origin=True)
+        refusal = self._foreign(scope["path"], headers, needs_origin=True)
         refusal = refusal or self._rules.stranger(headers, is_socket=True)
         if refusal is not None or self._open_sockets >= self._rules.max_sockets:
             await receive()
@@ -288,7 +313,7 @@ class Guard:
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers, rules = Headers(scope=scope), self._rules
         has_body = rules.has_body(scope["method"])
-        refusal = self._foreign(headers, needs_origin=has_body)
+        refusal = self._foreign(scope["path"], headers, needs_origin=has_body)
         if refusal is not None:
             # Without CORS headers, so that the browser hides the answer from the page.
             await _refused(refusal)(scope, receive, with_headers(send, {}))
@@ -302,10 +327,15 @@ class Guard:
             refusal = _body_refusal(headers, rules.max_body)
         await (self._app if refusal is None else _refused(refusal))(scope, receive, shown)
 
-    def _foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
+    def _foreign(self, path: str, headers: Headers, *, needs_origin: bool) -> Refusal | None:
         if headers.get("host", "") not in self._rules.hosts:
             return Refusal(421, "This server is asked by a name that is not its own.")
-        return self._rules.foreign(headers, needs_origin=needs_origin)
+        return self._rules.foreign(path, headers, needs_origin=needs_origin)
+
+
+def _is_of_another_page(headers: Headers) -> bool:
+    """Whether a browser says that the link to here is on another page."""
+    return headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}
 
 
 def _refused(refusal: Refusal) -> Response:

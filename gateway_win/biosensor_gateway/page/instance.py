@@ -2,28 +2,31 @@
 
 The page has a folder in the agent's state folder, with a lock and a control channel like the
 agent's. So a second start opens another window of the running page. The address of that window
-is valid once, and is never in a file. The server's side is `reachable`.
+is valid once; it is in a file only while a browser opens it from there. The server's side is
+`reachable`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator, Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
+from biosensor_gateway.system.browser import WayIn
 
 if TYPE_CHECKING:
     from biosensor_gateway.agent.control_server import Command
 
 OPEN, END = "open", "end"
-ADDRESS, SETTINGS, IS_SHARED = "address", "settings", "shared"
-"""Keys of the answer to `OPEN`: an address that opens the page once, the page's settings file,
-and whether the page is shared with other computers."""
+ADDRESS, REDIRECT, SETTINGS, IS_SHARED = "address", "redirect", "settings", "shared"
+"""Keys of the answer to `OPEN`: an address that opens the page once, the path for a file that
+redirects to it (see `WayIn`), the page's settings file, and whether the page is shared with other
+computers."""
 LOCK_FILE = "page.lock"
 
 _START_S = 30.0
@@ -71,6 +74,11 @@ def ask_for_window(folder: Path) -> dict[str, Any] | None:
         If a page runs and does not answer.
     """
     return _ask(folder, OPEN)
+
+
+def way_into(running: Mapping[str, Any]) -> WayIn:
+    """Return the way in of an answer to `OPEN`."""
+    return WayIn(str(running[ADDRESS]), str(running.get(REDIRECT, "")))
 
 
 def ask_to_end(folder: Path) -> bool:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from biosensor_gateway.page.server import PageServer, cancelled, responsive
+from biosensor_gateway.system.browser import WayIn
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -28,10 +29,10 @@ class NetworkPage:
     settings
         A settings file, which need not exist; only its LSL section is used.
     on_ready
-        Called in a thread, as soon as the page can be opened, with an address that opens it once.
+        Called in a thread, as soon as the page can be opened, with a way in.
     """
 
-    def __init__(self, settings: Path, on_ready: Callable[[str], None]) -> None:
+    def __init__(self, settings: Path, on_ready: Callable[[WayIn], None]) -> None:
         self._settings, self._on_ready = settings, on_ready
         self._server = PageServer("network.html", self._run)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import shutil
 import signal
 import socket
 import sys
@@ -21,6 +22,7 @@ from starlette.types import ASGIApp
 from biosensor_common.ending import end_within
 from biosensor_gateway.page.auth import DOOR, OPENS_ONCE, BrowserRules, Guard, Keys
 from biosensor_gateway.page.static_files import Front
+from biosensor_gateway.system.browser import WayIn, way_in
 
 HOST = "127.0.0.1"
 _ENDS_WITHIN_S = 10.0
@@ -94,6 +96,7 @@ class PageServer:
     def __init__(self, document: str, run: Callable[[], Awaitable[None]]) -> None:
         self._document, self._run = document, run
         self._running: asyncio.Task[None] | None = None
+        self._redirects: dict[str, str] = {}
 
     def serve(self) -> None:
         """Serve until SIGINT, SIGTERM or the end of `run`, whose error is raised.
@@ -108,7 +111,7 @@ class PageServer:
             as_file(files("biosensor_gateway.page") / "static") as self.pages,
         ):
             self._port: int = listening.getsockname()[1]
-            self._keys = Keys(self._port)
+            self._keys = Keys(self._port, self._remove_redirect)
             self.front = Front(self.pages, self._document, self._serving)
             origins = [f"http://{name}:{self._port}" for name in (HOST, "localhost")]
             guard = Guard(self.front, BrowserRules(origins, self._keys, OPENS_ONCE))
@@ -116,14 +119,25 @@ class PageServer:
             for number in _SIGNALS:
                 signal.signal(number, _ignore)
             self._server = _Server(_config(guard, PEOPLE, "on"))
-            self._server.run([listening])
+            try:
+                self._server.run([listening])
+            finally:
+                for token in [*self._redirects]:
+                    self._remove_redirect(token)
         task = self._running
         if task is not None and task.done() and not task.cancelled():
             task.result()
 
-    def way_in(self) -> str:
+    def way_in(self) -> WayIn:
         """Return an address that opens the page once."""
-        return f"http://{HOST}:{self._port}{DOOR}?token={self._keys.new_token()}"
+        token = self._keys.new_token()
+        way = way_in(f"http://{HOST}:{self._port}{DOOR}?token={token}")
+        self._redirects[token] = way.redirect
+        return way
+
+    def _remove_redirect(self, token: str) -> None:
+        if redirect := self._redirects.pop(token, ""):
+            shutil.rmtree(Path(redirect).parent, ignore_errors=True)
 
     def end(self) -> None:
         """End soon, after the requests that are being answered."""

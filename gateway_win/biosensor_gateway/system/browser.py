@@ -1,23 +1,43 @@
 r"""Opens an address in a separate window, or in the browser.
 
 A program is started by its full path, because the current folder may contain another program of
-the same name. Source for ``App Paths`` and the folders of programs: Microsoft's documentation
-"Application Registration"; for ``--app``: Chromium's list of switches.
+the same name. On Linux and macOS other users can read command lines, and the address of a page
+contains a token. So browsers are given the path of a private file there, which redirects to the
+address and is removed once the token is used. Windows shows command lines to their own user only.
+Source for ``App Paths`` and the folders of programs: Microsoft's documentation "Application
+Registration"; for ``--app``: Chromium's list of switches; for what browsers of snapd may read: its
+documentation of the interface "home".
 """
 
 from __future__ import annotations
 
 import contextlib
+import html
+import os
+import secrets
 import subprocess
 import sys
+import tempfile
 import webbrowser
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from biosensor_common.system_programs import full_path
 
 _SHOWN_AFTER_S = 2.0
 """A browser that cannot show a window, for example without a screen, has ended by then."""
+
+_SNAPS = ("/snap/bin", "/var/lib/snapd/snap/bin")
+_REDIRECT = """<!DOCTYPE html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0;url={0}">
+<title>Biosensor Gateway</title>
+<p><a href="{0}">Open the page</a></p>
+</html>
+"""
 
 _CHROMIUMS = (
     *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
@@ -26,17 +46,63 @@ _CHROMIUMS = (
 _MAC_CHROMIUMS = ("Google Chrome", "Microsoft Edge", "Chromium", "Brave Browser")
 
 
-def open_page(address: str, *, in_window: bool) -> bool:
-    """Open an address; return whether that was possible. May take `_SHOWN_AFTER_S`.
+class WayIn(NamedTuple):
+    """An address of a page on this computer that opens it once.
+
+    Attributes
+    ----------
+    redirect
+        Path at which `open_page` creates a file that redirects to the address, in a folder of its
+        own; empty where command lines are private. Whoever serves the page removes the folder.
+    """
+
+    address: str
+    redirect: str
+
+
+def way_in(address: str) -> WayIn:
+    """Return a way in with an unused path for its file."""
+    if sys.platform == "win32":
+        return WayIn(address, "")
+    folder = _readable_folder() / f"biosensor-gateway-{secrets.token_hex(8)}"
+    return WayIn(address, str(folder / "open.html"))
+
+
+def _readable_folder() -> Path:
+    """Return a folder from which browsers may open files."""
+    # snapd lets its browsers read neither /run and /tmp nor hidden folders in the home folder.
+    if any(Path(each).is_dir() for each in _SNAPS):
+        with contextlib.suppress(RuntimeError):
+            return Path.home()
+    # Has room even if the disk is full.
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    return Path(runtime if os.path.isdir(runtime) else tempfile.gettempdir())  # noqa: PTH112
+
+
+def open_page(way: WayIn, *, in_window: bool) -> bool:
+    """Open a page; return whether that was possible. May take `_SHOWN_AFTER_S`.
 
     Parameters
     ----------
-    address
-        Address of a page on this computer.
     in_window
         Whether to try a window without tabs and bars first.
     """
+    address = way.address
+    if way.redirect:
+        try:
+            address = _written(Path(way.redirect), address).as_uri()
+        except OSError:
+            return False
     return (in_window and _open_window(address)) or webbrowser.open(address)
+
+
+def _written(file: Path, address: str) -> Path:
+    """Write a file that redirects to an address; only the user can read it."""
+    file.parent.mkdir(0o700)
+    handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as opened:
+        opened.write(_REDIRECT.format(html.escape(address)))
+    return file
 
 
 def _open_window(address: str) -> bool:
