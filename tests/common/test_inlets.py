@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import ast
+import ctypes
+import os
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 PRODUCT = ("common", "gateway_win", "ros_side")
@@ -74,3 +79,17 @@ def test_who_makes_an_inlet_unopened_opens_it_before_a_pull() -> None:
 def _names(path: str) -> Iterator[ast.Name]:
     module = ast.parse((ROOT / path).read_text("utf-8"))
     return (node for node in ast.walk(module) if isinstance(node, ast.Name))
+
+
+def test_liblsl_is_called_in_a_way_that_windows_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def as_on_windows(kind: type[ctypes.CDLL]) -> type[ctypes.CDLL]:
+        class Named(kind):
+            def __init__(self, name: str, *, handle: int | None = None) -> None:
+                # There it looks for a folder in the name, also if there is a handle.
+                super().__init__(os.fspath(name), handle=handle)
+
+        return Named
+
+    for kind in (ctypes.CDLL, ctypes.PyDLL):
+        monkeypatch.setattr(ctypes, kind.__name__, as_on_windows(kind))
+    assert callable(runpy.run_path(str(ROOT / MAKER))["Block"])

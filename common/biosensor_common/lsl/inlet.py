@@ -31,13 +31,14 @@ Stamps = NDArray[np.float64]
 """LSL times in seconds, one per sample."""
 
 # Calls through PyDLL keep the GIL. Releasing it takes longer than these calls themselves,
-# and another of many reading threads would then take it.
-_quick = ctypes.PyDLL(None, handle=lib._handle)  # noqa: SLF001 - the way that ctypes documents
+# and another of many reading threads would then take it. The name loads nothing where there is a
+# handle, but on Windows ctypes fails without one.
+_quick = ctypes.PyDLL(lib._name, handle=lib._handle)  # noqa: SLF001 - the way that ctypes documents
 _quick.lsl_local_clock.restype = ctypes.c_double
 _quick.lsl_samples_available.restype = ctypes.c_uint32
 _quick.lsl_samples_available.argtypes = (ctypes.c_void_p,)
 # These calls wait, so they release the GIL.
-_waiting = ctypes.CDLL(None, handle=lib._handle)  # noqa: SLF001 - as above
+_waiting = ctypes.CDLL(lib._name, handle=lib._handle)  # noqa: SLF001 - as above
 # int64 is left to pylsl: its C type depends on the system.
 _LETTERS = {"f4": "f", "f8": "d", "i4": "i", "i2": "s", "i1": "c"}
 _PULLS: dict[np.dtype[Any], tuple[Callable[..., int], Callable[..., float]]] = {}
