@@ -1,6 +1,6 @@
-"""Turns recordings into what others load: tables, EDF, texts for single programs, bags, BIDS.
+"""Exports recordings to formats of other programs: tables, EDF, text files, bags, BIDS.
 
-:mod:`.exporting` opens a recording, cuts out what is wanted, and has each format written
-beside and then renamed; :mod:`.formats` has them by name, and :mod:`.exporter` says what a
-format is. :mod:`.printing` tells what was written.
+:mod:`.exporting` opens a recording, selects the wanted parts, and writes each format to a
+temporary place and then renames it; :mod:`.formats` lists the formats by name, and
+:mod:`.exporter` is their interface. :mod:`.printing` formats the results.
 """

@@ -1,4 +1,4 @@
-"""Joins the samples of many chunks, for what takes its time by the call."""
+"""Joins the samples of many chunks, because the exports' cost depends on the number of calls."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _BATCHES_IN_SECTION = 64
 
 
 def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
-    """Give the samples of a stream, many chunks of the file at once."""
+    """Yield the samples of a stream, many chunks of the file at once."""
     least = max(1, chosen.batch // stream.header.channel_count)
     kept: list[Samples] = []
     count = 0
@@ -28,12 +28,12 @@ def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
 
 
 def section(chosen: Chosen) -> int:
-    """Return how many samples of a stream are looked at together for where its runs begin."""
+    """Return how many samples of a stream are analysed together to find its runs."""
     return _BATCHES_IN_SECTION * chosen.batch
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
-    """Return samples of one stream that follow each other, as one."""
+    """Join consecutive samples of one stream."""
     times = np.concatenate([each.times for each in parts])
     stamps = np.concatenate([each.stamps for each in parts])
     texts = [text for each in parts if isinstance(each.values, list) for text in each.values]

@@ -1,4 +1,4 @@
-"""The interface of a format: it writes what was chosen of a recording to one file or folder."""
+"""The interface of a format, which writes a selection to one file or folder."""
 
 from __future__ import annotations
 
@@ -15,47 +15,47 @@ from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.contents.choice import Chosen
 
 Progress = Callable[[float], None]
-"""Takes how many seconds of the recording are done."""
+"""Called with the seconds of the recording that are done."""
 
 
 @unique
 class Clock(StrEnum):
-    """On which clock times are written."""
+    """Clock of the exported times."""
 
     LSL = "lsl"
     """The recorder's LSL clock."""
     WALL = "wall"
-    """Unix time; only of a recording whose `wall` is known."""
+    """Unix time; only for a recording whose `wall` is known."""
 
 
 @unique
 class Times(StrEnum):
-    """Which times samples of a regular stream have, and what a gap does."""
+    """The times of samples in regular streams, and how gaps are handled."""
 
     RECORDED = "recorded"
-    """Those of the stamps; in a format that knows no gaps, one ends a file."""
+    """The recorded timestamps; in a format without gaps, a gap ends the file."""
     EVEN = "even"
-    """Those of a straight line between two gaps; a gap is an event, and the file goes on."""
+    """Evenly spaced times between two gaps; a gap becomes an event and the file continues."""
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How to write it.
+    """Options of an export.
 
     Attributes
     ----------
     clock
-        Of the times.
+        Clock of the times.
     name
-        What to call it: the recording's name without its suffix.
+        Base name of the output: the recording's name without its suffix.
     task, session
-        What was recorded, for formats that tell it; empty for what `name` says.
+        Task and session, for formats that contain them; empty to take them from `name`.
     participant
-        Whose all of it is, whatever the recorded events say; empty for what these say.
+        Participant of all data, overriding the recorded ones; empty to keep these.
     times
-        Of regular streams.
+        Times of regular streams.
     is_wide
-        Whether tables are to hold all streams of a rate side by side, too.
+        Whether to write additional tables with all streams of a rate side by side.
     """
 
     clock: Clock
@@ -68,13 +68,13 @@ class Order:
 
 
 class Missing(str):
-    """A sentence of a format about a whole stream that is not in it, though it could be."""
+    """A note that a whole stream is missing, although the format could contain it."""
 
     __slots__ = ()
 
 
 def with_reasons(sentence: str, notes: Sequence[str]) -> str:
-    """Say also why streams were left out, where nothing else is left to say it."""
+    """Append the notes about left-out streams to an error message."""
     return "; ".join([sentence, *notes])
 
 
@@ -83,33 +83,35 @@ class Exporter(Protocol):
 
     @property
     def suffix(self) -> str:
-        """What is appended to the recording's name: ``.csv`` of a file, ``_csv`` of a folder."""
+        """Suffix of the output's name: ``.csv`` for a file, ``_csv`` for a folder."""
         ...
 
     def write(
         self, chosen: Chosen, order: Order, target: Path, progress: Progress
     ) -> Sequence[str]:
-        """Write what was chosen, chunk by chunk: a recording may exceed the memory.
+        """Write the selection chunk by chunk, because a recording may exceed the memory.
 
         Parameters
         ----------
         chosen
-            Streams and span of time.
+            Streams and time range.
         target
-            File or folder to make; there is none yet. Its name is final, its folder is not.
+            File or folder to create; it does not exist. Its name is final, its location is
+            temporary.
         progress
-            Is told now and then how far it is.
+            Called regularly.
 
         Returns
         -------
         sequence of str
-            Sentences for the person: what the format could not take; `Missing` of a whole stream.
+            Notes for the user about what the format could not contain; `Missing` for whole
+            streams.
 
         Raises
         ------
         RecordingError
-            ``EMPTY``, if nothing that was chosen can be written in this format, or if the
-            recording cannot be read any more.
+            ``EMPTY``, if nothing in the selection fits this format, or if the recording cannot be
+            read any more.
         OSError
             If the target cannot be written.
         """
@@ -117,12 +119,12 @@ class Exporter(Protocol):
 
 
 class SampleCount:
-    """Tells the progress of whoever takes one stream after the other, by samples.
+    """Reports progress by samples, for formats that write one stream after the other.
 
     Parameters
     ----------
     progress
-        Is told at most once for each percent.
+        Called at most once per percent.
     """
 
     def __init__(self, chosen: Chosen, progress: Progress) -> None:
@@ -133,7 +135,7 @@ class SampleCount:
         self._done = self._told = 0
 
     def add(self, samples: int) -> None:
-        """Take note that so many more samples are written."""
+        """Add a number of written samples."""
         self._done += samples
         if self._done - self._told > self._all // 100:
             self._told = self._done
@@ -141,10 +143,9 @@ class SampleCount:
 
 
 def on_clock(chosen: Chosen, clock: Clock, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return times of samples on the clock that is wanted, in s.
+    """Convert times of samples to another clock, in s.
 
-    Unix time of our days has steps of 0.24 us in this form; who needs ns asks the
-    recording's `wall`.
+    Current Unix times have a resolution of 0.24 us in float64; for ns, use the recording's `wall`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Exports a recording: finds what is wanted, and has each format written beside and renamed."""
+"""Exports a recording: selects its parts, and writes each format to a temporary place first."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from biosensor_gateway.recording.xdf.container import RecordingError, RecordingR
 from biosensor_gateway.system.new_file import new_place
 
 Watch = Callable[[str, float], Progress]
-"""Takes a format and the seconds that it has before it; returns who is told how far it is."""
+"""Takes a format and its number of seconds; returns its progress callback."""
 
 _SUFFIXES = (".gz", ".xdfz", ".xdf")
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is wanted.
+    """Options of an export, as given by the user.
 
     Attributes
     ----------
     formats
         Names in ``FORMATS``.
     output
-        A folder that is there, or of one format the file or folder itself; None for the
+        An existing folder, or for a single format the file or folder itself; None for the
         recording's folder.
     task, session
-        What was recorded, for formats that tell it; empty for what the recording's name says.
+        Task and session, for formats that contain them; empty to take them from the file name.
     whose
-        Who is right about the participant, its name or its sensors; None if nobody has said it.
+        Which participant is right, that of the file name or of the sensors; None if undecided.
     times
-        Of regular streams.
+        Times of regular streams.
     batch
-        How many values are taken at once; results do not depend on it.
+        Number of values processed at once; results do not depend on it.
     is_wide
-        Whether ``csv`` is to hold a table for each rate as well.
+        Whether ``csv`` should also contain a table per rate.
     """
 
     formats: Sequence[str]
@@ -70,16 +70,16 @@ class Task:
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
     """Write a recording in each of the formats.
 
-    One for which the recording has nothing, as Kubios without a heart, does not keep the others
-    from being written.
+    A format without suitable data, such as Kubios without a heart signal, does not prevent the
+    others.
 
     Raises
     ------
     ConfigError
-        If something is in the way of a target, or what is wanted is not in the recording.
+        If a target exists, or the selection is not in the recording.
     RecordingError
-        If the recording cannot be read, holds no sample of what is wanted or nothing for any
-        of the formats, or a target cannot be written. What was complete by then stays.
+        If the recording cannot be read, has no samples in the selection or no data for any format,
+        or a target cannot be written. Targets that were complete by then stay.
     """
     with open_contents(path) as contents:
         participant = participant_of(path) if task.whose is Whose.NAME else ""
@@ -119,9 +119,10 @@ def _mismatch(path: Path, chosen: Chosen) -> Mismatch | None:
 
 @contextmanager
 def _no_search_for_cycles() -> Generator[None]:
-    """Keep Python from looking for objects that hold each other.
+    """Switch off Python's cyclic garbage collection.
 
-    Samples make none, but so many lists that the search takes up to a tenth of an export.
+    Exports create no cycles, but so many lists that the collection takes up to a tenth of the
+    time.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -133,7 +134,7 @@ def _no_search_for_cycles() -> Generator[None]:
 
 
 def bare_name(path: Path) -> str:
-    """Return a recording's name without what tells its format."""
+    """Return a recording's name without its suffix."""
     name = path.name
     for suffix in _SUFFIXES:
         if name.lower().endswith(suffix):
@@ -215,7 +216,7 @@ def _in_the_way(target: Path) -> ConfigError:
 
 
 def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
-    # Of a part of the recording it is too much, which is on the safe side.
+    # For a part of the recording this is an overestimate, which is on the safe side.
     samples = sum(each.byte_count for each in chosen.streams)
     needed = samples * sum(GROWTH.get(name, USUAL_GROWTH) for name in targets)
     folder = next(iter(targets.values())).parent
@@ -260,7 +261,7 @@ def _write(
         with new_place(target, like=contents.path) as made:
             notes = exporter.write(chosen, order, made, watch(name, max(0.0, end_s - begin_s)))
     except OSError as error:
-        # What is in the way inside of it is no fault of the place.
+        # Only an existing target itself is the user's error, not an existing file inside it.
         if isinstance(error, FileExistsError) and os.path.lexists(target):
             raise _in_the_way(target) from None
         raise _unwritable(target, error) from error

@@ -1,4 +1,4 @@
-"""A line through the times of samples over their numbers, by least squares."""
+"""Least-squares line through the times of samples over their index."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 @dataclass(slots=True)
 class FittedLine:
-    """Samples without a gap between them: number against time, as sums around their means.
+    """Line fit for samples without gaps, with sums around the means.
 
     Attributes
     ----------
     mean_number, mean_s
-        The line goes through this point; the first sample has number 0.
+        The line passes through this point; the first sample has index 0.
     spread, product
-        Sum of squares of the numbers, and of products of numbers and times; their quotient is the
-        slope, in s a sample.
+        Sum of squares of the indexes, and sum of products of indexes and times; their quotient is
+        the slope in s per sample.
     """
 
     count: int = 0
@@ -28,7 +28,7 @@ class FittedLine:
     product: float = 0.0
 
     def add(self, times: NDArray[np.float64]) -> None:
-        """Take in the samples that follow; means and sums are joined as Chan et al. (1983) do."""
+        """Add the next samples; means and sums are combined as in Chan et al. (1983)."""
         count = len(times)
         number = self.count + np.arange(count, dtype=np.float64)
         mean_number, mean_s = float(number.mean()), float(times.mean())
@@ -42,12 +42,12 @@ class FittedLine:
         self.count = total
 
     def slope_s(self, usual_s: float) -> float:
-        """Return the time from sample to sample; the usual one if no line can be seen."""
+        """Return the sample period; the usual one if the line is not plausible."""
         slope_s = self.product / self.spread if self.spread else usual_s
-        # A few samples that came at once tell nothing.
+        # A few samples with nearly equal times give a meaningless slope.
         return slope_s if 0.5 < slope_s / usual_s < 2 else usual_s
 
     def times(self, first: int, count: int, usual_s: float) -> NDArray[np.float64]:
-        """Return the times that samples of these numbers have on the line."""
+        """Return the times on the line of `count` samples from index `first` on."""
         number = np.arange(first, first + count, dtype=np.float64)
         return self.mean_s + self.slope_s(usual_s) * (number - self.mean_number)

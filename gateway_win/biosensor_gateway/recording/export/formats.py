@@ -1,4 +1,4 @@
-"""All formats, by the names that people type."""
+"""All export formats by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _HERE = "biosensor_gateway.recording.export"
 
 
 def _load(module: str, attribute: str, **options: bool) -> Exporter:
-    # Imported on demand: some bring large libraries.
+    # Imported on demand, because some import large libraries.
     return getattr(import_module(f"{_HERE}.{module}"), attribute)(**options)
 
 
@@ -27,7 +27,7 @@ FORMATS: Mapping[str, Callable[[], Exporter]] = {
     "ledalab": partial(_load, "ledalab", "Ledalab"),
     "mcap": partial(_load, "mcap.exporter", "McapExporter"),
 }
-"""Makes the exporter."""
+"""Functions that create the exporter of each format."""
 
 FOR_WHOM: Mapping[str, str] = {
     "bids": "a BIDS data set, for sharing and for pipelines; several recordings become one",
@@ -40,7 +40,7 @@ FOR_WHOM: Mapping[str, str] = {
     "ledalab": "skin conductance, for Ledalab",
     "mcap": "a ROS bag, with the topics of the node",
 }
-"""What each is, in a few words."""
+"""Short descriptions of the formats."""
 
 GROWTH: Mapping[str, float] = {
     "csv": 3.0,
@@ -50,6 +50,6 @@ GROWTH: Mapping[str, float] = {
     "mcap": 8.0,
     "bids": 3.0,
 }
-"""How many times the bytes of the samples in the recording a format may take on the disk."""
+"""Size of a format on the disk, as a multiple of the samples in the recording."""
 USUAL_GROWTH = 2.0
-"""Of those that are not in it."""
+"""The multiple for formats that are not listed."""

@@ -1,4 +1,4 @@
-"""Puts samples into rows of equal steps, each into that of its time; some rows stay empty."""
+"""Assigns samples to evenly spaced rows by their times; some rows stay empty."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _HALF = 0.5 + 1e-6
 
 
 class Rows(Protocol):
-    """Where the rows of a table go."""
+    """Output for the rows of a table."""
 
     def write(self, samples: Samples, count: int) -> None:
-        """Write the first `count` samples, a row each."""
+        """Write the first `count` samples, one row each."""
         ...
 
     def leave_empty(self, rows: int, width: int) -> None:
-        """Write rows of so many channels in which there is nothing."""
+        """Write empty rows with `width` channels."""
         ...
 
 
 class Grid:
-    """Puts samples into rows of equal steps, of which some may stay empty."""
+    """Assigns samples to evenly spaced rows, some of which may stay empty."""
 
     def __init__(self, to: Rows, start_s: float, rate_hz: float) -> None:
         self._to = to
@@ -42,7 +42,7 @@ class Grid:
         self.displacement = Displacement()
 
     def write(self, samples: Samples, count: int) -> Samples:
-        """Write the first samples, of which those behind them have a say; return the others."""
+        """Write the first `count` samples, placed in view of the others; return the others."""
         places = (samples.times - self._start_s) * self.rate_hz
         rows = place(places, self.last_row)[:count]
         self.displacement.add(places[:count], rows)
@@ -70,7 +70,7 @@ class Grid:
 
 
 def write_rows(grid: Grid, batches: Iterator[Samples]) -> Iterator[int]:
-    """Write samples to a grid; after each piece, give how many that were."""
+    """Write samples to a grid; yield the number of samples of each block."""
     window = int(np.clip(np.ceil(grid.rate_hz * _WINDOW_S), _LEAST_WINDOW, _MOST_WINDOW))
     kept: Samples | None = None
     for samples in batches:
@@ -90,35 +90,35 @@ def part_of(samples: Samples, begin: int, end: int) -> Samples:
 
 
 def place(places: NDArray[np.float64], after: int) -> NDArray[np.int64]:
-    """Return a row for each sample, ascending.
+    """Return a row number for each sample, strictly ascending.
 
     Parameters
     ----------
     places : ndarray of float64, shape (n_samples,)
-        Where each sample would be, in rows, with fractions.
+        Exact position of each sample, in fractional rows.
     after
-        The last row that is taken.
+        The last row already used.
 
     Returns
     -------
     ndarray of int64, shape (n_samples,)
-        Behind `after`, no two the same.
+        Greater than `after` and all different.
     """
     nearest = np.rint(places).astype(np.int64)
     if not len(nearest) or (nearest[0] > after and bool((np.diff(nearest) > 0).all())):
         return nearest
     order = np.arange(len(nearest))
-    # Rows that ascend strictly are numbers that do not fall, plus 0, 1, 2 ...
+    # Strictly ascending rows are non-decreasing numbers plus 0, 1, 2 ...
     level = _without_falls((nearest - order).tolist())
     return np.maximum(level, after + 1) + order
 
 
 def _without_falls(levels: list[int]) -> NDArray[np.int64]:
-    """Return numbers that never fall and are away from `levels` by the least sum.
+    """Return the non-decreasing numbers with the least sum of distances from `levels`.
 
-    This is isotonic regression with absolute errors. Of the cost of all levels so far, as a
-    function of the last number, the heap has the places where the slope changes by one; its
-    greatest is where the cost is least. A level below it pulls that place down to itself.
+    This is isotonic regression with absolute errors. The heap contains the points at which the
+    slope of the cost, as a function of the last number, changes by one; the cost is least at the
+    greatest point. A lower level replaces that point by itself.
     """
     heap: list[int] = []
     best: list[int] = []
@@ -131,16 +131,16 @@ def _without_falls(levels: list[int]) -> NDArray[np.int64]:
 
 
 class Displacement:
-    """How far samples are from the times of their rows."""
+    """Statistics of the distances between samples and their rows."""
 
     def __init__(self) -> None:
         self.largest = 0.0
-        """In rows."""
+        """Largest distance in rows."""
         self.moved = 0
-        """Samples for which it is more than half a row: their own was taken."""
+        """Number of samples with more than half a row, because their own row was taken."""
 
     def add(self, places: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
-        """Take in samples, where they would be and where they are; both of shape (n_samples,)."""
+        """Add samples by their exact positions and their rows, both of shape (n_samples,)."""
         away = np.abs(places - rows)
         self.largest = max(self.largest, float(away.max(initial=0.0)))
         self.moved += int(np.count_nonzero(away > _HALF))

@@ -1,8 +1,8 @@
-"""Texts for Kubios HRV: intervals between beats, and ECG.
+"""Exports text files for Kubios HRV: beat intervals and ECG.
 
-Kubios reads intervals from a file with one number a line, in s or ms, and an ECG from
-one with a value a line, for which it asks the rate (Kubios HRV user's guide, "Supported data
-formats").
+Kubios reads beat intervals from a file with one number per line, in s or ms, and an ECG from a
+file with one value per line, for which the user enters the rate (Kubios HRV user's guide,
+"Supported data formats").
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from biosensor_gateway.recording.export.runs import (
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}
-# Intervals that differ more from their stamps have a hole between them.
+# If timestamps differ more from the sum of intervals, beats are missing in between.
 _HOLE_S = 1.0
 _GAPS = "_gaps.csv"
 _MOST_NAMED = 3
@@ -54,7 +54,7 @@ Intervals have no times of their own: a part in which beats are missing cannot b
 
 
 class Kubios:
-    """Writes a file of intervals for each stream of these, and one for each run of an ECG."""
+    """Writes a file for each stream of beat intervals and for each run of an ECG."""
 
     suffix = "_kubios"
 
@@ -128,7 +128,7 @@ def _write_ecg(
     names: FileNames,
     notes: list[str],
 ) -> list[str]:
-    """Write an ECG; note what is to be said, and return the names of its files."""
+    """Write an ECG and add notes for the user; return its file names."""
     name = stream.header.name
     cut = Runs(chosen, stream, order.times)
     runs = cut.found()
@@ -143,7 +143,7 @@ def _write_ecg(
     empty = [rows for each in every for rows in each.empty]
     without = 0
     for number, parts in groupby(cut.pieces(), key=lambda each: each[0]):
-        # A file that goes on behind a gap was made for the run before.
+        # A file that continues after a gap was created for an earlier run.
         goes_on = number > 0 and file_of[number] == file_of[number - 1]
         with file_of[number].open("ab" if goes_on else "xb") as file:
             file.writelines(repeat(b"NaN\n", empty[number]))
@@ -164,7 +164,7 @@ def _write_ecg(
 
 
 def _write_gaps(every: Sequence[Stretch], files: Sequence[Path]) -> str:
-    """Write where gaps are beside the files that have some; say so."""
+    """Write lists of gaps next to the files with gaps; return a sentence about them."""
     made: list[str] = []
     for stretch, path in zip(every, files, strict=True):
         gaps = [

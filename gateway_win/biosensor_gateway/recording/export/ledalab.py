@@ -1,7 +1,7 @@
-"""Texts for Ledalab: time, conductance and marker, a line a sample.
+"""Exports text files for Ledalab: time, conductance and marker, one line per sample.
 
-Ledalab imports three columns without a heading (its "Text" formats): time in s, skin
-conductance in microsiemens, and the number of a marker at the sample where it falls, else 0.
+Ledalab imports three columns without a heading (its "Text" formats): time in s, skin conductance
+in microsiemens, and the number of a marker at this sample, else 0.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _RESISTANCES = {
     for prefix, scale in {"": 1e6, "k": 1e3, "kilo": 1e3, "m": 1.0, "mega": 1.0}.items()
     for ohm in ("ohm", "ohms", "\N{GREEK SMALL LETTER OMEGA}")
 }
-"""By unit, in lower case: what a value is multiplied by, or what is divided by it."""
+"""Conversion by unit, in lower case: a factor, or the dividend for units of resistance."""
 
 
 _MEANS = f"""\
@@ -56,7 +56,7 @@ conductance in microsiemens, and the number of the marker that fell on that samp
 
 
 class Ledalab:
-    """Writes a file for each stream of skin conductance, and ``markers.csv``."""
+    """Writes a file for each skin conductance stream, and ``markers.csv``."""
 
     suffix = "_ledalab"
 
@@ -94,7 +94,7 @@ def _is_conductance(stream: Stream) -> bool:
 
 
 def _numbered(chosen: Chosen) -> tuple[NDArray[np.float64], dict[str, int]]:
-    """Return time and number of each marker, shape (n, 2), and the numbers by text."""
+    """Return the time and number of each marker, shape (n, 2), and the numbers by text."""
     codes: dict[str, int] = {}
     happened = [
         (time_s, codes.setdefault(text, len(codes) + 1)) for time_s, text in markers(chosen)
@@ -163,19 +163,19 @@ def _write_stream(
 def _with_gaps(
     happened: NDArray[np.float64], runs: Runs, stream: Stream, codes: dict[str, int]
 ) -> NDArray[np.float64]:
-    """Return what happened with the gaps of a stream, at the last sample before each."""
+    """Return the markers with additional ones at the last sample before each gap."""
     gaps = runs.gaps()
     if not gaps:
         return happened
     code = codes.setdefault(BAD_GAP, len(codes) + 1)
-    # Between the last sample but one and the last one, so that it falls on that.
+    # Between the last two samples before the gap, so that it is assigned to the last one.
     own = [(each.begin_s - 1.5 / stream.header.rate, code) for each in gaps]
     together = np.concatenate((happened, np.array(own, np.float64)))
     return together[np.argsort(together[:, 0], kind="stable")]
 
 
 def _in_microsiemens(values: NDArray[Any], unit: str) -> NDArray[Any]:
-    """Return conductances; a resistance of nothing has none."""
+    """Return conductances; a resistance of zero becomes NaN."""
     name = unit.lower().replace("\N{OHM SIGN}", "\N{GREEK SMALL LETTER OMEGA}")
     if name in _CONDUCTANCES:
         return values * _CONDUCTANCES[name]
@@ -187,7 +187,7 @@ def _in_microsiemens(values: NDArray[Any], unit: str) -> NDArray[Any]:
 
 @dataclass(slots=True)
 class _Told:
-    """What a file does not have as it was: samples without a value, and markers."""
+    """Counts samples and markers that a file does not contain unchanged."""
 
     without: int = 0
     inside: int = 0
@@ -214,7 +214,7 @@ class _Told:
 
 
 def _behind_holes(chosen: Chosen, stream: Stream) -> NDArray[np.float64] | None:
-    """Return the times of the samples before which some are missing; None if steps tell."""
+    """Return the times of the samples after gaps; None if single steps show gaps."""
     cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header, section(chosen))
     if cuts is None:
         return None
@@ -228,7 +228,7 @@ def _late(
     stream: Stream,
     behind_holes: NDArray[np.float64] | None,
 ) -> int:
-    """Count the markers that stand at a sample before which some are missing."""
+    """Count the markers in gaps, which are assigned to the next sample."""
     places = np.minimum(np.searchsorted(times, happened[:, 0]), len(times) - 1)
     if behind_holes is not None:
         return int(np.count_nonzero(np.isin(times[places], behind_holes)))
@@ -238,7 +238,7 @@ def _late(
 def _at_samples(
     happened: NDArray[np.float64], times: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], int]:
-    """Return the number of the marker at each sample, 0 for none, and how many found no place."""
+    """Return the marker number of each sample, 0 for none, and how many did not fit."""
     codes = np.zeros(len(times), np.int64)
     places = np.minimum(np.searchsorted(times, happened[:, 0]), len(times) - 1)
     codes[places[::-1]] = happened[::-1, 1]

@@ -1,4 +1,4 @@
-"""Reads what happened out of streams of markers, in the order of time."""
+"""Parses events from marker streams, in time order."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from biosensor_gateway.recording.export.runs import BAD_GAP, Gap
 from biosensor_gateway.recording.export.timeline import Timeline
 
 _KEPT = 10_000
-"""Rows that are held back, to be sorted, and because they may be undone."""
+"""Number of events held back for sorting, and because they may be undone."""
 _LONGEST_NAME = 100
-# A marker that was told later is at most an hour late.
+# A marker added in retrospect is at most an hour late.
 _MOST_APART_S = 2 * 3600.0
 _OF_DEVICES = frozenset(
     {
@@ -41,26 +41,26 @@ _OF_DEVICES = frozenset(
 
 @dataclass(slots=True)
 class MarkerEvent:
-    """Something that happened at one moment.
+    """An event.
 
     Attributes
     ----------
     onset_s
-        Seconds since zero.
+        Seconds since the timeline's zero.
     name
-        Empty where only `text` tells it.
+        Empty if only `text` is known.
     text
         As recorded.
     participant
-        Whose it is only; empty for all for whom the stream is.
+        The only participant concerned; empty for all participants of the stream.
     id, undoes
-        Of a marker of the agent, its number, and that of the one that it takes back.
+        Number of one of the agent's markers, and of the marker that it undoes.
     undone
-        Whether it was taken back.
+        Whether it was undone.
     note
-        Free text of a marker of the agent.
+        Free text of one of the agent's markers.
     duration_s
-        None of a moment.
+        None for an instantaneous event.
     """
 
     onset_s: float
@@ -75,7 +75,7 @@ class MarkerEvent:
 
 
 def gap_event(stream: Stream, gap: Gap, timeline: Timeline) -> MarkerEvent:
-    """Return a gap as something that happened to whoever wears the sensor."""
+    """Return a gap as an event of the sensor's participant."""
     begin_s, end_s = timeline.since_zero(
         np.array([gap.begin_s, gap.begin_s + gap.length_s])
     ).tolist()
@@ -86,7 +86,7 @@ def gap_event(stream: Stream, gap: Gap, timeline: Timeline) -> MarkerEvent:
 
 
 def is_left_out(stream: Stream) -> bool:
-    """Whether a stream of ours tells nothing of a person: counters, and what a node says."""
+    """Whether it is one of our own streams without participants' data: counters, node events."""
     identity = stream.header.identity
     if identity is None or identity.sensor not in (AGENT, NODE):
         return False
@@ -94,7 +94,7 @@ def is_left_out(stream: Stream) -> bool:
 
 
 def marker_events(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator[MarkerEvent]:
-    """Give what the samples of a stream of markers say."""
+    """Yield the events in the samples of a marker stream."""
     identity = stream.header.identity
     kind = stream.header.data_name if identity is not None and identity.sensor == AGENT else ""
     onsets = timeline.since_zero(samples.times).tolist()
@@ -124,7 +124,7 @@ def _tell(event: MarkerEvent, content: Mapping[str, Any]) -> None:
 def _told_onset(
     samples: Samples, place: int, content: Mapping[str, Any], timeline: Timeline, onset_s: float
 ) -> float:
-    """Return when it happened by its own words: a stamp is never before that of another marker."""
+    """Return the time in the marker's text, because timestamps are forced to ascend."""
     told = content.get("lsl_time")
     if not isinstance(told, int | float) or not math.isfinite(told):
         return onset_s
@@ -150,7 +150,7 @@ def in_order(
     events: Iterable[tuple[Stream, MarkerEvent]],
     gaps: Iterable[tuple[Stream, MarkerEvent]] = (),
 ) -> Iterator[tuple[Stream, MarkerEvent]]:
-    """Sort by time, and undo what is undone, as far as it is held back."""
+    """Sort events by time, and flag those that later markers undo."""
     events = heapq.merge(
         events,
         sorted(gaps, key=lambda each: each[1].onset_s),

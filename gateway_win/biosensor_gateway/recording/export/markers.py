@@ -1,4 +1,4 @@
-"""Finds markers: what happened, as texts with their times."""
+"""Finds markers: texts of events with their times."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 
 MARKERS = "markers"
-"""Data name of the agent's own."""
-# Senders call them Markers, markers, Marker, StringMarker, LSL_Marker_Strings, Trigger, Events.
+"""Data name of the agent's own markers."""
+# Programs use the types Markers, markers, Marker, StringMarker, LSL_Marker_Strings, Trigger,
+# Events.
 _WORDS = ("marker", "trigger", "event", "stim")
 
 
 def is_markers(stream: Stream) -> bool:
-    """Whether a stream tells what happened rather than what was measured.
+    """Whether a stream contains events rather than measurements.
 
-    That is any text, of whatever type, and numbers without a rate whose type says so.
+    These are all text streams, and irregular numeric streams with such an LSL type.
     """
     header = stream.header
     if header.format is ChannelFormat.STRING:
@@ -30,12 +31,12 @@ def is_markers(stream: Stream) -> bool:
 
 
 def marker_streams(chosen: Chosen) -> list[Stream]:
-    """Return the streams of markers, but for what agents and nodes tell of themselves."""
+    """Return the marker streams, except the agents' and nodes' own event streams."""
     return [each for each in chosen.streams if is_markers(each) and not _is_of_a_program(each)]
 
 
 def markers(chosen: Chosen) -> Iterator[tuple[float, str]]:
-    """Give time and text of each marker in the order of time, channels joined by commas."""
+    """Yield time and text of each marker in time order, with channels joined by commas."""
     for _, samples in Chosen(
         chosen.contents, tuple(marker_streams(chosen)), chosen.begin_s, chosen.end_s
     ).merged():
@@ -44,7 +45,7 @@ def markers(chosen: Chosen) -> Iterator[tuple[float, str]]:
 
 
 def texts(values: Iterable[str | np.generic]) -> list[str]:
-    """Return all channels of a marker, as texts."""
+    """Return all channels of a marker as texts."""
     return [each if isinstance(each, str) else str(each.item()) for each in values]
 
 

@@ -10,11 +10,11 @@ from biosensor_gateway.recording.contents.stream import Stream
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 _LONGEST_NAME = 80
 _OF_WINDOWS = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
-"""Names of devices, which no file there can have, with whatever suffix."""
+"""Device names, which are reserved on Windows with any suffix."""
 
 
 def unique(names: Iterable[str]) -> list[str]:
-    """Return names of which none is another's, also where upper case counts for nothing."""
+    """Return names made unique, ignoring case."""
     taken: set[str] = set()
     found: list[str] = []
     for name in names:
@@ -27,15 +27,14 @@ def unique(names: Iterable[str]) -> list[str]:
 
 
 class FileNames:
-    """Names the files of streams, without suffix, so that any system can take them.
+    """Creates file names for streams, without suffix, that are valid on any system.
 
-    No two are the same, neither of streams of one name nor of a run and another stream, also
-    where upper case counts for nothing.
+    All names are unique, also between runs and other streams, and even if case is ignored.
 
     Parameters
     ----------
     reserved
-        Names of other files, which no stream is to have.
+        Names of other files, which streams must not use.
     """
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
@@ -43,7 +42,7 @@ class FileNames:
 
     def of(self, stream: Stream, runs: int = 1) -> list[str]:
         """Return a name for each run of a stream."""
-        # A name that begins with a hyphen would be an option of many a command.
+        # Many commands would take a leading hyphen as an option.
         plain = _UNSAFE.sub("_", stream.header.name)[:_LONGEST_NAME].strip("._-")
         name = plain or f"stream_{stream.number}"
         if _OF_WINDOWS.fullmatch(name):
@@ -62,11 +61,11 @@ class FileNames:
 
 
 def _of_runs(name: str, runs: int) -> list[str]:
-    """Return the name without a run, which no other stream is to have, and those of the runs."""
+    """Return the name without a run, which stays reserved, and the names of the runs."""
     return [name] if runs == 1 else [name, *(f"{name}_run{each}" for each in range(1, runs + 1))]
 
 
 def file_names(streams: Sequence[Stream], reserved: Iterable[str] = ()) -> list[str]:
-    """Return a name for the file of each stream, see `FileNames`."""
+    """Return a file name for each stream, see `FileNames`."""
     names = FileNames(reserved)
     return [names.of(each)[0] for each in streams]

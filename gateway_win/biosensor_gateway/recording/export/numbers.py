@@ -1,10 +1,10 @@
-"""Makes text of many numbers at once: the shortest that is read back as the same number.
+"""Formats many numbers at once, with the shortest text that reads back as the same number.
 
-numpy and Python take half a microsecond for each number, and a recording of two hours has a
-hundred million. pydantic's serialiser writes a list of floats ten times as fast, as
-shortest decimals that give the same float64. Of a float32 it would write the float64 of the
-same value, 17 digits of which only the first few mean something; so the float64 that is
-nearest to the float32's own shortest decimal is put in its place first.
+numpy and Python take half a microsecond per number, and a recording of two hours has a hundred
+million. pydantic's serialiser writes a list of floats ten times as fast, as the shortest decimals
+that give the same float64. For a float32 it would write the 17 digits of the equal float64, of
+which only the first few are significant. So each float32 is first replaced by the float64 nearest
+to its own shortest decimal.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-# Any decimal of 6 digits survives float32; 9 tell all float32 apart.
+# Any decimal of 6 digits survives conversion to float32; 9 digits distinguish all float32.
 _LEAST_DIGITS, _MOST_DIGITS = 6, 9
-# Powers of ten up to this are exact in float64, and so their quotients are rounded once.
+# Powers of ten up to this are exact in float64, so a quotient is rounded only once.
 _EXACT_POWER = 22
 _POWERS = 10.0 ** np.arange(_EXACT_POWER + 1)
 
 
 def rows_of_numbers(times: NDArray[np.float64], values: NDArray[Any]) -> bytes:
-    """Return a line for each sample: its time, or several times, and its values, with commas.
+    """Return a line for each sample: its time or times and its values, separated by commas.
 
     Parameters
     ----------
@@ -33,12 +33,12 @@ def rows_of_numbers(times: NDArray[np.float64], values: NDArray[Any]) -> bytes:
     Returns
     -------
     bytes
-        Each line ends in LF. What is no number is ``NaN``, ``inf`` or ``-inf``.
+        Each line ends in LF. Special values are ``NaN``, ``inf`` and ``-inf``.
     """
     if values.dtype.kind == "f":
         rows: list[Any] = np.column_stack((times, tidied(values))).tolist()
     else:
-        # A float64 does not hold all integers of 64 bits.
+        # float64 cannot represent all 64-bit integers.
         lead = times.reshape(len(times), -1).T.tolist()
         rows = list(zip(*lead, *values.T.tolist(), strict=True))
     return _text(rows, values)[2:-2].replace(b"],[", b"\n") + b"\n"
@@ -61,7 +61,7 @@ def tidied(values: NDArray[Any]) -> NDArray[np.float64]:
     Parameters
     ----------
     values : ndarray of float32 or float64, of any shape
-        Of float64 the values themselves are returned.
+        float64 values are returned unchanged.
     """
     wide = np.asarray(values, np.float64)
     if values.dtype.itemsize == wide.dtype.itemsize:
@@ -70,7 +70,7 @@ def tidied(values: NDArray[Any]) -> NDArray[np.float64]:
     tidy = flat.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         exponents = np.floor(np.log10(np.abs(flat)))
-        # Zero, NaN, infinity, and what is beyond exact powers of ten are written out in full.
+        # Zero, NaN, infinity, and numbers beyond exact powers of ten keep all their digits.
         is_near = np.abs(exponents) <= _EXACT_POWER - _MOST_DIGITS
     left = np.flatnonzero(is_near)
     for digits in range(_LEAST_DIGITS, _MOST_DIGITS + 1):
@@ -85,7 +85,7 @@ def tidied(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _rounded(values: NDArray[np.float64], decimals: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the float64 next to each value's decimal of so many places, negative ones, too."""
+    """Return the float64 nearest to each value rounded to a number of decimals, even negative."""
     up, down = _POWERS[np.maximum(decimals, 0)], _POWERS[np.maximum(-decimals, 0)]
     return np.rint(values / down * up) / up * down
 

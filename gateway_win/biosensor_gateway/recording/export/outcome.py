@@ -1,4 +1,4 @@
-"""Tells what became of an export."""
+"""Results of an export."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from biosensor_gateway.recording.xdf.container import Damage
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """One format of a recording, as it lies on the disk.
+    """One written format of a recording.
 
     Attributes
     ----------
     size
-        In bytes, of all files.
+        Total size in bytes.
     notes
-        What the format could not take, a sentence each.
+        Sentences about what the format could not contain.
     """
 
     format: str
@@ -29,18 +29,18 @@ class Written:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all streams are in it that the format can hold."""
+        """Whether it contains all streams that fit the format."""
         return not any(isinstance(each, Missing) for each in self.notes)
 
 
 @dataclass(frozen=True, slots=True)
 class NothingForIt:
-    """A format for which the recording has nothing.
+    """A format for which the recording has no suitable data.
 
     Attributes
     ----------
     why
-        A sentence for the person.
+        A sentence for the user.
     """
 
     format: str
@@ -49,21 +49,21 @@ class NothingForIt:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a recording.
+    """The result of exporting a recording.
 
     Attributes
     ----------
     streams
-        Name, source_id and number of samples in the file of what was chosen.
+        Name, source_id and number of samples of the selected streams.
     damages
-        What could not be read of the recording.
+        Unreadable parts of the recording.
     clock_notes
-        What is to be said of the times.
+        Sentences about the times.
     without
-        Formats that were asked for, and not written.
+        Requested formats that were not written.
     mismatch
-        The recording's name and its sensors name different participants, and nobody has said
-        who is right; None otherwise.
+        Set if the recording's name and sensors have different participants and the user has not
+        decided which is right.
     """
 
     path: Path
@@ -76,11 +76,11 @@ class Outcome:
 
     @property
     def is_certain(self) -> bool:
-        """Whether all of it was written, under names that are no guess."""
+        """Whether all of it was written, with certain names."""
         return self.is_whole and self.mismatch is None
 
     @property
     def is_whole(self) -> bool:
-        """Whether all of the recording was written in all formats, as far as these can hold it."""
+        """Whether every format contains everything that fits it."""
         is_whole = all(each.is_whole for each in self.written)
         return is_whole and not self.damages and not self.without

@@ -1,4 +1,4 @@
-"""Tells what was exported, as sentences for a person and as JSON for a script."""
+"""Formats the results of exports, as sentences for users and as JSON for scripts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def as_json(outcome: Outcome) -> str:
 
 
 def all_as_json(outcomes: Iterable[Outcome], failed: Iterable[tuple[Path, str]]) -> str:
-    """Return the outcomes of several recordings as JSON, and why others were not written."""
+    """Return the outcomes of several recordings as JSON, with the errors of failed ones."""
     content = {
         "recordings": [_content(each) for each in outcomes],
         "failed": [{"file": str(path), "why": why} for path, why in failed],
@@ -52,7 +52,7 @@ def _content(outcome: Outcome) -> dict[str, object]:
 
 
 def sentences(outcome: Outcome) -> Iterator[str]:
-    """Say what is wrong with the recording, what was written, and what was not."""
+    """Yield sentences about the recording's damage and what was and was not written."""
     for damage in outcome.damages[:_MOST_DAMAGES]:
         yield f"{outcome.path}: {_damage_text(damage)}"
     more = len(outcome.damages) - _MOST_DAMAGES

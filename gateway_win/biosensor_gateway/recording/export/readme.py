@@ -1,4 +1,4 @@
-"""Writes README.txt: what an export holds and means, for a person who does not program."""
+"""Writes README.txt: the contents of an export, for readers who do not program."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ def write_readme(
     files: Mapping[int, Sequence[str]],
     notes: Sequence[str],
 ) -> None:
-    """Write it into an export that is otherwise done.
+    """Write it into an otherwise complete export.
 
     Parameters
     ----------
     means
-        What the files are and how to read them, in paragraphs.
+        Paragraphs about the files and how to read them.
     files
-        Names of files or topics of each stream that is in it, by the stream's number.
+        File names or topics of each exported stream, by stream number.
     notes
-        What is to be known of this export.
+        Notes on this export.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def write_readme(
     if notes:
         blocks.append(["WHAT YOU SHOULD KNOW", *_items(notes)])
     text = "\n\n".join("\n".join(each) for each in blocks) + "\n"
-    # Names in headers may hold half of a character that is written in two.
+    # Names in headers may contain unpaired surrogates.
     with (folder / README).open("x", encoding="utf-8", errors="replace", newline="\n") as file:
         file.write(text)
 
@@ -82,7 +82,7 @@ def _described(chosen: Chosen, files: Mapping[int, Sequence[str]]) -> Iterator[s
 
 
 def _stream_text(stream: Stream) -> str:
-    """Say what was measured, of whom, how often, and in what."""
+    """Describe a stream: what was measured, participant, rate and units."""
     header, identity = stream.header, stream.header.identity
     whose = f" of {identity.participant}" if identity and identity.participant else ""
     sensor = f", measured by {identity.sensor} {identity.unit}" if identity else ""

@@ -1,4 +1,4 @@
-"""Finds the runs of a regular stream: samples between which nothing is missing."""
+"""Finds the runs of a regular stream: samples without gaps between them."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S
 
 MOST_RUNS = 999
-"""A stream that has more is not cut by gaps; its stamps make no sense."""
+"""A stream with more runs has invalid timestamps rather than gaps."""
 BAD_GAP = "BAD_gap"
-"""What an event is called that stands for a gap; MNE leaves out what such a one covers."""
+"""Name of the event for a gap; MNE excludes data that such events cover."""
 LONGEST_JOINED_S = 3600.0
-"""Behind a longer gap another file begins, whatever is wanted."""
+"""A longer gap always starts a new file."""
 _MOST_RATES = 3
 _TOLD_AWAY_S = 1e-3
 
 
 @dataclass(slots=True)
 class Run:
-    """Samples between which nothing is missing.
+    """Samples without gaps between them.
 
     Attributes
     ----------
     count
-        How many; at least one.
+        Number of samples; at least one.
     begin_s, end_s
-        Times of the first and the last on the recorder's clock.
+        Times of the first and last sample on the recorder's clock.
     least, greatest : ndarray of float64, shape (n_channels,)
-        Of the finite values; infinite where there are none.
+        Range of the finite values; infinite where there are none.
     period_s
-        Between two samples, where that is not to be taken from their times; else 0.
+        Sample period, if it cannot be taken from the times; else 0.
     lost
-        How many samples are missing before it, an estimate; 0 also where time steps back.
+        Estimated number of samples missing before it; 0 also where time steps back.
     """
 
     count: int
@@ -62,7 +62,7 @@ class Run:
         return (self.count - 1) * self.period_s if self.period_s else self.end_s - self.begin_s
 
     def rate_hz(self, nominal_hz: float) -> float:
-        """Return the nominal rate if it fits the times to half a sample, else the measured one."""
+        """Return the nominal rate if it fits the times to half a sample, else the measured."""
         length_s, steps = self.length_s, self.count - 1
         if not steps or length_s <= 0 or abs(length_s * nominal_hz - steps) < 0.5:
             return nominal_hz
@@ -70,17 +70,17 @@ class Run:
 
 
 def longest_gap_s(times: Times) -> float:
-    """Return the longest gap behind which a file goes on."""
+    """Return the longest gap after which a file continues."""
     return LONGEST_JOINED_S if times is Times.EVEN else 0.0
 
 
 def has_even_times(stream: Stream, times: Times) -> bool:
-    """Whether the samples of a stream get even times."""
+    """Whether the samples of a stream get evenly spaced times."""
     return times is Times.EVEN and stream.header.is_regular and not is_markers(stream)
 
 
 class Gap(NamedTuple):
-    """A span in which samples are missing, and how many, an estimate; in s."""
+    """A gap in s, with the estimated number of missing samples."""
 
     begin_s: float
     length_s: float
@@ -88,7 +88,7 @@ class Gap(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What it is, in words."""
+        """Its description in words."""
         samples = "1 sample is" if self.lost == 1 else f"{self.lost} samples are"
         return f"about {samples} missing for {self.length_s:.6g} s"
 
@@ -97,23 +97,22 @@ class Runs:
     """The runs of one regular stream.
 
     In our own streams, and in others whose header says that samples may be missing, a run ends
-    where the next stamp is later than it may be, or earlier than the last one. Elsewhere it ends
-    where the line through the stamps jumps (`recording.xdf.pace`).
+    where the next timestamp is too late, or earlier than the last one. In other streams it ends
+    where the line through the timestamps jumps (`recording.xdf.pace`).
 
     Parameters
     ----------
     times
-        Even ones are those of one straight line for each run, by least squares.
+        Even times lie on one straight line per run, fitted by least squares.
 
     Attributes
     ----------
     cuts
-        Where they begin; None if each step tells by itself.
+        Starts of the runs; None if single steps show them.
     moved_s
-        How far even times are from the recorded ones at most, but for stray ones, of the pieces
-        that were given.
+        Largest difference between even and recorded times so far, without outliers.
     stray
-        How many stamps are far away from those before and behind them.
+        Number of outliers: timestamps far from those before and after.
     """
 
     def __init__(self, chosen: Chosen, stream: Stream, times: Times = Times.RECORDED) -> None:
@@ -132,7 +131,7 @@ class Runs:
             self._fit()
 
     def pieces(self) -> Iterator[tuple[int, Samples]]:
-        """Give the samples, each piece with the number of its run."""
+        """Yield the samples in blocks, each with the number of its run."""
         done = 0
         for number, first, samples in self._recorded():
             if not self._is_even:
@@ -145,12 +144,12 @@ class Runs:
             yield number, replace(samples, times=times)
 
     def samples(self) -> Iterator[Samples]:
-        """Give the samples in their order."""
+        """Yield the samples in order."""
         for _, samples in self.pieces():
             yield samples
 
     def found(self) -> list[Run]:
-        """Return all runs, of a stream of numbers; at most one more than `MOST_RUNS`."""
+        """Return all runs of a numeric stream; at most one more than `MOST_RUNS`."""
         found: list[Run] = []
         for number, samples in self.pieces():
             values = np.asarray(samples.values, np.float64)
@@ -172,7 +171,7 @@ class Runs:
         return found
 
     def gaps(self) -> list[Gap]:
-        """Return the gaps between even times, where samples are missing."""
+        """Return the gaps between evenly spaced times."""
         gaps: list[Gap] = []
         for number, (before, behind) in enumerate(pairwise(self._lines), 1):
             if lost := self._lost.get(number, 0):
@@ -182,14 +181,14 @@ class Runs:
         return gaps
 
     def remarks(self, files: Sequence[Stretch], instead: str) -> Iterator[str]:
-        """Say what was done about stamps and gaps.
+        """Yield sentences about the handling of timestamps and gaps.
 
         Parameters
         ----------
         files
-            Of the runs that were found.
+            Files of the runs.
         instead
-            What stands where nothing was measured, in words.
+            What is written where nothing was measured, in words.
         """
         yield from self.remarks_on_times()
         nominal_hz = self._stream.header.rate
@@ -215,7 +214,7 @@ class Runs:
             yield f"a file has one rate, so samples are up to {round(away_s * 1e3, 3):g} ms off"
 
     def remarks_on_times(self) -> Iterator[str]:
-        """Say how far even times are from the recorded ones."""
+        """Yield sentences about the difference between even and recorded times."""
         if self._is_even:
             moved_ms = round(self.moved_s * 1e3, 3)
             yield f"even times are at most {moved_ms:g} ms from the recorded ones"
@@ -237,7 +236,7 @@ class Runs:
             done += len(samples)
 
     def _in_line(self, times: NDArray[np.float64], before: int) -> NDArray[np.float64]:
-        """Return times with those of neighbours in place of stray ones."""
+        """Return times in which outliers are interpolated."""
         is_here = (self._stray >= before) & (self._stray < before + len(times))
         if not is_here.any() or is_here.sum() == len(times):
             return times
@@ -247,14 +246,14 @@ class Runs:
         return np.interp(place, place[is_good], times[is_good])
 
     def _recorded(self) -> Iterator[tuple[int, int, Samples]]:
-        """Give the samples as recorded, with their run and how many of it came before."""
+        """Yield the samples as recorded, with their run and the number of earlier samples in it."""
         run = count = first = 0
         last_s: float | None = None
         for samples in batches(self._chosen, self._stream):
             cuts = self._in_batch(samples.times, last_s, count)
             last_s, count = float(samples.times[-1]), count + len(samples)
             for begin, end in pairwise([0, *cuts, len(samples)]):
-                # Nothing is before a cut at the first sample of a batch.
+                # No samples precede a cut at the start of a batch.
                 if begin == end:
                     continue
                 if begin in cuts:
@@ -266,12 +265,12 @@ class Runs:
     def _in_batch(
         self, times: NDArray[np.float64], last_s: float | None, before: int
     ) -> dict[int, int]:
-        """Return at which samples of a batch runs begin, and how many are missing before each.
+        """Return the samples of a batch at which runs begin, and how many are missing before each.
 
         Parameters
         ----------
         before
-            How many samples came before the batch.
+            Number of samples before the batch.
         """
         if self.cuts is not None:
             numbers = self.cuts.numbers
@@ -279,7 +278,7 @@ class Runs:
             return {each - before: self._lost_at.get(each, 0) for each in numbers[places]}
         header = self._stream.header
         steps = np.diff(times, prepend=times[0] if last_s is None else last_s)
-        # Where times are made even, a small step back ends nothing.
+        # With even times, a small step back does not end a run.
         is_back = steps < (-STEP_BACK_S if self._is_even else 0)
         places_of_cuts = np.flatnonzero((steps > longest_step_s(header)) | is_back)
         lost = np.rint(np.minimum(steps[places_of_cuts] * header.rate, MOST_LOST)) - 1
@@ -295,14 +294,14 @@ def _part(samples: Samples, begin: int, end: int) -> Samples:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What one file holds: a run, or several with rows that stand for what is missing between.
+    """The contents of one file: a run, or several with empty rows for the gaps between them.
 
     Attributes
     ----------
     first
         Number of its first run.
     empty
-        How many rows are before each run; none before the first.
+        Number of empty rows before each run; 0 before the first.
     """
 
     first: int
@@ -317,12 +316,12 @@ class Stretch:
 
     @property
     def rows(self) -> int:
-        """How many it has, those without samples included."""
+        """Number of rows, including empty ones."""
         return sum(self.empty) + sum(each.count for each in self.runs)
 
     @property
     def gaps(self) -> Iterator[tuple[int, int]]:
-        """First row and number of the rows of each gap."""
+        """First row and number of rows of each gap."""
         for (begin, _), rows in zip(self.begins, self.empty, strict=True):
             if rows:
                 yield begin - rows, rows
@@ -338,7 +337,7 @@ class Stretch:
 
     @property
     def away_s(self) -> float:
-        """How far a row is from the time of its sample at most, for a file has one rate."""
+        """Largest time difference between a sample and its row, since a file has one rate."""
         ends = ((row, run.begin_s) for row, run in self.begins)
         lasts = ((row + run.count - 1, run.begin_s + run.length_s) for row, run in self.begins)
         told = [*ends, *lasts]
@@ -346,12 +345,12 @@ class Stretch:
 
 
 def stretches(runs: Sequence[Run], nominal_hz: float, longest_gap_s: float) -> list[Stretch]:
-    """Return what each file holds.
+    """Divide runs into files.
 
     Parameters
     ----------
     longest_gap_s
-        Behind a longer one another file begins; 0 if each run has a file.
+        A longer gap starts a new file; 0 for one file per run.
     """
     joined: list[list[Run]] = []
     for run in runs:
@@ -388,7 +387,7 @@ def _rows_before(runs: Sequence[Run], rate_hz: float) -> tuple[int, ...]:
 
 
 def gap_text(lost: Sequence[int]) -> str:
-    """Return in words how many gaps there are, and how much is missing in them."""
+    """Return the number of gaps and of missing samples in words."""
     gaps = "1 gap" if len(lost) == 1 else f"{len(lost)} gaps"
     samples = "1 sample" if sum(lost) == 1 else f"{sum(lost)} samples"
     return f"{gaps}, about {samples} missing"

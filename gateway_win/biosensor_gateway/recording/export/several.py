@@ -14,19 +14,19 @@ from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import RecordingError
 
 Watching = Callable[[Path], AbstractContextManager[Watch]]
-"""Takes a recording; while it is entered, its export is told to the watch."""
+"""Takes a recording; its context provides the callback for the progress of its export."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What became of one of several recordings.
+    """The result for one of several recordings.
 
     Attributes
     ----------
     outcome
-        None if it was in the data set before, or failed.
+        None if it was in the dataset before, or failed.
     error
-        Why nothing was written of it, as a sentence; empty if something was.
+        Why nothing was written, as a sentence; empty on success.
     """
 
     recording: Path
@@ -35,22 +35,22 @@ class Exported:
 
     @property
     def is_certain(self) -> bool:
-        """Whether all of it is written, now or before, under names that are no guess."""
+        """Whether all of it is written, now or before, with certain names."""
         return not self.error and (self.outcome is None or self.outcome.is_certain)
 
 
 def export_several(
     recordings: Sequence[Path], task: Task, watching: Watching
 ) -> Iterator[Exported]:
-    """Export one after the other; what is wrong with one keeps no other from being written.
+    """Export recordings one by one; an error in one does not stop the others.
 
-    To ``bids`` and an output of its own they become one data set, see :mod:`.bids.study`. Who
-    takes no more of what is given ends it between two recordings.
+    With ``bids`` and an output folder they become one dataset, see :mod:`.bids.study`. This is a
+    generator: it stops between two recordings if the caller stops iterating.
 
     Raises
     ------
     ConfigError
-        If other formats are to be in the same data set, or its folder is something else.
+        If other formats would go into the same dataset, or its folder is something else.
     """
     study = None
     if task.output is not None and "bids" in task.formats:
@@ -73,14 +73,14 @@ def export_several(
 
 
 def recordings_in(places: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the recordings that are named or in folders that are named, and those left out.
+    """Return the recordings in a list of files and folders, and those left out.
 
-    Left out of a folder is a recording that was salvaged: the salvaged one is taken.
+    If a recording was salvaged, its salvaged version is used and the original left out.
 
     Raises
     ------
     ConfigError
-        ``NOT_FOUND``, if a folder holds none.
+        ``NOT_FOUND``, if a folder contains none.
     """
     found: list[Path] = []
     left_out: list[Path] = []
@@ -98,7 +98,7 @@ def recordings_in(places: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is called as a recording is."""
+    """Whether a file has a recording's suffix."""
     name = path.name.lower()
     return name.endswith((".xdf", ".xdf.gz", ".xdfz")) and path.is_file()
 

@@ -1,4 +1,4 @@
-"""Counts time from a stated zero."""
+"""Times relative to a defined zero."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Seconds since the first sample of what was chosen, on one of the clocks.
+    """Seconds since the first sample of a selection, on one of the clocks.
 
     Attributes
     ----------
     zero_s
-        That moment on the recorder's LSL clock.
+        The zero on the recorder's LSL clock.
     zero_unix_ns
-        Its unix time; None if the recording does not tell.
+        Its Unix time; None if unknown.
     """
 
     zero_s: float
@@ -34,7 +34,7 @@ class Timeline:
 
     @property
     def begin_s(self) -> float:
-        """Zero on its clock: LSL time, or unix time."""
+        """The zero as LSL time or Unix time, depending on the clock."""
         return self.zero_s if self._wall is None else (self.zero_unix_ns or 0) / NS_PER_S
 
     def since_zero(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -50,7 +50,7 @@ class Timeline:
         return (self._wall.to_unix_ns(times) - self.zero_unix_ns) / NS_PER_S
 
     def described(self) -> dict[str, object]:
-        """Return what a sidecar says of it."""
+        """Return its description for a sidecar."""
         clock = "unix time" if self._wall else "the recorder's LSL clock"
         said: dict[str, object] = {
             "Description": f"first sample of the recording; seconds since it are on {clock}",
@@ -63,7 +63,7 @@ class Timeline:
 
 
 def timeline(chosen: Chosen, clock: Clock) -> Timeline:
-    """Make the timeline of what was chosen."""
+    """Return the timeline of a selection."""
     zero_s = max(chosen.begin_s, chosen.contents.begin_s)
     wall = chosen.contents.wall
     unix_ns = None if wall is None else int(wall.to_unix_ns(np.array([zero_s]))[0])

@@ -1,4 +1,4 @@
-"""Finds the rate at which a regular stream was sampled, and where its table has to be cut."""
+"""Finds the sample rate of a regular stream, and where its table must be split."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from biosensor_gateway.recording.xdf.measuring import longest_step_s
 from biosensor_gateway.recording.xdf.pace import Cuts
 
 LONGEST_FILLED_S = 3600.0
-"""A longer gap is not filled with empty rows: a table of its own begins behind it."""
+"""A longer gap is not filled with empty rows; a new table begins after it."""
 FURTHEST_BACK_S = 1.0
-"""Where time steps back further, the clock was another one, and a table of its own begins."""
-# A stream whose stamps all come at once seems to have any rate.
+"""A larger step back means a different clock, so a new table begins."""
+# If all timestamps are nearly equal, the fitted rate is meaningless.
 _MOST_OFF_NOMINAL = 10.0
-# Where a clock was lost for a while, samples are stamped all at once, which the line follows.
+# While a clock is unknown, samples may all get the same timestamp, which distorts the line.
 _MOST_OFF_MEDIAN = 0.01
 _STRETCH_S = 4.0
 _LEAST_STRETCH = 16
@@ -34,7 +34,7 @@ class Part:
     Attributes
     ----------
     start_s
-        Time of its first row.
+        Time of the first row.
     """
 
     count: int = 0
@@ -43,18 +43,18 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How a regular stream was sampled.
+    """Sample rate, gaps and tables of a regular stream.
 
     Attributes
     ----------
     rate_hz
-        Of the samples between gaps; the nominal rate if they do not tell.
+        Rate of the samples between gaps; the nominal rate if it cannot be determined.
     gaps
-        Steps that are longer than those of neighbours can be.
+        Steps between timestamps that are too long for adjacent samples.
     parts
-        At least one; in the order of the file.
+        At least one, in the order of the file.
     rows
-        How many rows these need, samples and empty ones, about.
+        Approximate number of rows needed, including empty ones.
     """
 
     rate_hz: float
@@ -71,7 +71,7 @@ class _Survey:
     stretch: int
     """Samples."""
     holes: NDArray[np.int64] | None = None
-    """Numbers of the samples before which some are missing; None if steps tell."""
+    """Indexes of the samples after gaps; None if single steps show gaps."""
     stretches_s: array[float] = field(default_factory=lambda: array("d"))
     spread: float = 0.0
     product: float = 0.0
@@ -140,23 +140,23 @@ def find_timing(
     cuts: Cuts | None = None,
     longest_filled_s: float = LONGEST_FILLED_S,
 ) -> Timing | None:
-    """Find out how a regular stream was sampled; None if there is no sample.
+    """Determine the timing of a regular stream; None without samples.
 
-    The rate is the slope of one straight line with an offset for each run between two gaps,
-    by least squares; where that is far from the median of stretches of a few seconds, because
-    stamps are wrong, it is this median; of other programs' stamps it is that of `cuts`. Rows are
-    counted from where the line through the first run begins.
+    The rate is the common slope of straight lines through the runs, each with its own offset, by
+    least squares. If that is far from the median over sections of a few seconds, because
+    timestamps are wrong, the median is used. For inexact timestamps of other programs, the rate
+    comes from `cuts`. Rows count from the start of the line through the first run.
 
     Parameters
     ----------
     blocks
-        Times of the samples, finite, in s, each array of shape (n_samples,) and not empty.
+        Finite times of the samples in s, each array of shape (n_samples,) and not empty.
     header
-        Of the stream.
+        Header of the stream.
     cuts
-        Of a stream whose stamps say little one by one; they tell its rate and its gaps.
+        Runs of a stream with inexact timestamps, which give its rate and gaps.
     longest_filled_s
-        Behind a longer gap another part begins.
+        A longer gap starts a new part.
     """
     stretch = max(_LEAST_STRETCH, round(header.rate * _STRETCH_S))
     holes = None if cuts is None else np.array([each.at for each in cuts.holes], np.int64)
@@ -167,7 +167,7 @@ def find_timing(
         return None
     survey.end_line()
     survey.end_part()
-    # Behind that the sums of another kind of processor differ.
+    # More digits would differ between kinds of processors.
     found_hz = _rate(survey, header.rate) if cuts is None else 1.0 / cuts.period_s
     rate_hz = float(f"{_likely(found_hz, header.rate):.{_DIGITS}g}")
     for part, line in zip(survey.parts, survey.firsts, strict=True):
@@ -177,7 +177,7 @@ def find_timing(
 
 
 def _rate(survey: _Survey, nominal_hz: float) -> float:
-    # Two samples are not enough: the step between them may be of any length.
+    # Two samples are not enough, because the step between them may have any length.
     if survey.spread < 1.0 or survey.product <= 0:
         return nominal_hz
     found_hz = survey.spread / survey.product

@@ -1,9 +1,9 @@
-"""Writes a BIDS dataset, https://bids-specification.readthedocs.io, from one recording.
+"""Exports recordings to a BIDS dataset, see https://bids-specification.readthedocs.io.
 
-:mod:`.dataset` writes it and says whose folder a stream belongs to, :mod:`.file_names` what its
-file is called there, and :mod:`.kinds` what kind of signal it is. :mod:`.signals` writes a stream
-of numbers: as a table of equal steps (:mod:`.regular`) or of moments, as EEG (:mod:`.eeg`,
-:mod:`.brain_vision`) or EMG (:mod:`.emg`) with files as :mod:`.run_file` says, or as gaze
-(:mod:`.gaze`); :mod:`.sidecars` says what columns mean. Markers become tables of events
-(:mod:`.events`), and several recordings one dataset (:mod:`.study`).
+:mod:`.dataset` writes a dataset and assigns streams to participants; :mod:`.file_names` has the
+file names and :mod:`.kinds` the kinds of signals. :mod:`.signals` writes a numeric stream: as a
+table with a fixed rate (:mod:`.regular`) or without, as EEG (:mod:`.eeg`, :mod:`.brain_vision`) or
+EMG (:mod:`.emg`) with the files in :mod:`.run_file`, or as gaze (:mod:`.gaze`); :mod:`.sidecars`
+describes the columns. Markers become tables of events (:mod:`.events`), and :mod:`.study` combines
+several recordings in one dataset.
 """

@@ -1,8 +1,8 @@
-"""Writes BrainVision files, the form of EEG that BIDS recommends.
+"""Writes BrainVision files, the EEG format that BIDS recommends.
 
-A header (``.vhdr``), the samples as they were recorded, one after the other (``.eeg``), and markers
-(``.vmrk``), by the BrainVision Core Data Format 1.0. Values are never scaled: float32 and integers
-of 16 bits are the recorded ones in every bit, other formats become the nearest float32.
+They consist of a header (``.vhdr``), the recorded samples (``.eeg``) and markers (``.vmrk``),
+according to the BrainVision Core Data Format 1.0. Values are never scaled: float32 and 16-bit
+integers are kept exactly, other formats are rounded to float32.
 """
 
 from __future__ import annotations
@@ -58,22 +58,22 @@ _AT_ONCE = 1 << 16
 
 
 class BinaryRows:
-    """Writes samples as numbers, a row each.
+    """Writes samples as binary numbers, one row each.
 
     Parameters
     ----------
     file
         Open for writing and reading.
     is_small
-        Whether the values are integers of 16 bits. These have no value that stands for none, so
-        where one is needed all become float32, which has the same numbers.
+        Whether the values are 16-bit integers. These cannot represent a missing value, so if one
+        occurs all values are converted to float32, which is exact.
 
     Attributes
     ----------
     kind
-        The binary format of what is written.
+        The current binary format.
     empty
-        First row and count of the rows without samples.
+        First row and number of rows of each gap.
     """
 
     def __init__(self, file: BinaryIO, *, is_small: bool) -> None:
@@ -98,7 +98,7 @@ class BinaryRows:
         self.rows += rows
 
     def _widen(self) -> None:
-        """Turn what is written into float32, from its end on."""
+        """Convert the file to float32 in place, starting at its end."""
         narrow, wide = _KINDS["INT_16"], _KINDS["IEEE_FLOAT_32"]
         last = self._file.tell() // narrow.itemsize
         while last:
@@ -113,12 +113,12 @@ class BinaryRows:
 
 
 def is_small(stream: Stream) -> bool:
-    """Whether the samples are integers of 16 bits at most."""
+    """Whether the samples are integers of at most 16 bits."""
     return stream.header.format in (ChannelFormat.INT8, ChannelFormat.INT16)
 
 
 def is_exact(stream: Stream) -> bool:
-    """Whether the numbers are the recorded ones in every bit."""
+    """Whether the recorded numbers are kept exactly."""
     exact = (ChannelFormat.INT8, ChannelFormat.INT16, ChannelFormat.FLOAT32)
     return stream.header.format in exact
 
@@ -126,7 +126,7 @@ def is_exact(stream: Stream) -> bool:
 def write_header(
     path: Path, stream: Stream, names: Sequence[str], kind: str, rate_hz: float
 ) -> None:
-    """Write the header beside the samples.
+    """Write the header file.
 
     Raises
     ------
@@ -151,12 +151,12 @@ def write_header(
 
 
 def write_markers(path: Path, events: Iterable[tuple[int, int, str]]) -> None:
-    """Write the markers beside the samples.
+    """Write the marker file.
 
     Parameters
     ----------
     events
-        Row, number of rows and text of each; rows count from 0.
+        Row, number of rows and text of each marker; rows count from 0.
 
     Raises
     ------

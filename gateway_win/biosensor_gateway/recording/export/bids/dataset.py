@@ -1,4 +1,4 @@
-"""Writes a dataset: a folder for each person, and what tells of the whole."""
+"""Writes a dataset: a folder for each participant, and the files about the whole."""
 
 from __future__ import annotations
 
@@ -33,64 +33,64 @@ from biosensor_gateway.recording.recorder.request import BidsLabels
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 UNKNOWN = "unknown"
-"""Label of who was recorded, where nothing tells it."""
+"""Label of a participant whose name is unknown."""
 SHARED = "shared"
-"""Label of the folder for what belongs to none of several people."""
+"""Label of the folder for data that belongs to none of several participants."""
 
 
 @dataclass(frozen=True, slots=True)
 class Subjects:
-    """Who was recorded.
+    """The participants of a recording.
 
     Attributes
     ----------
     participants
-        By label, what the recording calls them; empty of `UNKNOWN` and `SHARED`.
+        Their names in the recording by label; empty for `UNKNOWN` and `SHARED`.
     nobodys
-        Label of the folder for streams that name nobody.
+        Label of the folder for streams without a participant.
     """
 
     participants: Mapping[str, str]
     nobodys: str
 
     def of(self, stream: Stream) -> str:
-        """Return the label of whose stream it is."""
+        """Return the label of a stream's participant."""
         name = participant(stream)
         if not name:
             return self.nobodys
         return next(key for key, called in self.participants.items() if called == name)
 
     def of_markers(self, stream: Stream) -> tuple[str, ...]:
-        """Return the labels of those for whom a stream of markers holds: of nobody's, for all."""
+        """Return the labels of a marker stream's participants; all, if it names none."""
         return (self.of(stream),) if participant(stream) else tuple(self.participants)
 
 
 def participant(stream: Stream) -> str:
-    """Return what the recording calls the person who wears the device, empty if it is silent."""
+    """Return the recorded name of a stream's participant; empty if unknown."""
     identity = stream.header.identity
     return "" if identity is None else identity.participant
 
 
 def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subjects:
-    """Find out who was recorded.
+    """Determine the participants of a recording.
 
-    Of a single person are also the streams that name nobody. Where there were several, these
-    have a folder of their own, if there are any that are more than markers.
+    Streams without a participant are assigned to a single participant. With several participants,
+    they get a separate folder, unless they are only markers.
 
     Parameters
     ----------
     chosen
-        Who is left out of it was there, nevertheless.
+        The selection; participants left out of it still count.
     streams
-        Of these, what is to be written.
+        The streams to write.
     named
-        Label of the subject in the recording's name, empty if there is none.
+        Subject label in the recording's name; empty if there is none.
     """
     people = _people(streams)
     if not people and len(_people(chosen.contents.streams)) < 2:
         only = named or UNKNOWN
         return Subjects({only: ""}, only)
-    # Reserved, so that nobody's label is the same.
+    # Reserved, so that no participant gets the same label.
     found = labels({"": [SHARED], **{each: [each] for each in people}})
     shared = found.pop("")
     called = {found[each]: each for each in people}
@@ -107,7 +107,7 @@ def _people(streams: Sequence[Stream]) -> list[str]:
 
 _USUAL_TASK = "study"
 BIDS_VERSION = "1.11.1"
-"""The newest that the validator knows."""
+"""The newest version that the validator supports."""
 
 _MOST_NAMES = 5
 README = f"""\
@@ -142,11 +142,10 @@ belong to none of several people.
 
 
 class BidsDataset:
-    """Writes a dataset in which the BIDS validator finds no error.
+    """Writes a dataset that passes the BIDS validator.
 
-    A stream becomes one table, in the folder of the person who wears the device: a regular
-    one ``_physio`` or, of what moves, ``_motion``; one without a rate ``_physioevents``.
-    Markers become ``_events``.
+    Each stream becomes one table in the folder of its participant: ``_physio`` or, for movement,
+    ``_motion`` if it is regular, and ``_physioevents`` if not. Markers become ``_events``.
     """
 
     suffix = "_bids"
@@ -171,7 +170,7 @@ class _Dataset:
         told = entities_of(order.name)
         task = order.task or told.get("task", _USUAL_TASK)
         session = order.session or told.get("ses", "")
-        # What somebody typed is refused where it cannot be a label, not changed.
+        # Invalid labels typed by the user raise an error instead of being changed.
         BidsLabels(UNKNOWN, task=task, session=session or UNKNOWN)
         self._entities = Entities("", task, session, told.get("acq", ""), told.get("run", ""))
         streams = [each for each in chosen.streams if not is_left_out(each)]
@@ -199,7 +198,7 @@ class _Dataset:
         return [*missing, *sentences(writer.remarks, self._subjects)]
 
     def _places(self) -> dict[int, Place]:
-        """Give each stream its place, by its number."""
+        """Return the place of each stream by stream number."""
         found: dict[int, Place] = {}
         for subject in {self._subjects.of(each) for each in self._signals}:
             own = [each for each in self._signals if self._subjects.of(each) == subject]
@@ -213,7 +212,7 @@ class _Dataset:
         return found
 
     def _write_events(self, writer: SignalWriter) -> set[str]:
-        """Write the events of everybody; return the labels of those who have some."""
+        """Write the events of all participants; return the labels of those with events."""
         participants = self._subjects.participants
         entities = {each: replace(self._entities, subject=each) for each in participants}
         paths = {key: self._root / of.path(BEHAVIOUR, "events.tsv") for key, of in entities.items()}
@@ -223,7 +222,7 @@ class _Dataset:
         holds |= {each.number: (self._subjects.of(each),) for each in self._signals}
         gaps = [(stream, gap_event(stream, gap, self._timeline)) for stream, gap in writer.gaps]
         for _, each in gaps:
-            # It is said whose folder it goes to; names may be those of the file.
+            # The folder shows the participant; the recorded name could contradict the file name.
             each.participant = ""
         events.write(self._marker_events(), gaps, holds)
         for label, happened in events.kept.items():
@@ -249,7 +248,7 @@ class _Dataset:
 
 
 def _names(stream: Stream) -> Sequence[str]:
-    """Return what a stream is called, and what tells it from others that are called so."""
+    """Return names for a stream, from its usual name to more specific ones."""
     header, identity = stream.header, stream.header.identity
     if identity is None:
         return (header.name or header.content_type, header.content_type, header.source_id)
@@ -257,14 +256,14 @@ def _names(stream: Stream) -> Sequence[str]:
 
 
 def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> None:
-    """Write what a dataset needs beside its tables.
+    """Write the files of a dataset besides its tables.
 
     Parameters
     ----------
     name
-        Of the recording.
+        Name of the recording.
     written
-        Labels of those who have a folder.
+        Labels of the participants with a folder.
 
     Raises
     ------
@@ -291,7 +290,7 @@ def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> No
 
 
 def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
-    """Give what a person should know at once."""
+    """Yield the most important notes for the user."""
     if subjects.participants.get(UNKNOWN) == "":
         yield f"no stream names a participant: all is in sub-{UNKNOWN}"
     elif subjects.participants.get(subjects.nobodys) == "":

@@ -1,7 +1,7 @@
-"""Writes EEG as BIDS wants it: BrainVision files in ``eeg``, with channels and events of their own.
+"""Writes EEG for BIDS: BrainVision files in ``eeg``, with their channels and events.
 
-Samples stand on a grid of equal steps. Behind a short gap the file goes on, with NaN where nothing
-was measured and an event ``BAD_gap``, which MNE leaves out; behind a long one another run begins.
+Samples are placed on an evenly spaced grid. After a short gap the file continues, with NaN in the
+gap and an event ``BAD_gap``, which MNE excludes; a long gap starts a new run.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def write_eeg(
     Parameters
     ----------
     samples
-        Those of the run, with seconds since zero.
+        Samples of the run, with times in seconds since zero.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def names_of(stream: Stream) -> list[str]:
 def describe(
     root: Path, file: RunFile, timing: Timing, table: RegularTable, timeline: Timeline
 ) -> None:
-    """Write what belongs to a run but its events."""
+    """Write the sidecar files of a run, except its events."""
     stream = file.stream
     units = [sidecars.unit(each) for each in stream.meaning.units]
     types = file.write_channels(root, names_of(stream), units)

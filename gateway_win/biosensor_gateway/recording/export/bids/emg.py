@@ -1,7 +1,7 @@
-"""Writes EMG as BIDS wants it: BDF+ files in ``emg``, with channels and events of their own.
+"""Writes EMG for BIDS: BDF+ files in ``emg``, with their channels and events.
 
-Numbers have 24 bits. As with EEG a file goes on behind a short gap, and another run begins behind a
-long one. BDF knows no missing value, so the least one stands there, and events say where.
+Numbers have 24 bits. As with EEG, a file continues after a short gap, and a long gap starts a new
+run. BDF has no missing values, so the minimum is written instead, with events at these places.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def write_emg(
     label: str,
     timeline: Timeline,
 ) -> tuple[list[RunFile], list[str]]:
-    """Write a stream of EMG; return its runs, none if BDF cannot hold it, and what is to be said.
+    """Write an EMG stream; return its runs, none if it does not fit BDF, and notes for the user.
 
     Parameters
     ----------
     label
-        Tells the stream from the person's others.
+        Distinguishes the stream from the participant's others.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def write_emg(
 
 
 def _held(stream: Stream, stretch: Stretch) -> list[Channel]:
-    """Return the channels as BDF has them; none if it does not hold all, or not the rate."""
+    """Return the channels for BDF; none if a channel or the rate does not fit."""
     channels, without = channels_of(stream, stretch)
     is_held = not without and RATES_HZ[0] <= stretch.rate_hz <= RATES_HZ[1]
     return channels if is_held else []

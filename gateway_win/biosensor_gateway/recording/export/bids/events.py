@@ -1,4 +1,4 @@
-"""Writes what happened, of all streams of markers, as a table of events for each person."""
+"""Writes the events of all marker streams as a table for each participant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from biosensor_gateway.recording.export.marker_events import MarkerEvent, in_ord
 from biosensor_gateway.recording.export.runs import BAD_GAP
 
 BAD_VALUE = "BAD_value"
-"""Where a channel has no value in a format that has none for that."""
+"""Event for a missing value in a format that has no missing values."""
 COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "note", "value")
 COLUMN_DESCRIPTIONS: Mapping[str, object] = {
     "onset": {"Description": "time since TimeZero", "Units": "s"},
@@ -29,18 +29,18 @@ COLUMN_DESCRIPTIONS: Mapping[str, object] = {
     "value": {"Description": "the whole text as it was recorded"},
 }
 Holds = Mapping[int, Iterable[str]]
-"""For whom a stream of markers holds: labels, by the stream's number."""
+"""The participants' labels of each marker stream, by stream number."""
 
 
 class Events:
-    """Tables of events; each is made when its first event comes.
+    """Tables of events; each is created with its first event.
 
     Parameters
     ----------
     paths
-        Of the file of each person, by label.
+        File of each participant by label.
     participants
-        What the recording calls each person, by label.
+        Recorded name of each participant by label.
     """
 
     def __init__(self, paths: Mapping[str, Path], participants: Mapping[str, str]) -> None:
@@ -49,9 +49,9 @@ class Events:
         self._stack = ExitStack()
         self._files: dict[str, TextIO] = {}
         self.counts: Counter[str] = Counter()
-        """Rows by label."""
+        """Number of rows by label."""
         self.kept: dict[str, list[tuple[Stream, MarkerEvent]]] = {}
-        """What happened to those who are in it, by label."""
+        """Events of the participants in it, by label."""
 
     def write(
         self,
@@ -59,16 +59,16 @@ class Events:
         gaps: Iterable[tuple[Stream, MarkerEvent]],
         holds: Holds,
     ) -> None:
-        """Write all, in the order of time.
+        """Write all events in time order.
 
         Parameters
         ----------
         events
-            Roughly in the order of time.
+            Roughly in time order.
         gaps
-            Where samples of tables are missing; EEG has its own.
+            Gaps in tables; EEG has its own.
         holds
-            Labels of those for whom a stream holds, by its number.
+            Participants' labels of each stream, by stream number.
 
         Raises
         ------
@@ -106,16 +106,16 @@ def _row(stream: Stream, event: MarkerEvent, start_s: float = 0.0) -> str:
 def write_run_events(
     root: Path, files: Iterable[RunFile], happened: Sequence[tuple[Stream, MarkerEvent]]
 ) -> None:
-    """Write the tables of events of runs of EEG and EMG, and the former as BrainVision has them.
+    """Write the events of EEG and EMG runs as tables, and those of EEG as BrainVision markers.
 
-    Each event is in the last run of a stream that begins before it, or in its first.
+    Each event goes to the last run of a stream that begins before it, or to the first run.
 
     Parameters
     ----------
     files
-        Of one person.
+        Files of one participant.
     happened
-        To that person, in the order of time.
+        Events of that participant, in time order.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def _write_run_events(root: Path, file: RunFile, own: Sequence[tuple[Stream, Mar
     for onset_s, duration_s, text in file.without:
         told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_VALUE, "no", file.stream.header.name)
         rows.append((onset_s, line((*told, text, NOTHING))))
-    # Only in the table is a place for what came before the first row or after the last.
+    # BrainVision markers need a row, so earlier and later events are only in the table.
     inside = sorted(each for each in marks if 0 <= each[0] < file.rows)
     if file.datatype == "eeg":
         write_markers(root / file.path("eeg.vmrk"), inside)

@@ -1,4 +1,4 @@
-"""Names folders and files as BIDS wants it; what people and programs are called is no such name."""
+"""Creates BIDS names for folders and files from arbitrary names."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def labels(names: Mapping[Key, Sequence[str]]) -> dict[Key, str]:
-    """Give each its label, no two the same, also where capitals do not count.
+    """Return a unique label for each key, ignoring case.
 
     Parameters
     ----------
     names
-        What each is called, from its usual name to what tells it from others of that name.
+        Names of each key, from the usual one to more specific ones.
 
     Returns
     -------
     dict
-        Its usual name; of those that share one, longer ones, at last with a number.
+        The usual name as a label; where it is not unique, a more specific name or a number.
     """
     result: dict[Key, str] = {}
     for length in range(1, max((len(each) for each in names.values()), default=0) + 1):
@@ -53,7 +53,7 @@ def _numbered(plain: str, taken: set[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Entities:
-    """What the files of one recording have in common in their names.
+    """The entities shared by the file names of one recording.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Entities:
     run: str = ""
 
     def of(self, subject: str) -> Entities:
-        """Return the same of another person."""
+        """Return the same entities for another participant."""
         return replace(self, subject=subject)
 
     def path(self, datatype: str, suffix: str, **more: str) -> Path:
@@ -79,9 +79,9 @@ class Entities:
         datatype
             The folder, ``beh`` or ``motion``.
         suffix
-            With the ending: ``physio.tsv.gz``.
+            With file extension: ``physio.tsv.gz``.
         more
-            ``tracksys`` or ``recording``, as far as this file has it.
+            ``tracksys`` or ``recording``, if this file has it.
         """
         named = {
             "sub": self.subject,

@@ -1,7 +1,8 @@
-"""Finds in a stream of gaze what BIDS wants of an eye tracker: a table for each eye, x and y first.
+"""Finds the eyes of a gaze stream: BIDS wants a table per eye, with x and y first.
 
-The header tells it by types of channels (https://github.com/sccn/xdf/wiki/Gaze-Meta-Data), or else
-by labels such as ``left_gaze_x``, ``norm_pos_y`` or ``Gaze X``.
+They are recognised by channel types in the header
+(https://github.com/sccn/xdf/wiki/Gaze-Meta-Data), or else by labels such as ``left_gaze_x``,
+``norm_pos_y`` or ``Gaze X``.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _EYES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _SIZES = {"diam": "diameter", "area": "area"}
 _SIZE = re.compile("|".join(_SIZES))
-# What may stand in the name of a position on a plane; of anything else it is another vector's.
+# Words allowed in the name of a gaze position; any other word means a different vector.
 _OF_GAZE = frozenset(
     {"gaze", "screen", "por", "norm", "pos", "position", "point", "on", "display", "area", "eye"}
     | {"both", "combined", "coordinate", "px", "pixel", "2", "d", *_EYES}
@@ -32,16 +33,16 @@ _OF_GAZE = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """What is of one eye in a stream.
+    """The channels of one eye in a stream.
 
     Attributes
     ----------
     recorded
         ``left``, ``right``, or ``cyclopean`` of both together.
     is_told
-        Whether the header says which eye it is.
+        Whether the header specifies the eye.
     places, names
-        Its channels in the stream, and the names of their columns: x and y first.
+        Its channels in the stream and the names of their columns, x and y first.
     """
 
     recorded: str
@@ -50,12 +51,12 @@ class Eye:
     names: tuple[str, ...]
 
     def picked(self, parts: Iterator[Samples]) -> Iterator[Samples]:
-        """Give samples with its channels alone."""
+        """Yield samples with only its channels."""
         for samples in parts:
             yield replace(samples, values=np.asarray(samples.values)[:, self.places])
 
     def described(self, stream: Stream) -> dict[str, object]:
-        """Return what a sidecar says besides what it says of any table."""
+        """Return the sidecar entries specific to gaze."""
         by_place = list(sidecars.described_columns(stream).values())
         kinds = sidecars.channel_types(stream)
         columns: dict[str, dict[str, str]] = {}
@@ -76,7 +77,7 @@ class Eye:
 
 
 def eyes_of(stream: Stream) -> list[Eye]:
-    """Return the eyes of a stream of gaze; none if nothing tells x and y."""
+    """Return the eyes of a gaze stream; none if x and y are unknown."""
     nodes = _channels(stream)
     found = [
         _meaning(label, *told) for label, told in zip(stream.header.labels, nodes, strict=True)
@@ -96,7 +97,7 @@ def eyes_of(stream: Stream) -> list[Eye]:
 
 
 def _with_the_others(eyes: list[Eye], names: Sequence[str]) -> list[Eye]:
-    """Put what is of no eye that has a table into the first one."""
+    """Add channels that belong to no eye with a table to the first one."""
     taken = {place for each in eyes for place in each.places}
     others = [place for place in range(len(names)) if place not in taken]
     if eyes and others:
@@ -107,7 +108,7 @@ def _with_the_others(eyes: list[Eye], names: Sequence[str]) -> list[Eye]:
 
 
 def _meaning(label: str, kind: str, eye: str) -> tuple[str, str]:
-    """Return what a channel is, empty if it is something else, and of which eye."""
+    """Return the meaning of a channel, empty if unknown, and its eye."""
     words = [each.lower() for each in _WORD.findall(label)]
     side = _EYES.get(eye.lower(), "")
     if not side and not eye:
@@ -124,7 +125,7 @@ def _meaning(label: str, kind: str, eye: str) -> tuple[str, str]:
 
 
 def _channels(stream: Stream) -> list[tuple[str, str]]:
-    """Return type and eye of each channel, as the header tells them."""
+    """Return type and eye of each channel from the header."""
     try:
         nodes = stream.header.parsed().findall("desc/channels/channel")
     except SpecError:
@@ -138,9 +139,10 @@ def _channels(stream: Stream) -> list[tuple[str, str]]:
 
 
 def _coordinate_system(stream: Stream) -> tuple[str, str]:
-    """Return the system in the words of BIDS, and what the header says of it.
+    """Return the BIDS coordinate system, and the header's description of it.
 
-    Gaze on a screen needs size and distance of the screen, which no header tells.
+    Gaze on a screen would need the size and distance of the screen, which LSL headers do not
+    contain.
     """
     try:
         told = {each.text or "" for each in stream.header.parsed().iter("coordinate_system")}

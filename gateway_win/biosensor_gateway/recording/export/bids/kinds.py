@@ -1,4 +1,4 @@
-"""Says what kind of signal a stream is, by its LSL type, and so where BIDS has its place."""
+"""Determines the kind of signal of a stream by its LSL type, for its place in BIDS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from biosensor_gateway.recording.contents.stream import Stream
 
 @unique
 class Kind(Enum):
-    """What BIDS has folders or sidecars of their own for."""
+    """Kinds of signals for which BIDS has separate folders or sidecars."""
 
     EEG = auto()
     EMG = auto()
@@ -20,7 +20,7 @@ class Kind(Enum):
     OTHER = auto()
 
 
-# Also what other programs call it; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
+# Includes types of other programs; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
 _MOTION_TYPES: Mapping[str, str] = {
     ContentType.ACCELEROMETER.lower(): "ACCEL",
     "accelerometry": "ACCEL",
@@ -41,12 +41,12 @@ _BY_TYPE: Mapping[str, Kind] = {
 
 
 def kind_of(stream: Stream) -> Kind:
-    """Return the kind of a stream; capitals, blanks, hyphens and underscores do not count."""
+    """Return the kind of a stream; case, spaces, hyphens and underscores are ignored."""
     return _BY_TYPE.get(_plain(stream), Kind.OTHER)
 
 
 def motion_type(stream: Stream) -> str:
-    """Return what the channels of a stream of motion usually are, in the words of BIDS."""
+    """Return the usual BIDS channel type of a motion stream."""
     return _MOTION_TYPES[_plain(stream)]
 
 

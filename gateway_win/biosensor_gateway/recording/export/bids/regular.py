@@ -1,4 +1,4 @@
-"""Writes a regular stream as tables of equal steps, of which some rows may be empty."""
+"""Writes a regular stream as tables with evenly spaced rows, some of which may be empty."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from biosensor_gateway.recording.export.timing import Part
 _EMPTY_ROWS_AT_ONCE = 4096
 _MICROSECONDS = 6
 _TABS = bytes.maketrans(b",", b"\t")
-# Of what was measured, higher levels leave a few percent less, and take several times as long.
+# For measured data, higher levels save a few percent and take several times as long.
 GZIP_LEVEL = 1
 
 
 @dataclass(frozen=True, slots=True)
 class RegularTable:
-    """What became of a part of a stream.
+    """The table written for a part of a stream.
 
     Attributes
     ----------
     start_s
         Time of the first row.
     largest_displacement_s
-        How far a sample is from the time of its row at most.
+        Largest time difference between a sample and its row.
     moved
-        Samples whose own row was another one's.
+        Number of samples whose own row was taken.
     """
 
     path: Path
@@ -53,11 +53,11 @@ def write_regular(
     Parameters
     ----------
     path
-        Packed if its name ends in ``.gz``.
+        Compressed if its name ends in ``.gz``.
     batches
         The samples of the part; times are seconds since zero.
     rate_hz
-        Rows a second.
+        Rows per second.
 
     Raises
     ------
@@ -110,14 +110,14 @@ def _text(samples: Samples, count: int) -> bytes:
 
 
 def parts_of(batches: Iterator[Samples], parts: tuple[Part, ...]) -> Iterator[Iterator[Samples]]:
-    """Give the samples of each part; take all of one before the next.
+    """Yield the samples of each part; consume one part completely before the next.
 
     Parameters
     ----------
     batches
         All samples of the stream.
     parts
-        How many each has.
+        The parts with their numbers of samples.
     """
     left: list[Samples] = []
 

@@ -1,4 +1,4 @@
-"""The files of EEG and EMG: one for each run, in a folder of its kind, with channels and events."""
+"""The EEG and EMG files of a run, with their channels and events."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from biosensor_gateway.recording.export.bids.file_names import Entities
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_rows
 
 LONGEST_FILLED_S = 10.0
-"""Behind a longer gap another run begins."""
+"""A longer gap starts a new run."""
 _HEAD = ("name", "type", "units", "sampling_frequency", "description")
-# Types of channels that BIDS knows.
+# Channel types defined by BIDS.
 _TYPES = frozenset({
     "ACCEL", "AUDIO", "EEG", "EOG", "ECG", "EMG", "EYEGAZE", "GSR", "HEOG", "MISC", "PPG", "PUPIL",
     "REF", "RESP", "SYSCLOCK", "TEMP", "TRIG", "VEOG",
@@ -28,15 +28,15 @@ class RunFile:
     Attributes
     ----------
     datatype
-        The folder, ``eeg`` or ``emg``, which is also what its file is called.
+        The folder, ``eeg`` or ``emg``, which is also the suffix of its file.
     entities, recording
-        What its files are called; `recording` is empty where that does not tell it from others.
+        Parts of its file names; `recording` is empty if not needed to distinguish files.
     start_s
-        Time of the first row, since zero.
+        Time of the first row since zero.
     gaps
-        First row and number of the rows without samples.
+        First row and number of rows of each gap.
     without
-        Onset and duration, in s since the first row, of other places without a value, in words.
+        Onset and duration of other missing values, in s since the first row, with a description.
     """
 
     datatype: str
@@ -50,16 +50,16 @@ class RunFile:
     without: tuple[tuple[float, float, str], ...] = ()
 
     def path(self, suffix: str) -> Path:
-        """Return the path of one of its files below the dataset's root."""
+        """Return the path of one of its files relative to the dataset's root."""
         return self.entities.path(self.datatype, suffix, recording=self.recording)
 
     def gap_events(self) -> Iterator[tuple[float, float, str]]:
-        """Give onset and duration, in s since the first row, of each gap in it, and a text."""
+        """Yield onset and duration of each gap, in s since the first row, with a text."""
         for row, count in self.gaps:
             yield row / self.rate_hz, count / self.rate_hz, f"{count} samples are missing"
 
     def write_channels(self, root: Path, names: Sequence[str], units: Sequence[str]) -> list[str]:
-        """Write the table of channels; return their types.
+        """Write the table of channels; return the channel types.
 
         Raises
         ------
@@ -78,10 +78,10 @@ class RunFile:
         return types
 
     def described(self) -> dict[str, object]:
-        """Return what a sidecar says of any such run."""
+        """Return the sidecar entries common to EEG and EMG."""
         return {
             "TaskName": self.entities.task,
-            # No header tells these; who knows them puts them in.
+            # Not contained in LSL headers; the user must fill them in.
             "PowerLineFrequency": NOTHING,
             "SoftwareFilters": NOTHING,
             "SamplingFrequency": self.rate_hz,
@@ -95,14 +95,14 @@ def _type(told: str, usual: str) -> str:
 
 
 def run_of(entities: Entities, number: int, runs: int) -> Entities:
-    """Return the names of one of several runs of a recording, which may be a run itself."""
+    """Return the entities of one of several runs of a recording, which may be a run itself."""
     if runs == 1:
         return entities
     return replace(entities, run=f"{entities.run}{number:0{len(str(runs)) + 1}d}")
 
 
 def runs_by_start(files: Sequence[RunFile]) -> dict[int, list[RunFile]]:
-    """Return the runs of each stream, by its number, in the order of time."""
+    """Return the runs of each stream by stream number, in time order."""
     found: dict[int, list[RunFile]] = {}
     for file in sorted(files, key=lambda each: each.start_s):
         found.setdefault(file.stream.number, []).append(file)

@@ -1,4 +1,4 @@
-"""Says what the columns of a table mean and what made them: the content of its JSON."""
+"""Creates the JSON sidecars, which describe the columns of a table and their origin."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ONSET = "onset"
 DURATION = "duration"
 _OWN = frozenset({TIMESTAMP, ONSET, DURATION, "trial_type", "message"})
 
-# As BIDS writes units in its appendix; the others are as it wants them, or have no such form.
+# Units as in the appendix of BIDS; all others already have that form, or there is none.
 _UNITS: Mapping[str, str] = {
     Unit.CELSIUS: "oC",
     Unit.MICROSIEMENS: "uS",
@@ -41,16 +41,16 @@ _HARDWARE = {
 
 
 def unit(name: str) -> str:
-    """Return how BIDS writes a unit; empty if there is none."""
+    """Return a unit in BIDS notation; empty if there is none."""
     return _UNITS.get(name, name)
 
 
 def columns(stream: Stream) -> list[str]:
-    """Return a name for the column of each channel, other than those of the sidecar's own keys."""
+    """Return a column name for each channel that differs from the sidecar's keys."""
     labels = tables.columns(stream)
     if labels == ["1"]:
         labels = [stream.meaning.data_name]
-    # Names of keys begin with a capital, and so do most labels.
+    # Keys begin with a capital letter, as most labels do, so they could clash.
     taken = {*_OWN, *_KEYS}
     return names.unique(
         f"channel_{each}" if each in taken or each.isdigit() else "_".join(each.split())
@@ -59,7 +59,7 @@ def columns(stream: Stream) -> list[str]:
 
 
 def described_columns(stream: Stream) -> dict[str, dict[str, str]]:
-    """Return what each column is, by its name."""
+    """Return the description of each column by name."""
     found: dict[str, dict[str, str]] = {}
     told = zip(columns(stream), stream.header.labels, stream.meaning.units, strict=True)
     for name, label, unit_name in told:
@@ -73,7 +73,7 @@ def described_columns(stream: Stream) -> dict[str, dict[str, str]]:
 
 
 def of_stream(stream: Stream, timeline: Timeline) -> dict[str, object]:
-    """Return what holds for any table of a stream: device, source, zero of time."""
+    """Return the entries common to all tables of a stream: device, source, time zero."""
     header = stream.header
     return {
         **hardware(stream),
@@ -89,7 +89,7 @@ def of_stream(stream: Stream, timeline: Timeline) -> dict[str, object]:
 
 
 def of_grid(stream: Stream, timing: Timing, table: RegularTable) -> dict[str, object]:
-    """Return how the rows of a regular table came about."""
+    """Return the entries about the rows of a regular table."""
     return {
         "StartTime": round(table.start_s, 6),
         "SamplingFrequencyNominal": stream.header.rate,
@@ -103,13 +103,13 @@ def of_grid(stream: Stream, timing: Timing, table: RegularTable) -> dict[str, ob
 
 
 def timestamp() -> dict[str, object]:
-    """Return what the column of times is."""
+    """Return the description of the time column."""
     told = "time of the sample as it was recorded, since TimeZero; rows are where it is nearest"
     return {TIMESTAMP: {"Description": told, "Units": "s"}}
 
 
 def hardware(stream: Stream) -> dict[str, str]:
-    """Return what the header says of the device, as far as it does."""
+    """Return the header's information about the device, if any."""
     try:
         root = stream.header.parsed()
     except SpecError:
@@ -122,7 +122,7 @@ def hardware(stream: Stream) -> dict[str, str]:
 
 
 def channel_types(stream: Stream) -> Sequence[str]:
-    """Return what type the header says each channel is, empty where it does not."""
+    """Return the type of each channel in the header; empty where there is none."""
 
     def told() -> Iterator[str]:
         for channel in stream.header.parsed().findall("desc/channels/channel"):

@@ -1,4 +1,4 @@
-"""Writes one stream of numbers: its tables, and what they mean."""
+"""Writes one numeric stream: its tables and their descriptions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _BY_ROLE = {
     **dict.fromkeys(MAGNETIC_FIELD, "MAGN"),
     **dict.fromkeys(ORIENTATION, "ORNT"),
 }
-# Type of a channel as other programs give it: PositionX, OrientationW, accx, Gyro Y ...
+# Channel types of other programs: PositionX, OrientationW, accx, Gyro Y ...
 _TOLD = re.compile(r"(pos|ori|quat|acc|gyr|mag|vel)[a-z]*[ _.-]?([wxyz])", re.IGNORECASE)
 _BY_WORD = {
     "pos": "POS",
@@ -85,7 +85,7 @@ class Channel(NamedTuple):
 
 
 def motion_channels(stream: Stream) -> list[Channel]:
-    """Return the channels of a table of motion; the first is the time of the samples."""
+    """Return the channels of a motion table; the first is the time of the samples."""
     meaning = stream.meaning
     point = meaning.identity.label or meaning.identity.sensor
     usual = motion_type(stream)
@@ -109,7 +109,7 @@ def motion_channels(stream: Stream) -> list[Channel]:
 
 
 def _kind(usual: str, label: str, channel_type: str) -> tuple[str, str]:
-    """Return type and axis of a channel without a role; empty axis where nothing tells it."""
+    """Return type and axis of a channel without a role; the axis is empty if unknown."""
     for text in (channel_type, label):
         if match := _TOLD.fullmatch(text):
             kind, axis = _BY_WORD[match[1].lower()], match[2].lower()
@@ -119,7 +119,7 @@ def _kind(usual: str, label: str, channel_type: str) -> tuple[str, str]:
 
 
 def _channel_counts(found: Sequence[Channel]) -> dict[str, int]:
-    """Return the numbers of channels that ``motion.json`` tells."""
+    """Return the numbers of channels for ``motion.json``."""
     by_type = Counter(each.type for each in found)
     return {
         **{f"{kind}ChannelCount": by_type[kind] for kind in _MOTION_CHANNEL_TYPES},
@@ -129,10 +129,10 @@ def _channel_counts(found: Sequence[Channel]) -> dict[str, int]:
 
 
 BEHAVIOUR, MOTION = "beh", "motion"
-# Stamps that are further away are of no clock.
+# Timestamps further from zero are not valid times.
 _FURTHEST_S = 4e9
 _MOST_PARTS = 100
-# What is mostly gaps is no table of equal steps.
+# A stream that consists mostly of gaps does not become a table with a fixed rate.
 _MOST_EMPTY_PER_SAMPLE = 100
 _ALWAYS_EMPTY_S = 24 * 3600.0
 _MICROSECONDS = 6
@@ -140,12 +140,12 @@ _MICROSECONDS = 6
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the files of a stream go; `label` tells it from the person's other streams.
+    """The place of a stream's files; `label` distinguishes it from the participant's others.
 
     Attributes
     ----------
     is_one_of_several
-        Whether the person has several streams of its kind.
+        Whether the participant has several streams of its kind.
     """
 
     entities: Entities
@@ -155,7 +155,7 @@ class Place:
 
 @dataclass(slots=True)
 class Remarks:
-    """Names of streams of which something is to be said."""
+    """Names of streams for notes to the user."""
 
     without_samples: list[str] = field(default_factory=list[str])
     without_table: list[str] = field(default_factory=list[str])
@@ -165,20 +165,20 @@ class Remarks:
     moved: list[str] = field(default_factory=list[str])
     in_24_bits: list[str] = field(default_factory=list[str])
     sentences: list[str] = field(default_factory=list[str])
-    """What was done about stamps and gaps."""
+    """Sentences about the handling of timestamps and gaps."""
     unplaced: int = 0
-    """Samples whose times are of no clock."""
+    """Number of samples with invalid times."""
 
 
 class SignalWriter:
-    """Writes streams of numbers.
+    """Writes numeric streams.
 
     Parameters
     ----------
     root
-        Of the dataset.
+        Root of the dataset.
     count
-        Is told what is written.
+        Counts the samples written.
     """
 
     def __init__(
@@ -190,12 +190,12 @@ class SignalWriter:
         self._count = count
         self.remarks = Remarks()
         self.runs: list[RunFile] = []
-        """What was written of EEG and EMG."""
+        """Runs of EEG and EMG written so far."""
         self.gaps: list[tuple[Stream, Gap]] = []
-        """Of tables with even times."""
+        """Gaps in tables with even times."""
 
     def write(self, stream: Stream, place: Place) -> bool:
-        """Write a stream; return whether it has a table now.
+        """Write a stream; return whether a table was written.
 
         Raises
         ------
@@ -213,7 +213,7 @@ class SignalWriter:
     def _batches(
         self, stream: Stream, runs: Runs | None = None, *, is_first: bool = False
     ) -> Iterator[Samples]:
-        """Give the samples with seconds since zero; for the first time, count what is left out."""
+        """Yield samples in seconds since zero; on the first pass, count those left out."""
         for samples in batches(self._chosen, stream) if runs is None else runs.samples():
             near = samples.picked(np.abs(samples.times - self._timeline.zero_s) < _FURTHEST_S)
             if is_first:
@@ -235,7 +235,7 @@ class SignalWriter:
         content = {
             "Description": f"the stream {stream.header.name}, which has no rate",
             "Columns": [ONSET, DURATION, *sidecars.columns(stream)],
-            # There is no column of another table: onsets are seconds since TimeZero.
+            # Onsets do not refer to another table's column but are seconds since TimeZero.
             "OnsetSource": "",
             ONSET: {"Description": "time of the sample, since TimeZero", "Units": "s"},
             DURATION: {"Description": "0: a sample holds for a moment", "Units": "s"},
@@ -250,7 +250,7 @@ class SignalWriter:
     def _write_eeg(
         self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None
     ) -> bool:
-        """Write a stream of EEG; return whether it could be, else it becomes a table."""
+        """Write an EEG stream; return False if it must become a table instead."""
         longest_s = LONGEST_JOINED_S if self._times is Times.EVEN else LONGEST_FILLED_S
         timing = find_timing(
             (each.times for each in self._batches(stream, runs)), stream.header, cuts, longest_s
@@ -279,7 +279,7 @@ class SignalWriter:
         return True
 
     def _write_emg(self, stream: Stream, place: Place) -> bool:
-        """Write a stream of EMG; return whether it could be, else it becomes a table."""
+        """Write an EMG stream; return False if it must become a table instead."""
         files, notes = emg.write_emg(
             self._root,
             self._chosen,
@@ -319,7 +319,7 @@ class SignalWriter:
     def _write_table(
         self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None
     ) -> bool:
-        """Write the tables of a stream; return whether it has some."""
+        """Write the tables of a stream; return whether there are any."""
         name = stream.header.name
         first = self._batches(stream, runs, is_first=True)
         timing = find_timing((each.times for each in first), stream.header, cuts)
@@ -349,11 +349,11 @@ class SignalWriter:
     def _write_parts(
         self, stream: Stream, place: Place, timing: Timing, runs: Runs | None, eye: Eye | None
     ) -> int:
-        """Write a table for each part; return how many samples are in another row."""
+        """Write a table for each part; return how many samples are not in their own row."""
         moved = 0
         parts = parts_of(self._batches(stream, runs), timing.parts)
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
-            # No other stream's label has a plus.
+            # Labels of streams never contain a plus.
             label = f"{place.label}+part{number}" if len(timing.parts) > 1 else place.label
             files = _Files(self._root, Place(place.entities, label), kind_of(stream) is Kind.MOTION)
             files.table.parent.mkdir(parents=True, exist_ok=True)
@@ -365,7 +365,7 @@ class SignalWriter:
         return moved
 
     def _eyes_of(self, stream: Stream) -> list[Eye]:
-        """Return the eyes of a stream of gaze; say what its header leaves open."""
+        """Return the eyes of a gaze stream; note what its header does not specify."""
         if kind_of(stream) is not Kind.GAZE:
             return []
         eyes, told = eyes_of(stream), ""
@@ -378,7 +378,7 @@ class SignalWriter:
         return eyes
 
     def _remark(self, stream: Stream, runs: Runs | None) -> None:
-        """Say what was done about stamps, where they were made even."""
+        """Note how timestamps were changed to even times."""
         if runs is None:
             return
         name = stream.header.name
@@ -411,7 +411,7 @@ class _Files:
         timeline: Timeline,
         eye: Eye | None,
     ) -> None:
-        """Write what belongs to the table; `eye` says of which one it is, if of one."""
+        """Write the sidecar of the table, which may be of one eye only."""
         names = sidecars.columns(stream) if eye is None else eye.names
         is_motion = self._is_motion
         columns = sidecars.described_columns(stream) if eye is None else eye.described(stream)
@@ -430,7 +430,7 @@ class _Files:
         write_rows(self._path("channels.tsv"), [_MOTION_HEAD, *channels])
         return {
             "TrackingSystemName": stream.meaning.identity.sensor,
-            # Here BIDS wants the nominal rate, and the real one in a key of its own.
+            # For motion, BIDS wants the nominal rate here, and the real one in a separate key.
             "SamplingFrequency": stream.header.rate,
             "SamplingFrequencyEffective": timing.rate_hz,
             "MissingValues": "n/a",
@@ -452,12 +452,12 @@ def write_irregular(path: Path, batches: Iterator[Samples]) -> int:
     Parameters
     ----------
     batches
-        Times are seconds since zero.
+        With times in seconds since zero.
 
     Returns
     -------
     int
-        How many samples these are.
+        Number of samples.
 
     Raises
     ------
@@ -475,6 +475,6 @@ def write_irregular(path: Path, batches: Iterator[Samples]) -> int:
 def _text(times: NDArray[np.float64], values: NDArray[np.generic]) -> bytes:
     text = rows_of_numbers(np.round(times, _MICROSECONDS), values)
     lines = text.replace(b"NaN", NOTHING.encode()).splitlines()
-    # A moment has no duration.
+    # The duration is 0, since each sample is one moment.
     rows = (line.partition(b",") for line in lines)
     return b"".join(onset + b"\t0\t" + rest.replace(b",", b"\t") + b"\n" for onset, _, rest in rows)

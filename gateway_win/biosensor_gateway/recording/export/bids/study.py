@@ -1,8 +1,8 @@
-"""Adds recordings to the dataset of a study, one after the other, and never overwrites anything.
+"""Adds recordings to the dataset of a study one by one, without overwriting anything.
 
-Each recording is first written as a dataset of its own beside it, and then moved in. What was
-added is listed in ``sourcedata``, where BIDS lets anything be: so the same command, given again,
-goes on where it was interrupted.
+Each recording is first written as a separate dataset next to it and then moved into it. Added
+recordings are listed in ``sourcedata``, where BIDS allows any file, so that the same command can
+be repeated to continue after an interruption.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Table = list[dict[str, str]]
 
 
 def is_dataset(folder: Path) -> bool:
-    """Whether a folder holds a BIDS dataset."""
+    """Whether a folder contains a BIDS dataset."""
     return (folder / _DESCRIPTION).is_file()
 
 
@@ -43,12 +43,12 @@ class Study:
     Parameters
     ----------
     root
-        Its folder; made with the first recording.
+        Its folder; created with the first recording.
 
     Raises
     ------
     ConfigError
-        ``EXISTS``, if there is something else.
+        ``EXISTS``, if the folder contains something else.
     """
 
     def __init__(self, root: Path) -> None:
@@ -59,19 +59,19 @@ class Study:
         self._root = root
 
     def add(self, recording: Path, export_to: Callable[[Path], Outcome]) -> Outcome | None:
-        """Add a recording; return what became of it, None if it had been added before.
+        """Add a recording; return the outcome, None if it was added before.
 
         Parameters
         ----------
         export_to
-            Writes it as a dataset of its own to a place.
+            Writes it as a separate dataset.
 
         Raises
         ------
         RecordingError
-            ``UNWRITABLE``, if nobody has said who is right about its participant, a file of it is
-            there already of another recording, it means somebody else by a label that is there,
-            or the data set cannot be read or written; nothing is added then.
+            ``UNWRITABLE``, if its participant is undecided, one of its files exists from another
+            recording, its label belongs to another participant in the dataset, or the dataset
+            cannot be read or written; nothing is added then.
         """
         digest = _digest(recording)
         try:
@@ -84,7 +84,7 @@ class Study:
                 self._require_name(outcome)
                 self._require_room(made, recording)
                 count = self._move_in(made)
-            # What is missing is said again as long as it is missing.
+            # An incomplete recording is not noted as added, so it is reported again.
             if outcome.is_whole:
                 self._note(recording.name, digest)
         except OSError as error:
@@ -117,7 +117,7 @@ class Study:
     def _require_room(self, made: Path, recording: Path) -> None:
         for file in _data_of(made):
             place = self._root / file.relative_to(made)
-            # What the same recording has left behind, when it was interrupted, is its own.
+            # Equal files were left behind by an interrupted attempt with the same recording.
             if os.path.lexists(place) and not filecmp.cmp(file, place, shallow=False):
                 message = (
                     f"{recording}: {place.relative_to(self._root)} is in the data set already, of "
@@ -158,11 +158,11 @@ class Study:
         if not (self._root / "README.md").exists():
             text = README.format(name=self._root.name, version=gateway)
             write_text(self._root / "README.md", text)
-        # The last one, for it says that this is a dataset.
+        # Written last, because this file marks the folder as a dataset.
         write_json(self._root / _DESCRIPTION, description)
 
     def _add_people(self, people: Table, made: Path) -> None:
-        """Add rows; columns and rows that somebody has added stay as they are."""
+        """Add rows; columns and rows that the user added are kept."""
         path = self._root / _PARTICIPANTS
         rows = _read_table(path)
         columns = list(rows[0]) if rows else [_ID, _CALLED]
@@ -197,20 +197,20 @@ def _digest(path: Path) -> str:
             while block := file.read(_BLOCK_BYTES):
                 digest.update(block)
     except OSError:
-        # Why it cannot be read says who exports it.
+        # The export itself reports why it cannot be read.
         return ""
     return digest.hexdigest()
 
 
 def _read_table(path: Path) -> Table:
-    """Return the rows of a table; none if there is no such file.
+    """Return the rows of a table; none if the file does not exist.
 
     Raises
     ------
     OSError
-        It cannot be read.
+        If it cannot be read.
     RecordingError
-        ``UNWRITABLE``, if it is no text that can be added to.
+        ``UNWRITABLE``, if it is not a valid text table.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:

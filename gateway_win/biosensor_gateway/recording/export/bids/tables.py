@@ -1,4 +1,4 @@
-"""Writes text and JSON of a dataset."""
+"""Writes the text and JSON files of a dataset."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 NOTHING = "n/a"
-"""What BIDS wants where there is no value."""
+"""BIDS notation for a missing value."""
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
@@ -16,38 +16,38 @@ def write_json(path: Path, content: Mapping[str, object]) -> None:
     Raises
     ------
     OSError
-        If it exists already or cannot be written.
+        If it exists or cannot be written.
     """
     write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 def write_rows(path: Path, rows: Iterable[Sequence[str]]) -> None:
-    """Write a small table, the names of its columns first; see :func:`line`.
+    """Write a small table with its column names first; see :func:`line`.
 
     Raises
     ------
     OSError
-        If it exists already or cannot be written.
+        If it exists or cannot be written.
     """
     write_text(path, "".join(map(line, rows)))
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text with the ends of lines that it has.
+    """Write a text with unchanged line ends.
 
     Raises
     ------
     OSError
-        If it exists already or cannot be written.
+        If it exists or cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Headers and texts may hold half of a character that is written in two.
+    # Headers and texts may contain unpaired surrogates.
     with path.open("x", encoding="utf-8", errors="replace", newline="\n") as file:
         file.write(text)
 
 
 def line(cells: Sequence[str]) -> str:
-    """Return a row of a table; no cell is empty, and none has tabs or ends of lines."""
+    """Return a row of a table, without empty cells and without tabs or line ends in cells."""
     return "\t".join(map(cell, cells)) + "\n"
 
 

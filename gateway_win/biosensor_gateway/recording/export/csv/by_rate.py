@@ -1,4 +1,4 @@
-"""One wide table for each rate: all streams of that rate side by side, in rows of equal steps."""
+"""Exports one wide table per rate, with all its streams side by side in evenly spaced rows."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from biosensor_gateway.recording.xdf.measuring import cuts_of
 
 MARKER = "marker"
 _BLOCK = 4096
-"""Rows that are written at once."""
+"""Number of rows written at once."""
 _MICROSECONDS = 6
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """A stream in a table: its times, if they are even ones, and its real rate."""
+    """A stream in a table: its runs if it has even times, and its real rate."""
 
     stream: Stream
     runs: Runs | None
     rate_hz: float
 
     def samples(self, chosen: Chosen) -> Iterator[Samples]:
-        """Give its samples."""
+        """Yield its samples."""
         return batches(chosen, self.stream) if self.runs is None else self.runs.samples()
 
 
@@ -51,7 +51,7 @@ class _Cells:
     Attributes
     ----------
     parts
-        Values, or the number of rows without any.
+        Blocks of values, or numbers of empty rows.
     """
 
     def __init__(self) -> None:
@@ -82,11 +82,11 @@ class _Column:
 
     @property
     def next_row(self) -> int | None:
-        """Where its next sample stands; None at its end."""
+        """Row of its next sample; None at the end."""
         return self._waiting[0][0] if self._waiting else None
 
     def put(self, begin: int, into: Array, has_sample: NDArray[np.bool_]) -> None:
-        """Put what stands in a block of rows into them.
+        """Copy the samples of a block of rows to it.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class _Column:
 
 
 def table_names(chosen: Chosen) -> dict[float, str]:
-    """Return a name, without suffix, for the table of each rate that is in a recording."""
+    """Return the name, without suffix, of the table of each rate in a recording."""
     rates = {each.header.rate for each in chosen.streams if _is_signal(each)}
     return {rate: f"all_{rate:g}Hz" for rate in sorted(rates)}
 
@@ -132,12 +132,12 @@ def _is_signal(stream: Stream) -> bool:
 def write_by_rate(
     chosen: Chosen, order: Order, names: Sequence[str], target: Path, *, is_packed: bool
 ) -> list[str]:
-    """Write a table for each rate; return what is to be said.
+    """Write a table for each rate; return notes for the user.
 
     Parameters
     ----------
     names
-        Of the streams, with which names of columns begin.
+        Names of the streams, used as prefixes of the columns.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def write_by_rate(
 
 
 def _member(chosen: Chosen, order: Order, stream: Stream, notes: list[str]) -> _Member | None:
-    """Return a stream as it stands in a table; None if it cannot, which is noted."""
+    """Return a stream's part of a table; None, with a note, if it cannot be in one."""
     runs = Runs(chosen, stream, order.times) if has_even_times(stream, order.times) else None
     if runs is None:
         cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
@@ -188,8 +188,8 @@ def _write_table(
     called: Mapping[int, str],
     happened: Sequence[tuple[float, str]],
 ) -> Iterator[str]:
-    """Write one table; say how far samples are from the times of their rows."""
-    # At the fastest real rate each sample finds a row of its own.
+    """Write one table; yield sentences about the distances between samples and rows."""
+    # At the fastest real rate, each sample gets its own row.
     rate_hz = max(each.rate_hz for each in members)
     line = timeline(chosen, order.clock)
     zero_s = line.zero_s
@@ -235,7 +235,7 @@ def _write_table(
 
 
 def _with_markers(text: bytes, rows: NDArray[np.int64], told: deque[tuple[int, str]]) -> bytes:
-    """Return lines with what happened at each row, or before it, if no row stands there."""
+    """Return lines with the markers at each row, or before it if they have no row."""
     here: dict[int, list[str]] = {}
     while told and told[0][0] <= rows[-1]:
         row, marker = told.popleft()
@@ -245,7 +245,7 @@ def _with_markers(text: bytes, rows: NDArray[np.int64], told: deque[tuple[int, s
     lines = text.splitlines()
     for place, line in enumerate(lines):
         happened = here.get(place)
-        # Without the end of the line that it brings.
+        # Without the line end that `quoted` adds.
         cell = tables.quoted([["; ".join(happened)]])[:-1] if happened else b""
         lines[place] = line + b"," + cell + b"\n"
     return b"".join(lines)

@@ -1,4 +1,4 @@
-"""One table for all streams: a row a value."""
+"""Exports one table for all streams, with one row per value."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.export.runs import BAD_GAP, Gap, Runs, gap_text, has_even_times
 
 COLUMNS = ("participant", "stream", "channel", "unit", "value", "text")
-"""Behind the time; a number stands in `value`, a text in `text`, and the other one is empty."""
+"""Columns after the time; either `value` (numbers) or `text` is filled, the other is empty."""
 
 
 class LongCsv:
-    """Writes one table, one stream after the other, each in the order of the recording.
+    """Writes one table, stream by stream, each in the order of the recording.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class LongCsv:
 
 
 def _gap_rows(times: Sequence[bytes], stream: Stream, name: str, gaps: Sequence[Gap]) -> bytes:
-    """Return a line for each gap: its length is the value."""
+    """Return a line for each gap, with its length as the value."""
     identity = stream.header.identity
     who = identity.participant if identity else ""
     return b"".join(
@@ -82,7 +82,7 @@ def _gap_rows(times: Sequence[bytes], stream: Stream, name: str, gaps: Sequence[
 
 
 def _channels(stream: Stream, name: str) -> list[bytes]:
-    """Return what stands between time and value, for each channel."""
+    """Return the columns between time and value, for each channel."""
     identity = stream.header.identity
     participant = identity.participant if identity else ""
     units = stream.meaning.units
@@ -96,7 +96,7 @@ def _rows(times: Sequence[bytes], channels: Sequence[bytes], samples: Samples) -
     if isinstance(samples.values, list):
         return _text_rows(times, channels, samples.values)
     width = len(channels)
-    # Four parts a row, each put in its place for all rows at once.
+    # Each row has four parts, each filled in for all rows at once.
     parts: list[bytes] = [b",\n"] * (4 * width * len(times))
     for place, channel in enumerate(channels):
         parts[4 * place :: 4 * width] = times

@@ -1,4 +1,4 @@
-"""Names of columns and files, texts and packing of all tables of comma-separated values."""
+"""Names of columns and files, quoting and compression of all CSV tables."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from biosensor_gateway.recording.export.exporter import Clock
 
 _TIMES = {Clock.LSL: "lsl_time", Clock.WALL: "unix_time"}
 SECONDS = "seconds"
-"""Name of the column of times since the begin of what was exported."""
+"""Name of the column with times since the start of the export."""
 MARKERS = "all_markers.csv"
-"""All that happened, of all streams of markers, in one table."""
-# Faster than the usual 6 by half, and hardly larger.
+"""The table with the events of all marker streams."""
+# Much faster than the default 6, with hardly larger files.
 _GZIP_LEVEL = 4
 
 
 def time_column(clock: Clock) -> str:
-    """Return the name of the column of times, in s."""
+    """Return the name of the column with times in s."""
     return _TIMES[clock]
 
 
@@ -35,7 +35,7 @@ def table_file(path: Path, *, is_packed: bool, level: int = _GZIP_LEVEL) -> Gene
     Parameters
     ----------
     level
-        Of gzip, 1 to 9.
+        gzip level, 1 to 9.
 
     Raises
     ------
@@ -45,26 +45,26 @@ def table_file(path: Path, *, is_packed: bool, level: int = _GZIP_LEVEL) -> Gene
     with ExitStack() as stack:
         file: BinaryIO = stack.enter_context(path.open("xb"))
         if is_packed:
-            # Without the time of day and a name: equal contents make equal files.
+            # Without a time and a name, so that equal contents give equal files.
             packing = gzip.GzipFile("", "wb", level, file, mtime=0)
             file = stack.enter_context(packing)  # type: ignore[assignment]
         yield file
 
 
 def columns(stream: Stream) -> list[str]:
-    """Return a name for the column of each channel."""
+    """Return a column name for each channel."""
     labels = stream.header.labels
     return names.unique(label.strip() or str(place) for place, label in enumerate(labels, 1))
 
 
 def own_columns(stream: Stream) -> list[str]:
-    """Return the same where columns of times stand before them, whose names no channel has."""
+    """Return column names that differ from those of the time columns."""
     taken = [*_TIMES.values(), SECONDS]
     return names.unique([*taken, *columns(stream)])[len(taken) :]
 
 
 def quoted(rows: Iterable[Sequence[str | float]]) -> bytes:
-    """Return lines of texts, each in quotes, and numbers, without."""
+    """Return CSV lines in which texts are quoted and numbers are not."""
     text = io.StringIO(newline="")
     csv.writer(text, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()

@@ -1,4 +1,4 @@
-"""A folder with a table for each stream: a row a sample, a column a channel."""
+"""Exports a folder with a table per stream: one row per sample, one column per channel."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from biosensor_gateway.recording.export.timeline import Timeline, timeline
 
 _MICROSECONDS = 6
 CONTENTS = "streams.json"
-"""What the tables are, beside them."""
+"""File that describes the tables."""
 _MEANS = f"""\
 One table for each stream: a row for each sample, a column for each channel. NaN means that
 there is no value. Where samples are missing, so are their rows.
@@ -64,8 +64,8 @@ left out. marker is what happened at that row, or since the one before.
 class WideCsv:
     """Writes a table for each stream that has samples, and ``streams.json``.
 
-    Units, rates, participants and what else is known of a stream stand in the latter, for
-    readers of tables expect one line of names and then numbers.
+    Units, rates, participants and other facts about a stream are in the latter, because programs
+    that read tables expect one line of names and then numbers.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""BDF+ files, the form of EDF+ with 24 bits, one for each run of a regular stream.
+"""Exports to BDF+, the 24-bit variant of EDF+: one file for each run of a regular stream.
 
-:mod:`.bdf` is the form: ranges, data records and the header. :mod:`.file` writes one file, for
-EDF and for EMG in BIDS, and :mod:`.exporter` goes over streams and runs. See
+:mod:`.bdf` has the format: ranges, data records and the header. :mod:`.file` writes one file, for
+EDF and for EMG in BIDS, and :mod:`.exporter` iterates over streams and runs. See
 https://www.edfplus.info/specs/edfplus.html and
 https://www.teuniz.net/edfbrowser/bdfplus%20format%20description.html.
 """

@@ -1,9 +1,9 @@
-"""The form of a BDF+ file: channels and their ranges, data records with annotations, the header.
+"""The BDF+ format: channels and their ranges, data records with annotations, the header.
 
-Each data record has room for the same number of bytes of annotations, which begin with its time.
-What finds no room in its record stands in a later one, for each annotation tells its own time.
-edfio writes whole files that are in memory. Here it makes a file of one record, of which only the
-header is taken, with the number of records that will follow.
+All data records reserve the same number of bytes for annotations, which begin with the record's
+time. Annotations that do not fit into their record go to a later one, since each contains its own
+time. edfio only writes complete files from memory. Here it creates a file of one record, of which
+only the header is used, with the actual number of records.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import Unit
 
 LEAST, GREATEST = -(1 << 23), (1 << 23) - 1
-"""Of a sample, in 24 bits."""
+"""Range of a sample in 24 bits."""
 
 RATES_HZ = (1e-3, 1e6)
-"""Lowest and highest rate that makes sense, and that a header can say."""
+"""Lowest and highest plausible rate that fits into a header."""
 
 _FIELD = 8
-# A damaged header may claim a rate that would make one record larger than the memory.
+# With a rate from a damaged header, one record could exceed the memory.
 _SHORT = 10_000
-"""Characters that a number has in the header."""
+"""Width of a number in the header, in characters."""
 _DIMENSIONS: dict[str, str] = {
     Unit.MICROVOLTS: "uV",
     Unit.MILLIVOLTS: "mV",
@@ -48,11 +48,11 @@ class Channel(NamedTuple):
     Attributes
     ----------
     place
-        Its place in the stream.
+        Index of the channel in the stream.
     factor
-        By which its values are multiplied to be in `dimension`.
+        Factor that converts its values to `dimension`.
     least, greatest
-        Of the values in `dimension`, as the header can say them.
+        Range in `dimension`, rounded to what the header can express.
     """
 
     place: int
@@ -64,22 +64,22 @@ class Channel(NamedTuple):
 
     @property
     def step(self) -> float:
-        """What one digital step is in `dimension`."""
+        """Size of one digital step in `dimension`."""
         return (self.greatest - self.least) / (GREATEST - LEAST)
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Of the data records of one file.
+    """Layout of the data records of one file.
 
     Attributes
     ----------
     samples
-        Of each channel in a record.
+        Samples per channel in a record.
     record_s
-        How long a record is, as the header can say it.
+        Duration of a record, rounded to what the header can express.
     records
-        How many.
+        Number of records.
     """
 
     samples: int
@@ -88,17 +88,17 @@ class Layout:
 
     @property
     def rate_hz(self) -> float:
-        """The rate that a reader makes of it."""
+        """The rate that a reader calculates from it."""
         return self.samples / self.record_s
 
 
 def layout(count: int, rate_hz: float) -> Layout:
-    """Return records of about a second for so many samples at a rate, which need not be whole.
+    """Return a layout with records of about a second for this number of samples.
 
     Parameters
     ----------
     rate_hz
-        In `RATES_HZ`.
+        Within `RATES_HZ`; may be a fraction.
     """
     samples = max(1, min(round(rate_hz), max(count, _SHORT)))
     length_s = samples / rate_hz
@@ -107,12 +107,12 @@ def layout(count: int, rate_hz: float) -> Layout:
 
 
 def channel(place: int, label: str, unit: str, least: float, greatest: float) -> Channel | None:
-    """Return how a channel is written; None if its values do not fit into the header.
+    """Return a channel to write; None if its range does not fit into the header.
 
     Parameters
     ----------
     least, greatest
-        Of its values; infinite if it has none.
+        Range of its values; infinite if it has none.
     """
     factor = _IN_MICROVOLTS.get(unit, 1.0)
     dimension = "uV" if unit in _IN_MICROVOLTS else _DIMENSIONS.get(unit, unit)
@@ -128,7 +128,7 @@ def channel(place: int, label: str, unit: str, least: float, greatest: float) ->
 
 
 def _outward(value: float, rounded: Callable[[float], int]) -> float | None:
-    """Return the next number outwards that has at most 8 characters."""
+    """Return the next number in the direction of `rounded` with at most 8 characters."""
     for decimals in range(_FIELD - 2, -1, -1):
         scale = 10**decimals
         if not math.isfinite(value * scale):
@@ -141,14 +141,14 @@ def _outward(value: float, rounded: Callable[[float], int]) -> float | None:
 
 BYTES_PER_SAMPLE = 3
 MOST_CHARACTERS = 256
-"""Of an annotation; a longer one is cut off."""
+"""Longest annotation; longer ones are cut off."""
 _USUAL_BYTES = 60
-# What separates times and texts.
+# These bytes separate times and texts.
 _SEPARATORS = str.maketrans({0x14: " ", 0x15: " ", 0x00: " "})
 
 
 def digital(values: NDArray[Any], channels: Sequence[Channel]) -> NDArray[np.int32]:
-    """Return steps of 24 bits; what is no number is the least one.
+    """Return the values as 24-bit integers; NaN becomes the minimum.
 
     Parameters
     ----------
@@ -168,17 +168,17 @@ def digital(values: NDArray[Any], channels: Sequence[Channel]) -> NDArray[np.int
 def records(
     pieces: Iterable[NDArray[np.int32]], samples: int, annotations: Sequence[bytes], room: int
 ) -> Iterator[bytes]:
-    """Give bytes of whole data records; the last one is filled up with its last sample.
+    """Yield complete data records as bytes; the last one is padded with its last sample.
 
     Parameters
     ----------
     pieces : iterable of ndarray, shape (n_samples, n_channels)
     samples
-        In a record.
+        Samples per channel in a record.
     annotations
-        Of each record.
+        Annotation bytes of each record.
     room
-        Bytes for them.
+        Bytes reserved for annotations in each record.
     """
     done, rest = 0, None
     for piece in pieces:
@@ -208,7 +208,7 @@ def _encoded(
 
 
 class Annotation(NamedTuple):
-    """What happened, in s since the first sample; `length_s` is 0 for a moment."""
+    """An annotation, in s since the first sample; `length_s` is 0 for a moment."""
 
     begin_s: float
     length_s: float
@@ -218,16 +218,16 @@ class Annotation(NamedTuple):
 def annotation_records(
     annotations: Sequence[Annotation], records: int, record_s: float, start_s: float
 ) -> tuple[list[bytes], int]:
-    """Return what stands in each record, and the bytes that each is to have.
+    """Return the annotation bytes of each record, and how many to reserve.
 
     Parameters
     ----------
     annotations
-        In the order of time.
+        In time order.
     records, record_s
-        How many data records, and how long each is.
+        Number and duration of the data records.
     start_s
-        Time of the first sample since the whole second that the header tells.
+        Time of the first sample after the header's start time, which is in whole seconds.
     """
     told = [(each.begin_s, _encoded_annotation(each, start_s)) for each in annotations]
     longest = max((len(text) for _, text in told), default=0)
@@ -240,14 +240,15 @@ def annotation_records(
 def _placed(
     told: Sequence[tuple[float, bytes]], records: int, record_s: float, start_s: float, room: int
 ) -> list[bytes] | None:
-    """Return what stands in each record; None if there is not enough room for all."""
+    """Return the annotation bytes of each record; None if there is not enough room."""
     waiting, end_s = deque(told), records * record_s
     found: list[bytes] = []
     for number in range(records):
         is_last = number == records - 1
         content = _time(number * record_s + start_s) + b"\x14\x14\x00"
         until_s = (number + 1) * record_s
-        # What is after the file's end may stand anywhere, and shall not all stand in the last.
+        # Annotations after the end of the file may go anywhere, so they need not fill the last
+        # record.
         while waiting and (is_last or waiting[0][0] < until_s or waiting[0][0] >= end_s):
             if len(content) + len(waiting[0][1]) > room:
                 break
@@ -273,7 +274,8 @@ def _plain(seconds: float) -> bytes:
 
 
 _RECORDS_AT = 236
-# Label, transducer and dimension come before the ranges, those and the filter before the samples.
+# In the header, label, transducer and dimension precede the ranges; ranges and filter precede the
+# number of samples.
 _BEFORE_RANGES = 16 + 80 + 8
 _BEFORE_SAMPLES = _BEFORE_RANGES + 4 * _FIELD + 80
 _FIXED = 256
@@ -283,14 +285,14 @@ _MOST_CODE = 24
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What the header tells of the recording.
+    """Information about the recording for the header.
 
     Attributes
     ----------
     participant, equipment
-        Empty if not known.
+        Empty if unknown.
     begun_ns
-        Unix time of the first sample; None if the file is to tell no time of day.
+        Unix time of the first sample; None if the file should not have a time of day.
     """
 
     participant: str
@@ -299,7 +301,7 @@ class Facts:
 
     @property
     def start_s(self) -> float:
-        """Time of the first sample since the whole second that the header tells."""
+        """Time of the first sample after the header's start time, which is in whole seconds."""
         return 0.0 if self.begun_ns is None else self.begun_ns % 1_000_000_000 / 1e9
 
 
@@ -333,11 +335,11 @@ def header(
     )
     content = bytearray(made.to_bytes()[: made.bytes_in_header_record])
     _put(content, _RECORDS_AT, layout.records)
-    # The annotations are the last signal.
+    # Annotations form the last signal.
     count = len(channels) + 1
     place = _FIXED + count * _BEFORE_SAMPLES + (count - 1) * _FIELD
     _put(content, place, annotation_bytes // BYTES_PER_SAMPLE)
-    # edfio rounds them once more.
+    # edfio rounds these ranges again, so they are overwritten.
     place = _FIXED + count * _BEFORE_RANGES
     for number, each in enumerate(channels):
         _put(content, place + number * _FIELD, each.least)

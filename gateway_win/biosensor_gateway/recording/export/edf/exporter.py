@@ -60,7 +60,7 @@ class _Job:
     happened: list[tuple[float, str]]
     notes: list[str] = field(default_factory=list[str])
     files: dict[int, list[str]] = field(default_factory=dict[int, list[str]])
-    """Names of files, by the stream's number."""
+    """File names by stream number."""
 
 
 _MEANS = """\
@@ -75,7 +75,7 @@ The last data record is filled up with the last sample; an annotation says from 
 
 
 class Edf:
-    """Writes numbers of regular streams; markers are annotations in every file."""
+    """Writes regular numeric streams; every file has the markers as annotations."""
 
     suffix = "_edf"
 
@@ -148,7 +148,7 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
 
 
 def _has_rate(job: _Job, stream: Stream, stretch: Stretch) -> bool:
-    """Whether EDF can hold the rate of a file."""
+    """Whether EDF supports the rate of a file."""
     if RATES_HZ[0] <= stretch.rate_hz <= RATES_HZ[1]:
         return True
     job.notes.append(f"{stream.header.name}: a run of {stretch.rate_hz:g} Hz left out")
@@ -156,7 +156,7 @@ def _has_rate(job: _Job, stream: Stream, stretch: Stretch) -> bool:
 
 
 def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Annotation]]:
-    """Return what happened, as it stands in each file."""
+    """Return the annotations of each file."""
     if not kept:
         return []
     spans = [Span(each.begin_s, each.begin_s + length_s(each)) for each in kept]
@@ -173,7 +173,7 @@ def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Anno
 
 
 class Span(NamedTuple):
-    """Of one file, in s on the recorder's clock; the end is excluded."""
+    """Time range of one file, in s on the recorder's clock; the end is excluded."""
 
     begin_s: float
     end_s: float
@@ -182,16 +182,17 @@ class Span(NamedTuple):
 def dealt_to_spans(
     happened: Sequence[Happened], spans: Sequence[Span]
 ) -> tuple[list[list[Happened]], int]:
-    """Return what stands in each file, and how much of it happened outside of all of them.
+    """Assign markers to files; return them by file, and how many are outside of all files.
 
-    That stands in the file before, or in the first one: an annotation may be of any time.
+    Those outside go to the previous file, or to the first one, because an annotation may have any
+    time.
 
     Parameters
     ----------
     happened
-        In the order of time.
+        In time order.
     spans
-        Of at least one file, in any order.
+        At least one, in any order.
     """
     found: list[list[Happened]] = []
     is_outside = [True] * len(happened)

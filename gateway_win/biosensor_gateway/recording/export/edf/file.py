@@ -1,4 +1,4 @@
-"""Writes one BDF+ file: a stretch of a regular stream, and where no value is in it."""
+"""Writes one BDF+ file with a section of a regular stream and annotations of missing values."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from biosensor_gateway.recording.export.names import unique
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, Stretch
 
 INSTEAD = "the least value that the file can hold stands"
-"""Where there is no value."""
+"""Describes what is written for missing values."""
 _LABEL = 16
-# Of whom a header has no room for more.
+# The header has no room for more.
 _MOST_CHANNELS = 4000
 _MOST_TOLD = 1000
 
 
 def length_s(stretch: Stretch) -> float:
-    """Return how long a file is, with what fills it up."""
+    """Return the duration of a file, including padding."""
     plan = layout(stretch.rows, stretch.rate_hz)
     return plan.samples * plan.records / stretch.rate_hz
 
 
 class Given:
-    """Hands out the values of one run after the other; the runs are asked for in their order."""
+    """Yields the values of runs; these must be requested in order."""
 
     def __init__(self, cut: Runs) -> None:
         self._pieces = cut.pieces()
@@ -54,7 +54,7 @@ class Given:
             self._next = next(self._pieces, None)
 
     def of_stretch(self, stretch: Stretch) -> Iterator[NDArray[np.generic]]:
-        """Give the values of its runs, and nothing (NaN) for the rows between them."""
+        """Yield the values of its runs, with NaN in the rows between them."""
         for number, empty in enumerate(stretch.empty, stretch.first):
             for begin in range(0, empty, BATCH):
                 yield np.full((min(BATCH, empty - begin), len(stretch.runs[0].least)), np.nan)
@@ -62,12 +62,12 @@ class Given:
 
 
 def channels_of(stream: Stream, stretch: Stretch) -> tuple[list[Channel], list[str]]:
-    """Return how the channels are written, and the labels of those that cannot be."""
+    """Return the channels to write, and the labels of those that cannot be written."""
     labels = stream.header.labels
     plain = ["".join(c if " " <= c <= "~" else "_" for c in each) for each in labels]
     short = [each[:_LABEL] for each in plain]
     if len(set(short)) < len(short):
-        # Room for what tells them apart.
+        # Leaves room for a suffix that makes them unique.
         short = unique(each[: _LABEL - 5] for each in plain)
     lowest = np.min([each.least for each in stretch.runs], axis=0)
     highest = np.max([each.greatest for each in stretch.runs], axis=0)
@@ -96,9 +96,9 @@ def write_stretch(
     Parameters
     ----------
     happened
-        Besides what tells where its runs and gaps are.
+        Annotations besides those of its runs and gaps.
     given
-        Has not given anything of it yet.
+        Source of its values, not yet read.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _facts(chosen: Chosen, clock: Clock, stream: Stream, stretch: Stretch) -> Fa
 
 
 def _of_file(stretch: Stretch) -> Iterator[Annotation]:
-    """Give what must be known of a file."""
+    """Yield the annotations that describe a file's runs, gaps and padding."""
     rate_hz = stretch.rate_hz
     for row, run in stretch.begins:
         yield Annotation(row / rate_hz, 0.0, f"LSL time {run.begin_s:.6f} s")
@@ -138,30 +138,30 @@ def _of_file(stretch: Stretch) -> Iterator[Annotation]:
 
 
 class Holes:
-    """Takes the samples of a stream in, and tells where values are missing.
+    """Finds missing values in the samples of a stream.
 
     Parameters
     ----------
     begins
-        When the file of each run begins.
+        Start time of the file of each run.
 
     Attributes
     ----------
     found
-        For each run what to annotate.
+        Annotations of each run.
     """
 
     def __init__(self, stream: Stream, begins: Sequence[float]) -> None:
         self._stream, self._begins = stream, begins
         self.found: list[list[Annotation]] = [[] for _ in begins]
-        # When the hole of a channel began; NaN outside of one.
+        # Start of the current gap of each channel; NaN outside of a gap.
         self._open = np.full(stream.header.channel_count, np.nan)
         self._number = -1
         self._last_s = 0.0
         self._untold = self._missing = 0
 
     def take(self, number: int, samples: Samples) -> None:
-        """Take in some more samples of a run."""
+        """Process the next samples of a run."""
         if number != self._number:
             self._close_all()
             self._number = number
@@ -180,7 +180,7 @@ class Holes:
         self._last_s = float(samples.times[-1])
 
     def notes(self) -> Iterator[str]:
-        """Say how much is missing, once all is taken in."""
+        """Yield sentences about missing values, after all samples were processed."""
         self._close_all()
         name = self._stream.header.name
         if self._missing:

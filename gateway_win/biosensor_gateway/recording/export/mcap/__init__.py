@@ -1,5 +1,5 @@
-"""Writes a recording as a bag of ROS 2 (MCAP), as if the node had published it and it was recorded.
+"""Exports a recording to a ROS 2 bag (MCAP), as if the node had published it.
 
-:mod:`.bag` opens topics and keeps messages in the order of time, :mod:`.exporter` gives a stream
-the topics that it has in the node, and `biosensor_common.ros` makes the messages.
+:mod:`.bag` opens topics and sorts messages by time, :mod:`.exporter` writes each stream to the
+topics that it has in the node, and `biosensor_common.ros` creates the messages.
 """

@@ -1,4 +1,4 @@
-"""A new bag: opens topics, and writes messages in the order of time."""
+"""Writes a new bag: opens topics and sorts messages by time."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from rosbags.rosbag2.writer import StorageWriter
 
 
-# Messages that wait until no earlier one can come; of more, the oldest are written all the same.
+# Limit of messages that wait for earlier ones; beyond it the oldest are written anyway.
 _MOST_WAITING = 100_000
 _MOST_WAITING_BYTES = 32_000_000
-# As ROS writes it: for ever.
+# ROS's value for infinity.
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 # See https://mcap.dev/spec#records.
 _MESSAGE, _CHUNK, _MESSAGE_INDEX = 0x05, 0x06, 0x07
@@ -48,7 +48,7 @@ _HEAD = np.dtype(
     ]
 )
 _PLACE = np.dtype([("logged_ns", "<u8"), ("offset", "<u8")])
-# As the library does it.
+# The same size as in the library.
 _CHUNK_BYTES = 1 << 20
 
 
@@ -62,18 +62,18 @@ class Bag:
 
     @property
     def topics(self) -> frozenset[str]:
-        """All that were opened."""
+        """Names of all opened topics."""
         return frozenset(self._types)
 
     def open(self, topic: str, type_name: str, depth: int, *, latched: bool = False) -> Connection:
-        """Open a topic: a reliable one, as those of the node are.
+        """Open a topic with reliable QoS, like the node's topics.
 
         Parameters
         ----------
         depth
-            Messages that its publisher keeps.
+            History depth of its publisher.
         latched
-            Whether a later subscriber gets the last ones, too.
+            Whether late subscribers get the last messages, too.
         """
         durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
         qos = Qos(
@@ -98,14 +98,14 @@ class Bag:
         unix_ns: NDArray[np.int64] | Sequence[int],
         messages: list[bytes],
     ) -> None:
-        """Take messages in, with the times at which the bag is to have them."""
+        """Add messages with their times in the bag."""
         self._times.append(np.asarray(unix_ns, np.int64))
         self._channels.append(np.full(len(messages), connection.id))
         self._contents.extend(messages)
         self._waiting_bytes += sum(map(len, messages))
 
     def write_until(self, unix_ns: int) -> None:
-        """Write what is before a time, once it is worth the while, or too much waits."""
+        """Write the messages before a time, if enough of them are waiting."""
         if len(self._contents) < _MOST_WAITING and self._waiting_bytes < _MOST_WAITING_BYTES:
             return
         waiting = self._waiting()
@@ -114,7 +114,7 @@ class Bag:
         self._wait(waiting.part(count, len(waiting.contents)))
 
     def write_all(self) -> None:
-        """Write all that waits."""
+        """Write all waiting messages."""
         self._writer.write_all(self._waiting())
 
     def _waiting(self) -> Messages:
@@ -129,7 +129,7 @@ class Bag:
 
 @contextmanager
 def new_bag(folder: Path) -> Generator[Bag]:
-    """Make a bag, which is complete when the block ends without an error.
+    """Create a bag, which is complete when the context ends without an error.
 
     Raises
     ------
@@ -150,9 +150,9 @@ class Messages:
     ----------
     unix_ns : ndarray of int64, shape (n,)
     channels : ndarray of int64, shape (n,)
-        Numbers of their topics in the bag.
+        Channel numbers of their topics in the bag.
     contents
-        Serialised, n of them.
+        n serialised messages.
     """
 
     unix_ns: NDArray[np.int64]
@@ -160,20 +160,20 @@ class Messages:
     contents: list[bytes]
 
     def in_time(self) -> Messages:
-        """Return them by time; those of one time stay as they are."""
+        """Return them sorted by time; the sort is stable."""
         order = np.argsort(self.unix_ns, kind="stable")
         places: list[int] = order.tolist()
         contents = [self.contents[place] for place in places]
         return Messages(self.unix_ns[order], self.channels[order], contents)
 
     def part(self, begin: int, end: int) -> Messages:
-        """Return some of them, `end` excluded."""
+        """Return the messages from `begin` to before `end`."""
         return Messages(self.unix_ns[begin:end], self.channels[begin:end], self.contents[begin:end])
 
 
 class _McapFile(McapWriter):
     def write_all(self, messages: Messages) -> None:
-        """Write messages that are in the order of time."""
+        """Write messages in time order."""
         sizes = np.fromiter(map(len, messages.contents), np.int64) + _HEAD.itemsize
         ends = np.cumsum(sizes)
         begin, count = 0, len(sizes)
@@ -192,7 +192,7 @@ class _McapFile(McapWriter):
         size = len(content).to_bytes(8, "little")
         times = first_ns.to_bytes(8, "little") + last_ns.to_bytes(8, "little")
         start = self.bio.tell()
-        # Neither checksum nor compression.
+        # Without checksum and compression.
         self._write(_CHUNK, times + size + bytes(4) + bytes(4) + size + content)
         end = self.bio.tell()
         places = np.empty(len(sizes), _PLACE)
@@ -230,12 +230,12 @@ def _records(messages: Messages, sizes: NDArray[np.int64]) -> bytes:
 
 
 class BagWriter(Writer):
-    """Writes a bag whose file is an MCAP."""
+    """Writes a bag with an MCAP file."""
 
     STORAGE_PLUGINS: Mapping[StoragePlugin, type[StorageWriter]] = {StoragePlugin.MCAP: _McapFile}
 
     def write_all(self, messages: Messages) -> None:
-        """Write messages that are in the order of time.
+        """Write messages in time order.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Writes a recording as a bag: each stream on the topics that it has in the node."""
+"""Exports a recording to a bag: each stream on the topics that it has in the node."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 PREFIX = "biosensors"
-# A message is there when its last sample is, so it is to hold not too many.
+# A message has the time of its last sample, so it must not contain too many.
 _MOST_BYTES = 1 << 20
 
 Texts = list[tuple[str, ...]]
 
 
 def names_of(streams: tuple[Stream, ...]) -> dict[int, TopicName]:
-    """Give all streams of a recording their topics, by their numbers.
+    """Return the topic names of all streams of a recording, by stream number.
 
-    They are those of the node. Two streams that claim to be one would share a topic there; here
-    the later ones get their number at the end, so that none is mixed with another.
+    They are the same as in the node. There, two streams with the same identity would share a
+    topic; here later ones get their number as a suffix, so they are not mixed.
     """
     wanted = {each.number: (each.meaning.identity, each.meaning.data_name) for each in streams}
     names = resolve_topics(wanted, PREFIX)
@@ -70,19 +70,19 @@ def names_of(streams: tuple[Stream, ...]) -> dict[int, TopicName]:
 
 @dataclass(slots=True)
 class Unfit:
-    """Samples that a topic of a stream could not hold.
+    """Samples that do not fit a topic.
 
     Attributes
     ----------
     what
-        Of the first, as the rest of a sentence.
+        Why the first one does not fit, as the end of a sentence.
     """
 
     count: int = 0
     what: str = ""
 
     def add(self, count: int, what: str) -> None:
-        """Take note of some."""
+        """Add some samples."""
         if count and not self.count:
             self.what = what
         self.count += count
@@ -94,11 +94,11 @@ class StreamTopics:
     Attributes
     ----------
     topics
-        Names, the stamped one first.
+        Topic names, the stamped topic first.
     unfit
-        What the raw topic does not have; the stamped one has it.
+        Samples missing on the raw topic; the stamped topic has them.
     written
-        Number of samples.
+        Number of samples written.
     """
 
     def __init__(self, bag: Bag, stream: Stream, name: TopicName) -> None:
@@ -118,7 +118,7 @@ class StreamTopics:
         self._raw_numbers = None if is_text else RawNumbers(header.message_type, len(header.labels))
         self._standard: list[tuple[StandardMessage, Connection]] = []
         for each in standard_messages(header, frame_id):
-            # Another stream of the device may have that name as its own.
+            # Another stream of the device may already use that name.
             if f"{self._base}/{each.data}" not in bag.topics:
                 self._standard.append((each, self._open(each.data, each.type_name)))
 
@@ -135,7 +135,7 @@ class StreamTopics:
         Parameters
         ----------
         unix_ns : ndarray of int64, shape (n,)
-            Times of day that ROS has.
+            Unix times that ROS can represent.
         values : ndarray, shape (n, n_channels), or list of tuple
         """
         if isinstance(values, list):
@@ -159,7 +159,7 @@ class StreamTopics:
             message = self._stamped_numbers.encode(
                 unix_ns[part], values[part], self.written + start
             )
-            # As with the node, it is there when its last sample is.
+            # As in the node, a message has the time of its last sample.
             self._bag.add(self._stamped, unix_ns[part][-1:], [message])
         for standard, connection in self._standard:
             self._bag.add(connection, unix_ns, standard.encode(unix_ns, values))
@@ -201,14 +201,14 @@ is for the way back: biosensor-gateway bag import makes the recording of it agai
 
 
 class McapExporter:
-    """A folder with an MCAP file and its metadata, as ``ros2 bag record`` makes them."""
+    """Writes a folder with an MCAP file and metadata, like ``ros2 bag record``."""
 
     suffix = "_bag"
 
     def write(
         self, chosen: Chosen, order: Order, target: Path, progress: Progress
     ) -> Sequence[str]:
-        """See :meth:`.exporter.Exporter.write`; times are those of day, whatever is ordered."""
+        """See :meth:`.exporter.Exporter.write`; times are always Unix times."""
         with new_bag(target) as bag:
             conversion = _Conversion(bag, chosen)
             conversion.run(progress)
@@ -221,7 +221,7 @@ class McapExporter:
 
 
 class _Conversion:
-    """One recording on its way into a bag."""
+    """The conversion of one recording to a bag."""
 
     def __init__(self, bag: Bag, chosen: Chosen) -> None:
         self._bag = bag
@@ -251,8 +251,8 @@ class _Conversion:
             raise RecordingError(RecordingReason.EMPTY, message)
 
     def _write(self, stream: Stream, samples: Samples) -> int | None:
-        """Write what has a time of day; return the first one, in ns."""
-        # In ns, times beyond that cannot be told.
+        """Write the samples whose Unix time is valid; return the first time in ns."""
+        # Times beyond this overflow in ns.
         kept = samples.picked(np.abs(samples.times) < MAX_TIME_S)
         unix_ns = self._wall.to_unix_ns(kept.times)
         is_time = (unix_ns >= 0) & (unix_ns < MAX_TIME_S * NS_PER_S)
@@ -268,7 +268,7 @@ class _Conversion:
         return int(unix_ns[0])
 
     def _tell_origin(self, begin_ns: int) -> None:
-        """Write what the way back needs, at the time of the first sample."""
+        """Write the data for an import of the bag, at the time of the first sample."""
         self._is_told = True
         contents = self._chosen.contents
         told = [clock_text(RecordedClock(contents.begun, self._wall))]
@@ -283,11 +283,11 @@ class _Conversion:
         self._bag.add(connection, [begin_ns] * len(messages), messages)
 
     def topics(self) -> dict[int, Sequence[str]]:
-        """Return the topics of each stream, by its number."""
+        """Return the topics of each stream by stream number."""
         return {number: each.topics for number, each in self._topics.items() if each.written}
 
     def sentences(self) -> Iterator[str]:
-        """Say what the bag does not have, or not well."""
+        """Yield sentences about what the bag lacks or contains only roughly."""
         wall = self._chosen.contents.wall
         if wall is None:
             yield (
