@@ -11,19 +11,19 @@ END_S = 5.0
 _STDERR = 2
 
 
-def end_within(limit_s: float = END_S) -> None:
-    """End this process with exit code 1 after a time limit, unless it has exited by then.
+def end_within(limit_s: float = END_S, code: int = 1) -> None:
+    """End this process with an exit code after a time limit, unless it has exited by then.
 
     At its exit the interpreter waits for every thread, also for one that hangs in a library.
     """
-    timer = threading.Timer(limit_s, _end, [limit_s])
+    timer = threading.Timer(limit_s, _end, [limit_s, code])
     timer.daemon = True
     timer.start()
 
 
-def _end(limit_s: float) -> None:
+def _end(limit_s: float, code: int) -> None:
     sentence = f"it has not ended by itself within {limit_s:g} s, so it is ended now\n"
     # The reader of stderr may be gone.
     with suppress(OSError):
         os.write(_STDERR, sentence.encode())
-    os._exit(1)
+    os._exit(code)

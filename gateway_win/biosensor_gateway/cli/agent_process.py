@@ -18,6 +18,7 @@ import structlog
 import typer
 
 from biosensor_common.child import Backoff, close_input, ending_in_words, send, wait_or_kill
+from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
@@ -244,6 +245,9 @@ async def _run_controlled(agent: Agent, folder: Path) -> None:
     async def stop(_arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         # A second request must not interrupt the closing that the first one has begun.
         if not running.cancelling():
+            # liblsl may hang while it destroys an outlet: see docs/liblsl-closing-outlets.md.
+            # With exit code 0, because a supervisor would start it again otherwise.
+            end_within(_ENDS_WITHIN_S, code=0)
             running.cancel()
         return {"process": os.getpid()}
 
