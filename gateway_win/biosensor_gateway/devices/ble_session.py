@@ -1,4 +1,4 @@
-"""One connection to a Bluetooth LE sensor that answers among its data."""
+"""One connection to a Bluetooth LE sensor that mixes answers and data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.dialogue import Dialogue
 
 GOODBYE_LIMIT_S = 0.45
-"""A driver has half a second to close; what the device does not hear by then is left unsaid."""
+"""Time for the last commands: a driver must close within half a second."""
 
 _MessageT = TypeVar("_MessageT")
 _CommandT = TypeVar("_CommandT")
@@ -26,16 +26,16 @@ _AnswerT = TypeVar("_AnswerT")
 
 
 class BleSession(Generic[_MessageT, _CommandT]):
-    """A link and the dialogue on it, from the connection to the goodbye.
+    """A link with its dialogue, from connecting to the last commands.
 
-    A subclass begins the dialogue when it has subscribed, and says what is asked.
+    A subclass starts the dialogue after subscribing, and defines the commands.
 
     Parameters
     ----------
     receive, send
         As of the `Dialogue`.
     advice
-        What helps a device that does not answer; a clause for a person.
+        Advice for the user about a device that does not answer; a clause.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class BleSession(Generic[_MessageT, _CommandT]):
         self._signal: tuple[int | None, float] = (None, 0.0)
 
     async def connect(self) -> None:
-        """Find the device and connect to it; raises as :meth:`BleLink.open` does."""
+        """Find the device and connect to it; raises like :meth:`BleLink.open`."""
         seen = await self.link.open()
         self._signal = (seen.rssi_dbm, self.link.clock())
 
@@ -67,16 +67,16 @@ class BleSession(Generic[_MessageT, _CommandT]):
         Parameters
         ----------
         match, limit_s
-            As of :meth:`Dialogue.ask`.
+            As in :meth:`Dialogue.ask`.
         failure
-            Says that there is no answer; a clause.
+            Clause for the error that there is no answer.
 
         Raises
         ------
         TransportError
             ``LOST`` or ``SILENT``.
         ProtocolError
-            ``NO_REPLY``, or the device refuses to take the command.
+            ``NO_REPLY``, or the device refuses the command.
         """
         answer = await self.dialogue.ask(command, match, limit_s)
         if answer is None:
@@ -90,21 +90,21 @@ class BleSession(Generic[_MessageT, _CommandT]):
         take_signal: Callable[[int | None, float], None],
         *alongside: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
-        """Pass on what came since the dialogue began, then all that comes.
+        """Pass on everything received since the dialogue started.
 
         Parameters
         ----------
         take
-            Gets the messages of each read, answers included.
+            Called with the messages of each read, including answers.
         take_signal
-            Gets how strongly the device was heard before it was connected, and when.
+            Called with the signal strength before the connection, and its time.
         alongside
-            What else runs as long as the connection: batteries to read, refusals to ask about.
+            Tasks to run as long as the connection, such as reading the battery.
 
         Raises
         ------
         TransportError
-            ``LOST``, once everything that had arrived was passed on.
+            ``LOST``, after everything received was passed on.
         """
         take_signal(*self._signal)
         async with asyncio.TaskGroup() as tasks:
@@ -113,7 +113,7 @@ class BleSession(Generic[_MessageT, _CommandT]):
             tasks.create_task(self.dialogue.stream(take))
 
     async def close(self, say_goodbye: Callable[[], Awaitable[None]]) -> None:
-        """Stop the device, without waiting for its answers, and disconnect; never raises."""
+        """Stop the device without waiting for answers, and disconnect; never raises."""
         with suppress(GatewayError, TimeoutError):
             async with asyncio.timeout(GOODBYE_LIMIT_S):
                 await say_goodbye()
@@ -123,12 +123,12 @@ class BleSession(Generic[_MessageT, _CommandT]):
 
 @contextmanager
 def optional_request(log: Callable[[str], None] | None = None) -> Generator[None]:
-    """Go on without what is refused or not answered, as long as the connection stands.
+    """Ignore a refused or unanswered request, as long as the connection stands.
 
     Parameters
     ----------
     log
-        Gets what the device refuses; None where nobody needs to know.
+        Called with the refusal; None to ignore it silently.
     """
     try:
         yield
@@ -136,6 +136,6 @@ def optional_request(log: Callable[[str], None] | None = None) -> Generator[None
         if log is not None:
             log(str(error))
     except TransportError as error:
-        # Whether the silence lasts, the watchdog of the streams tells.
+        # If the silence lasts, the watchdog of the streams reports it.
         if error.reason is not TransportReason.SILENT:
             raise

@@ -1,4 +1,4 @@
-"""The interface of drivers, how a sensor offers its own, and how its devices are found."""
+"""The interface of drivers, their registration, and how their devices are found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 if TYPE_CHECKING:
-    # Brings the keyring, which few sensors need.
+    # Imports the keyring library, which few sensors need.
     from biosensor_gateway.settings.secrets import SecretName
 
 
@@ -25,9 +25,9 @@ class Found:
     Attributes
     ----------
     name
-        What a person calls it: the advertised name, an id.
+        Name for the user, such as the advertised name or an id.
     settings
-        ``unit`` and whatever else leads the driver to it; scalars only.
+        ``unit`` and the settings with which the driver finds it; scalars only.
     """
 
     sensor: str
@@ -39,13 +39,13 @@ class Found:
 def by_advertisement(
     sensor: str, identify: Callable[[Advertisement], str | None]
 ) -> Callable[[Advertisement | SerialPort], Found | None]:
-    """Return what recognises a Bluetooth LE sensor among all that is within reach.
+    """Return a function that recognises a sensor's devices by their advertisements.
 
     Parameters
     ----------
     identify
-        Returns what tells one device of the sensor from another, which becomes its unit; empty
-        where only its address does, None for devices that are not of the sensor.
+        Returns the identity of a device, which becomes its unit; empty if only the address
+        identifies it, None for other sensors' devices.
     """
 
     def recognise(seen: Advertisement | SerialPort) -> Found | None:
@@ -59,12 +59,12 @@ def by_advertisement(
 
 
 def by_port_name(sensor: str, pattern: str) -> Callable[[Advertisement | SerialPort], Found | None]:
-    """Return what recognises a paired device of Bluetooth Classic by its name.
+    """Return a function that recognises paired Bluetooth Classic devices by name.
 
     Parameters
     ----------
     pattern
-        Of its whole name; the first group is the number on the case, its unit.
+        Pattern of the full name; the first group is the number on the case, its unit.
     """
     form = re.compile(pattern)
 
@@ -83,24 +83,24 @@ _Settings = TypeVar("_Settings", bound=DeviceSettings)
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """What a driver knows once its device is connected.
+    """Information about a connected device.
 
     Attributes
     ----------
     rates
         Nominal rate in Hz by data name, for streams declared ``FROM_DEVICE``.
     silent
-        Data names of the streams that the settings switch off, or that this model has only in name.
+        Data names of streams that the settings switch off or that this model does not have.
     refused
-        Data names of the streams that this device does not send, or not to us.
+        Data names of streams that this device does not send, or not to us.
     denied
-        By data name, why a stream that is wanted does not come, with what to do about it; a
-        clause. It is shown until data of the stream come, and nobody else is to ask for them.
+        By data name, a clause about why a wanted stream is not sent and what to do. It is shown
+        until the stream's data arrive, and the stream is not monitored until then.
     due
-        Longest absence in seconds of streams that come all the time without a rate.
+        Maximum gap in seconds of irregular streams that are sent continuously.
     patience_s
-        How long a regular stream may be absent, 20 samples at least. Streams that are silent
-        for longer are enabled again, then the connection is made again.
+        Maximum gap of a regular stream, but at least 20 samples. Streams that are silent for
+        longer are restarted, and then the device is reconnected.
     """
 
     info: DeviceInfo = field(default_factory=DeviceInfo)
@@ -113,13 +113,12 @@ class Connected:
 
 
 class Driver(Protocol):
-    """The conversation with one device, for one connection.
+    """The interface of a driver: one connection to one device.
 
     Attributes
     ----------
     silence_limit_s
-        The supervisor gives a connection up after so many seconds without
-        anything valid from the device.
+        The supervisor closes a connection after this time without valid data from the device.
     """
 
     silence_limit_s: float
@@ -127,82 +126,82 @@ class Driver(Protocol):
     async def connect(self) -> Connected:
         """Open the link and start the device.
 
-        What the device sends meanwhile is kept for :meth:`stream`.
+        Data received in the meantime are buffered for :meth:`stream`.
 
         Raises
         ------
         TransportError, ProtocolError, CredentialError
-            The device cannot be used now.
+            If the device cannot be used now.
         """
         ...
 
     async def stream(self) -> None:
-        """Pass on what the device measures, until the link ends or the task is cancelled.
+        """Pass on the device's data until the link ends or the task is cancelled.
 
         Raises
         ------
         TransportError, ProtocolError
-            The connection ended.
+            If the connection ended.
         """
         ...
 
     async def close(self) -> None:
-        """Stop the device without waiting for it, and close the link; never raises."""
+        """Stop the device without waiting for an answer, and close the link; never raises."""
         ...
 
 
 @runtime_checkable
 class EnablesAgain(Protocol):
-    """What a driver may offer besides; without it, silent streams cost the connection."""
+    """Optional interface of drivers; without it, silent streams cause a reconnect."""
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Ask the device once more for streams of which nothing comes; `stream` goes on.
+        """Restart silent streams on the device, while `stream` continues.
 
-        Whether it has helped, the streams themselves tell.
+        Success shows in the streams themselves.
 
         Parameters
         ----------
         streams
-            Data names; what they share with others may be started again with them.
+            Data names; streams that share a measurement with them may be restarted, too.
 
         Raises
         ------
         TransportError, ProtocolError
-            It cannot help; the connection has to be made again.
+            If it is not possible, so a reconnect is needed.
         """
         ...
 
 
 class DriverEntry(NamedTuple):
-    """What a driver module offers as its ``DRIVER``.
+    """A driver's registration, the ``DRIVER`` of its module.
 
     Attributes
     ----------
     settings
         Model of the device's table in the settings file.
     make
-        Called once a device; returns what makes a driver for each connection.
+        Called once per device; returns a function that creates a driver for each connection.
     recognise
-        Tells whether an advertisement or a serial port is such a device; None for
-        sensors that have neither.
+        Recognises a device by an advertisement or a serial port; None for sensors that have
+        neither.
     find
-        Asks the vendor's services for their devices, given the settings of all configured
-        devices of the sensor, which say where services are; None where there is no service.
-        Raises a GatewayError if the service does not answer.
+        Queries the vendor's services for their devices, given the settings of all configured
+        devices of the sensor, which contain the services' addresses; None if there is no service.
+        Raises a GatewayError if a service does not answer.
     secrets
-        What the vendor's service asks for.
+        Credentials for the vendor's service.
     unlicensed
-        Asks the vendor's service what the user's licence does not cover, a clause each; None
-        where nothing needs a licence. Raises a GatewayError if there is no answer.
+        Queries the vendor's service for what the user's licence does not cover, as clauses; None
+        if no licence is needed. Raises a GatewayError if there is no answer.
     declare
-        Says what one device emits where that is for its settings to say; the declaration's name
-        is the settings' `sensor_name`. None where the sensor's declaration holds for every device.
+        Returns the declaration of one device if it depends on its settings, named after their
+        `sensor_name`. None if the sensor's declaration applies to every device.
     identifiers
-        Where payloads say whose device it is, besides its address, its name and the serial number
-        of `Connected`: the first group of each is replaced in what is given away. One called
-        ``secret`` is not even shown.
+        Patterns of identifiers in payloads, besides address, name and serial number of
+        `Connected`: the first group is replaced before data are shared. A group named ``secret``
+        is not even displayed.
     forms
-        Settings that are texts and say nothing but what data look like: they are given away.
+        Text settings that only describe the data format, so they may be shared.
     """
 
     settings: type[DeviceSettings]
@@ -217,12 +216,12 @@ class DriverEntry(NamedTuple):
 
 
 def own_settings(model: type[_Settings], settings: DeviceSettings) -> _Settings:
-    """Return a device's settings as those of a driver's own model.
+    """Return a device's settings, checked to be of the driver's own model.
 
     Raises
     ------
     TypeError
-        They are another sensor's.
+        If they belong to another sensor.
     """
     if not isinstance(settings, model):
         raise TypeError(f"{type(settings).__name__} are not {model.__name__}")

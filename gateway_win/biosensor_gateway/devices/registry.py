@@ -1,4 +1,4 @@
-"""Finds all sensors by name: the folders beside this file, and those of other packages.
+"""Finds all sensors by name: in the folders next to this file and in other packages.
 
 A package adds a sensor with one entry point in the group ``biosensor_gateway.sensors``: its
 name is the sensor's name, its value loads to a :class:`~biosensor_gateway.devices.sensor.Sensor`.
@@ -27,7 +27,7 @@ _PACKAGE = __name__.rpartition(".")[0]
 
 @cache
 def _built_in() -> Mapping[str, Sensor]:
-    """Import the folders beside this file; the generic sensors come last."""
+    """Import the folders next to this file; generic sensors come last."""
     folders = iter_modules(import_module(_PACKAGE).__path__)
     found: list[Sensor] = [
         import_module(f"{_PACKAGE}.{folder.name}").SENSOR for folder in folders if folder.ispkg
@@ -39,8 +39,7 @@ def _built_in() -> Mapping[str, Sensor]:
 def sensor_names() -> tuple[str, ...]:
     """Names of all sensors: the built-in ones, then those of other packages.
 
-    Nothing of other packages is imported for it, so a listed one may still turn out to be
-    broken.
+    Other packages are not imported, so a listed sensor may still fail to load.
     """
     added = {entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)}
     return (*_built_in(), *sorted(added - _built_in().keys()))
@@ -52,9 +51,9 @@ def sensor(name: str) -> Sensor:
     Raises
     ------
     SpecError
-        ``UNKNOWN_SENSOR``, with the known names; ``INVALID``, with the
-        distribution, if another package's sensor cannot be loaded, is not a
-        sensor of that name, or is offered by several packages.
+        ``UNKNOWN_SENSOR``, with the known names; ``INVALID``, with the package, if another
+        package's sensor cannot be loaded, is not a sensor of that name, or is offered by several
+        packages.
     """
     if name in _built_in():
         return _built_in()[name]
@@ -75,12 +74,12 @@ def sensor(name: str) -> Sensor:
 
 
 def declaration_names() -> tuple[str, ...]:
-    """Names of all that is declared: the sensors, and the agent's own streams."""
+    """Names of all declarations: the sensors, and the agent's own streams."""
     return (*sensor_names(), GATEWAY.name)
 
 
 def declaration(name: str) -> SensorSpec:
-    """Return what a sensor, or the agent itself (``gateway``), emits.
+    """Return the declaration of a sensor, or of the agent itself (``gateway``).
 
     Raises
     ------
@@ -91,7 +90,7 @@ def declaration(name: str) -> SensorSpec:
 
 
 def sensor_title(name: str) -> str:
-    """Return what people call a kind of sensor; its name, if it is unknown."""
+    """Return a sensor's title for users; its name if it is unknown."""
     try:
         return declaration(name).title
     except SpecError:
@@ -99,7 +98,7 @@ def sensor_title(name: str) -> str:
 
 
 def declared(settings: DeviceSettings) -> SensorSpec:
-    """Return what a device emits: what its sensor declares, or the device's own settings.
+    """Return the declaration of a device: its sensor's, or one from the device's settings.
 
     Raises
     ------
@@ -116,7 +115,7 @@ def driver(name: str) -> DriverEntry:
     Raises
     ------
     SpecError
-        As for :func:`sensor`; ``INVALID``, if what the sensor names is no driver.
+        As for :func:`sensor`; ``INVALID``, if the sensor's driver is not a DriverEntry.
     """
     place = sensor(name).driver
     try:
@@ -131,7 +130,7 @@ def driver(name: str) -> DriverEntry:
 
 
 class _SettingsModels(Mapping[str, type[DeviceSettings]]):
-    """Imports a driver when its model is asked for."""
+    """Imports a driver when its settings model is accessed."""
 
     def __init__(self) -> None:
         self._names = sensor_names()
@@ -151,7 +150,7 @@ class _SettingsModels(Mapping[str, type[DeviceSettings]]):
 def settings_models() -> Mapping[str, type[DeviceSettings]]:
     """Models of the settings file's device tables by sensor.
 
-    To look one up raises what `driver` does.
+    A lookup raises the same errors as `driver`.
     """
     return _SettingsModels()
 

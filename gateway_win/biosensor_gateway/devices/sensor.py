@@ -10,10 +10,10 @@ from biosensor_common.spec import SensorSpec
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What the folder of a sensor offers as its ``SENSOR``.
+    """A sensor's registration, the ``SENSOR`` of its folder.
 
-    Driver and virtual devices are named, ``module:attribute``, and imported when they are
-    used: a list of sensors needs none of their libraries.
+    Driver and virtual devices are given as ``module:attribute`` and imported when used, so that a
+    list of sensors needs none of their libraries.
 
     Attributes
     ----------
@@ -22,17 +22,17 @@ class Sensor:
     driver
         A :class:`~biosensor_gateway.devices.driver.DriverEntry`.
     virtual
-        Classes of virtual devices by variant, ``""`` the
-        usual one; what ``run --simulate`` calls ``zephyr`` and ``zephyr:recording``.
+        Classes of virtual devices by variant, with ``""`` for the default; ``run --simulate``
+        accepts them as ``zephyr`` and ``zephyr:recording``.
     demo
-        The variant that the demo runs.
+        The variant used in the demo.
     introduces
-        Whether ``try`` begins with it: the few whose signals most people look for.
+        Whether ``try`` starts with it; set for the few sensors most people want to see.
     service
-        The vendor's program by which its devices are reached; empty if there is none.
+        The vendor's program that connects to its devices; empty if there is none.
     precedence
-        Of two sensors that recognise the same device, the one with more gets it: a generic
-        sensor has less than 0.
+        If two sensors recognise the same device, the one with the higher value gets it; generic
+        sensors have negative values.
     """
 
     spec: SensorSpec

@@ -1,4 +1,4 @@
-"""Takes a device's samples from its driver; all that a driver sees of the agent."""
+"""The interface between drivers and the agent: takes a device's samples."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from biosensor_common.device_clock import ClockState
 from biosensor_common.spec import DeviceIdentity
 
 if TYPE_CHECKING:
-    # Neither numpy nor LSL is needed to know what there are for sensors.
+    # A list of sensors must not need numpy or LSL.
     from numpy.typing import ArrayLike
 
     from biosensor_gateway.system.clock import Clock
 
 
 class Sink(Protocol):
-    """Takes what one device sends; there is one for each device, over all its connections.
+    """Takes the data of one device, over all its connections.
 
-    A driver reports packets with :meth:`observe`, then hands over their samples with times on
-    the device's own clock. The agent's is :class:`~biosensor_gateway.streaming.sink.DeviceSink`.
+    A driver reports packets with :meth:`observe`, then passes their samples with times on the
+    device's own clock. The agent implements it as
+    :class:`~biosensor_gateway.streaming.sink.DeviceSink`.
 
     Attributes
     ----------
     dropped_bytes
-        Bytes that made no valid message; drivers add to it.
+        Bytes without a valid message; drivers add to it.
     own_delay
-        Tells for how many seconds a packet may have had to wait for this computer lately.
+        Returns how long packets may recently have waited for this computer, in seconds.
     """
 
     dropped_bytes: int
@@ -34,12 +35,12 @@ class Sink(Protocol):
 
     @property
     def identity(self) -> DeviceIdentity:
-        """Which device it is, for the log."""
+        """Identity of the device, for the log."""
         ...
 
     @property
     def clock(self) -> Clock:
-        """Tells LSL time."""
+        """The LSL clock."""
         ...
 
     @property
@@ -49,20 +50,20 @@ class Sink(Protocol):
 
     @property
     def is_waiting(self) -> bool:
-        """Whether a stream was enabled again, and has not been heard since."""
+        """Whether a stream was restarted and no data has arrived since."""
         ...
 
     def observe(self, device_s: float, arrival_s: float, kind: str = "") -> None:
-        """Take in the device time of a packet's last sample and its LSL time of arrival.
+        """Add the device time of a packet's last sample and its LSL time of arrival.
 
-        If packets of a kind keep their order, its name helps; see :meth:`DeviceClock.observe`.
+        Give `kind` if packets of that kind keep their order; see :meth:`DeviceClock.observe`.
         """
         ...
 
     def restart_clock(self) -> None:
-        """Map device times again from the next observation on: the device counts again.
+        """Restart the mapping of device times, because the device restarted its clock.
 
-        Nothing can be emitted with device times before that observation.
+        Samples with device times can only be emitted after the next observation.
         """
         ...
 
@@ -79,27 +80,27 @@ class Sink(Protocol):
         ...
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        """Push samples that the device does not stamp, with times on the LSL clock already.
+        """Push samples with LSL times, for data without device timestamps.
 
         Parameters
         ----------
         samples : array_like, shape (n_samples, n_channels) or (n_samples,)
             In the units of the declaration.
         lsl_times : sequence of float, length n_samples
-            LSL clock at each sample, as near as can be told, in seconds.
+            Best estimate of the LSL time of each sample, in seconds.
         """
         ...
 
     def emit_on_arrival(self, data_name: str, value: float, arrival_s: float) -> None:
-        """Push one value of a one-channel stream that the device does not stamp and sends at once.
+        """Push one value of a one-channel stream, sent at once and without a timestamp.
 
-        Where it came with packets that had waited, it is as old as the one before it; what is
-        stamped late all the same is reported.
+        If it arrived with stored packets, it gets the time of the packet before it; samples that
+        are still stamped late are reported.
         """
         ...
 
     def note_arrival(self, data_name: str, arrival_s: float, count: int = 1) -> None:
-        """Have samples reported that were placed by an arrival, should it turn out late."""
+        """Note samples with times based on an arrival, which are reported if it turns out late."""
         ...
 
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
@@ -107,31 +108,31 @@ class Sink(Protocol):
         ...
 
     def emit_text(self, data_name: str, text: str, device_s: float) -> None:
-        """Push one string sample measured at a time of the device's clock."""
+        """Push one string sample with a time on the device's clock."""
         ...
 
     def lost(self, data_name: str, count: int) -> None:
-        """Count samples that the device measured and that never arrived."""
+        """Count samples that the device measured but that never arrived."""
         ...
 
     def left_out(self, count: int, why: str) -> None:
-        """Count samples that arrived and are not emitted, such as copies; *why* is a clause."""
+        """Count samples that arrived but are not emitted, such as copies; *why* is a clause."""
         ...
 
     def heard(self, *data_names: str) -> None:
-        """Note that the device said something valid: about these streams, or in general.
+        """Note valid data from the device, about these streams or in general.
 
-        Samples are noted by themselves, so only what comes without a value has to be told.
+        Emitted samples are noted automatically; call this only for data without samples.
         """
         ...
 
     def remark(self, about: str, text: str = "") -> None:
-        """Have a person see what is wrong with what comes, though it goes on; empty when over.
+        """Show a problem with the data to the user; an empty text clears it.
 
-        It stands in the device's status until then, or until the next connection.
+        It stays in the device's status until cleared or until the next connection.
         """
         ...
 
     def excuse(self, *data_names: str) -> None:
-        """Expect nothing of these streams until they are heard again: there is a reason."""
+        """Stop monitoring these streams until data arrive again, for a known reason."""
         ...

@@ -9,7 +9,7 @@ from biosensor_gateway.devices.sensor import Sensor
 SPEC = SensorSpec(
     name="ble_heart_rate",
     title="Bluetooth heart-rate strap",
-    # Who made the strap is known once it is connected.
+    # The manufacturer is known after connecting.
     manufacturer="",
     model="",
     streams=(

@@ -27,7 +27,7 @@ SPEC = SensorSpec(
         hardware("mag", ContentType.MAGNETOMETER,
             channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD,
                 plausible=plausible.MAGNETIC_FIELD_UT), 52),
-        # Of the device itself, which the skin warms.
+        # Temperature of the device itself, which the skin warms.
         hardware("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "device",
             plausible=plausible.TEMPERATURE_C)),
         _STRAP.stream("bat"),

@@ -11,7 +11,7 @@ LIGHT_LABELS = (
     *("LO_NIR", "RO_NIR", "LO_IR", "RO_IR", "LI_NIR", "RI_NIR", "LI_IR", "RI_IR"),
     *("LO_RED", "RO_RED", "LO_AMB", "RO_AMB", "LI_RED", "RI_RED", "LI_AMB", "RI_AMB"),
 )
-"""Left or right, outer or inner; 730 nm, 850 nm, red, ambient light: as OpenMuse names them."""
+"""Left or right, outer or inner; 730 nm, 850 nm, red, ambient light; names as in OpenMuse."""
 
 SPEC = SensorSpec(
     name="muse",

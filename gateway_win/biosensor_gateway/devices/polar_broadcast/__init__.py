@@ -1,4 +1,4 @@
-"""Polar straps and watches whose heart rate is in their advertisements, without a connection."""
+"""Polar straps and watches that advertise their heart rate, read without a connection."""
 
 from biosensor_common import plausible
 from biosensor_common.quantities import ChannelRole, ContentType, MessageType, Unit
@@ -10,7 +10,7 @@ SPEC = SensorSpec(
     name="polar_broadcast",
     title="Polar heart rate without a connection",
     manufacturer="Polar",
-    # Its name says which one it is.
+    # The model is part of the device's name.
     model="",
     streams=(
         raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR",
@@ -29,6 +29,6 @@ SENSOR = Sensor(
     SPEC,
     driver="biosensor_gateway.devices.polar_broadcast.driver:DRIVER",
     virtual={"": "biosensor_gateway.devices.polar_broadcast.simulator:SimulatedPolarBroadcast"},
-    # A connection gives more, where there is one.
+    # A connection provides more data, so it is preferred.
     precedence=-2,
 )

@@ -1,4 +1,4 @@
-"""A virtual Polar strap that tells its heart rate to everybody."""
+"""A virtual Polar strap that advertises its heart rate."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _POLAR = 0x006B
 _BATTERY, _SKIN, _ON_AIR = 0x01, 0x02, 0x20
 _SLOW_SECONDS = 8
 _GARBAGE_S, _BETWEEN_S = 0.1, 0.15
-"""Each longer than it takes until what is advertised goes out."""
+"""Both are longer than the time until new data are advertised."""
 _NO_LINK = "nobody connects to it, so there is nothing to ask, to refuse or to forget"
 
 EXPECTED = replace(
     ANY_STRAP,
     without_contact=("hr", "hr_fast"),
     by_agent=frozenset({"quality", "rssi"}),
-    # Heard when it is advertised next.
+    # A measurement is received with the next advertisement.
     unstamped_s={"hr": 0.1, "hr_fast": 0.1},
     loss_tolerance=LossTolerance(over_break=1, over_restart={"hr": 9, "hr_fast": 9}),
     impossible={
@@ -53,16 +53,16 @@ EXPECTED = replace(
 
 
 class SimulatedPolarBroadcast(StrapDevice):
-    """A Polar H9 with a connection to somebody else: it advertises its heart rate, no services.
+    """A Polar H9 connected to another host: it advertises its heart rate but no services.
 
     Parameters
     ----------
     address, device_id
-        Address, and the id printed on it, which is in its name.
+        Address, and the id printed on it, which is part of its name.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     interval_ms
-        So often it advertises.
+        Interval between advertisements.
     """
 
     sensor = "polar_broadcast"
@@ -93,7 +93,7 @@ class SimulatedPolarBroadcast(StrapDevice):
             self.specimen,
             identity=Identity("Polar Electro Oy", "H9", device_id),
         )
-        # Whoever is connected to it has that to himself.
+        # Only the connected host receives heart rate notifications.
         self._strap.pulse_every_s = 0
         self._strap.on_power_on.append(self._begin)
         self._strap.on_second.append(self._measure)
@@ -103,7 +103,7 @@ class SimulatedPolarBroadcast(StrapDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._device_id}
 
     def _begin(self) -> None:
@@ -114,7 +114,7 @@ class SimulatedPolarBroadcast(StrapDevice):
         self._advertise()
 
     def _measure(self) -> None:
-        """Measure, once a second; off the body the last rate stays."""
+        """Measure once a second; off the body, the last rate is kept."""
         if self._stands_still:
             return
         strap, now_s = self._strap, self._strap.peripheral.clock()
@@ -134,7 +134,7 @@ class SimulatedPolarBroadcast(StrapDevice):
         self._note_heard()
 
     def _note_heard(self) -> None:
-        """Enter the newest measurement as sent, if it can be heard now."""
+        """Record the newest measurement as sent, if it can be received now."""
         if self._strap.peripheral.is_heard and not self._strap.is_unreadable:
             for name, (measured_s, rate) in self._unheard.items():
                 self.truth.sent(name, [measured_s], [(rate,)])

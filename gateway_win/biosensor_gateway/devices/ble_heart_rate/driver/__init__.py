@@ -1,4 +1,4 @@
-"""The conversation with a heart-rate strap of any make."""
+"""Driver for heart-rate straps of any make."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class HeartRateStrapSettings(DeviceSettings):
 class HeartRateStrapDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # A few stop while they are not worn.
+    # A few straps stop sending while they are not worn.
     silence_limit_s = 15.0
 
     def __init__(self, link: BleLink, emitter: StrapEmitter, pairing: Pairing) -> None:
@@ -79,7 +79,7 @@ class HeartRateStrapDriver:
         await self._strap.subscribe_again()
 
     async def stream(self) -> None:
-        """Emit what the strap sends, which the link has kept so far."""
+        """Emit what the strap sends, starting with what the link has buffered."""
         if self._seen is not None:
             advertisement, seen_s = self._seen
             self._emitter.signal_strength(advertisement.rssi_dbm, seen_s)
@@ -88,7 +88,7 @@ class HeartRateStrapDriver:
             tasks.create_task(self._read_forever())
 
     async def close(self) -> None:
-        """Unsubscribe, for a moment, and disconnect."""
+        """Try to unsubscribe within a short time, and disconnect."""
         with suppress(GatewayError, TimeoutError):
             async with asyncio.timeout(GOODBYE_LIMIT_S):
                 await self._strap.stop()
@@ -118,7 +118,7 @@ class HeartRateStrapDriver:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(HeartRateStrapSettings, settings)
     emitter = StrapEmitter(sink)
     kind = identify_any if own.device else identify
@@ -137,11 +137,11 @@ def identify(seen: Advertisement) -> str | None:
 
 
 def identify_any(seen: Advertisement) -> str | None:
-    """Return the address of any device: some straps do not say that they are one."""
+    """Return the address of any device, because some straps do not advertise the service."""
     return seen.address
 
 
-# One that another driver knows better is left to that one.
+# A device that a specific driver recognises is left to that driver.
 recognise = by_advertisement("ble_heart_rate", identify)
 
 

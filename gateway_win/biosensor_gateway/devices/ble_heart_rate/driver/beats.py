@@ -1,4 +1,4 @@
-"""Times of beats of which only the intervals are known, from one packet or stored in the strap."""
+"""Calculates the times of beats from their intervals, also for packets stored in the strap."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from itertools import accumulate, islice
 from typing import NamedTuple
 
 REANCHOR_S = 1.5
-"""Intervals are missing when their sum falls so far behind: no strap keeps a beat for longer."""
+"""Intervals are missing when their sum lags this much: no strap delays a beat for longer."""
 WINDOW_PACKETS = 32
-"""Straps cut intervals to whole units: in longer windows the sum would slip by itself."""
+"""Straps truncate intervals to whole units, so over longer windows the sum would drift."""
 NARROW_S = 0.25
-"""Packets that come with every beat leave the bounds a whole interval apart."""
+"""If a packet comes with every beat, the bounds stay a whole interval apart."""
 GAIN = 1 / 4
 
 
 class BeatClock:
     """A clock that ticks with the intervals between beats.
 
-    The intervals are exact, but their packets come about once a second, whenever the
-    heart beats. So beats are placed by adding intervals up. Where that sum lies on the
-    LSL clock is bounded by every packet from two sides: its last beat was over when it
-    arrived, and the first beat of the next packet was not. It is taken to be in the
-    middle where the bounds are narrow, else at the upper one.
+    The intervals are exact, but their packets arrive about once a second, independently of the
+    beats. So beat times are sums of intervals. Each packet bounds the offset between this sum and
+    the LSL clock from two sides: its last beat was over when it arrived, and the first beat of the
+    next packet was not. The offset is set to the middle if the bounds are narrow, else to the
+    upper bound.
 
     Notes
     -----
-    With a packet a second, up to 30 ms late, and 62 to 82 beats a minute, beats are
-    placed within 66 ms after 10 s and 41 ms after 30 s (90 % of 100 simulated people),
-    later than they were by however long the strap takes to detect a beat.
+    With one packet per second, up to 30 ms late, and 62 to 82 beats per minute, the error is below
+    66 ms after 10 s and 41 ms after 30 s (90 % of 100 simulated people), plus the time that the
+    strap takes to detect a beat.
     """
 
     def __init__(self) -> None:
@@ -40,21 +40,21 @@ class BeatClock:
         self._lower: deque[float] = deque(maxlen=WINDOW_PACKETS)
 
     def place(self, intervals_s: Sequence[float], arrival_s: float) -> list[float]:
-        """Return when the beat at the end of each interval happened.
+        """Return the time of the beat at the end of each interval.
 
         Parameters
         ----------
         intervals_s
-            Intervals of one packet in seconds, oldest first. A packet without any is
-            to be told as well.
+            Intervals of one packet in seconds, oldest first; also call this for a packet without
+            any.
         arrival_s
             LSL clock when the packet arrived.
 
         Returns
         -------
         list of float
-            LSL times, ascending, none later than the arrival; the first may precede
-            those of the packet before where the clock was moved back.
+            LSL times, ascending, none later than the arrival; the first may precede those of the
+            previous packet if the clock was moved back.
         """
         before_s, self._arrival_s = self._arrival_s, arrival_s
         if not intervals_s:
@@ -79,17 +79,17 @@ class BeatClock:
         return arrival_s - self._elapsed_s - sum(intervals_s) - self._offset_s
 
     def place_stored(self, intervals_s: Sequence[float], arrival_s: float) -> list[float]:
-        """Return what `place` does of a packet that waited, and so bounds nothing."""
+        """Like `place`, for a packet that was stored, so its arrival gives no bounds."""
         self._arrival_s = arrival_s
         self._elapsed_s += sum(intervals_s)
         return walk_back(self._elapsed_s + (self._offset_s or 0.0), intervals_s)
 
     def _bounded(self, offset_s: float) -> float:
-        """Move an offset between its bounds, and on towards their middle."""
+        """Move an offset between its bounds, and towards their middle."""
         upper = min(self._upper)
-        # Packets that were late make too high a lower bound.
+        # Late packets make the lower bound too high.
         lower = min(upper, max(self._lower, default=upper))
-        # Straps that send each beat at once are always at the upper bound.
+        # For straps that send each beat at once, the upper bound is exact.
         target = (lower + upper) / 2 if upper - lower < NARROW_S else upper
         return min(offset_s + GAIN * (target - offset_s), upper)
 
@@ -100,34 +100,33 @@ def walk_back(last_s: float, intervals_s: Sequence[float]) -> list[float]:
     return [last_s - age for age in islice(ages, len(intervals_s))][::-1]
 
 
-# A packet that comes late has two causes, between which it does not tell: intervals before it
-# are missing, or it was stored, by the strap or by this computer while the agent got no time.
-# So a few packets are held back. Stored ones follow each other faster than a heart beats, or are
-# late by less and less; then beats go on where they were. Else the clock is anchored again at
-# their arrival.
+# A late packet has two possible causes: intervals before it are missing, or it was stored, by the
+# strap or by this computer while the agent was not running. To decide, a few packets are held
+# back. Stored packets follow each other faster than the heart beats, or their lateness decreases;
+# then the beats continue without a gap. Otherwise the clock is anchored again at their arrival.
 
 GROUP = 3
-"""So many packets tell how fast they come."""
+"""Number of packets needed to measure their pace."""
 STORED_PACE = 0.5
-"""Stored packets follow each other in less than this part of the time of their intervals."""
+"""Stored packets arrive within less than this fraction of the duration of their intervals."""
 SHRINKS_S = 1.0
-"""By so much at least the lateness of one group and the next differ while a store empties."""
+"""Minimum decrease in lateness from one group to the next while stored packets arrive."""
 HOLD_LIMIT_S = 10.0
 TOGETHER_S = 0.3
-"""No heart beats so fast: packets that follow each other sooner had been stored."""
+"""Packets in faster succession were stored, because no heart beats this fast."""
 TIMELY_S = 3.0
-"""A packet that follows the one before within this time, and not at once, has not waited."""
+"""A packet that follows within this time, but not at once, was not stored."""
 
 
 class Beat(NamedTuple):
-    """The end of an interval, and whether the strap believes in it."""
+    """The end of an interval, and whether the strap considers it valid."""
 
     interval_s: float
     is_valid: bool = True
 
 
 class PlacedBeat(NamedTuple):
-    """A beat, and when it was on the LSL clock, in s."""
+    """A beat and its LSL time in s."""
 
     beat: Beat
     time_s: float
@@ -143,12 +142,12 @@ class _Packet(NamedTuple):
 
 
 class StoredBeats:
-    """Beats of one strap; see :class:`.beats.BeatClock` for where they are placed.
+    """Places the beats of one strap, including stored ones; see :class:`.BeatClock`.
 
     Attributes
     ----------
     is_placed_by_arrival
-        Since the begin none has shown that it had not waited.
+        No packet since the start has been known to arrive without delay.
     """
 
     def __init__(self) -> None:
@@ -160,7 +159,7 @@ class StoredBeats:
         self.is_placed_by_arrival = True
 
     def restart(self) -> list[PlacedBeat]:
-        """Begin again, as at a new connection; return what was held back."""
+        """Start again after a new connection; return the beats held back."""
         released = self._anchored_again() if self._held else []
         self._clock = BeatClock()
         self._may_be_stored = self._was_empty = False
@@ -168,12 +167,12 @@ class StoredBeats:
         return released
 
     def place(self, beats: Sequence[Beat], arrival_s: float) -> list[PlacedBeat]:
-        """Return the beats whose place is certain now, in order; none while it is unclear.
+        """Return the beats whose times are certain now, in order; none while unclear.
 
         Parameters
         ----------
         beats
-            Of one packet, oldest first. A packet without any is to be told as well.
+            Beats of one packet, oldest first; also call this for a packet without any.
         arrival_s
             LSL clock when the packet arrived.
         """
@@ -182,10 +181,10 @@ class StoredBeats:
         if before_s is not None and TOGETHER_S < arrival_s - before_s < TIMELY_S:
             self.is_placed_by_arrival = False
         self._arrival_s = arrival_s
-        # Before this one is taken in: what held it up is nothing that held up those.
+        # Checked before adding this packet, because its own delay says nothing about the others.
         overdue = bool(self._held) and arrival_s - self._held[0].arrival_s > HOLD_LIMIT_S
         placed = self._anchored_again() if overdue else []
-        # A packet without intervals says that the strap itself missed them.
+        # A packet without intervals shows that the strap itself missed beats.
         is_told, self._was_empty = self._was_empty, not beats
         if not self._held:
             is_late = bool(beats) and self._late_s(packet) > REANCHOR_S
@@ -197,7 +196,7 @@ class StoredBeats:
         return placed + self._decided()
 
     def _decided(self) -> list[PlacedBeat]:
-        """Place what is held back as far as it is clear what happened."""
+        """Place the packets held back, as far as the cause of their delay is clear."""
         placed: list[PlacedBeat] = []
         while self._held:
             if self._late_s(self._held[0]) <= REANCHOR_S:
@@ -217,7 +216,7 @@ class StoredBeats:
 
     @property
     def _shrinks(self) -> bool:
-        """Whether later packets are less late than the first, or not late at all."""
+        """Whether later packets are less late than the first one, or not late at all."""
         late_s = self._lateness_s()
         if min(late_s) <= REANCHOR_S:
             return True
@@ -227,7 +226,7 @@ class StoredBeats:
         return self._is_fast(GROUP) or abs(change_s) > SHRINKS_S
 
     def _is_fast(self, begin: int) -> bool:
-        """Whether packets came so fast that they had been stored."""
+        """Whether packets arrived so fast that they must have been stored."""
         group = self._held[begin : begin + GROUP]
         if len(group) < GROUP:
             return False
@@ -235,7 +234,7 @@ class StoredBeats:
         return group[-1].arrival_s - group[0].arrival_s < STORED_PACE * beaten_s
 
     def _lateness_s(self) -> list[float]:
-        """Return how late each packet is if nothing is missing."""
+        """Return how late each packet is, assuming that no intervals are missing."""
         earlier_s, late_s = 0.0, list[float]()
         for packet in self._held:
             late_s.append(self._late_s(packet) - earlier_s)

@@ -1,4 +1,4 @@
-"""Turns the values of a heart-rate strap into samples of the declared streams."""
+"""Converts a heart-rate strap's values to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
 from biosensor_gateway.devices.sink import Sink
 
 NO_INTERVAL_LIMIT_S = 5.0
-"""A heart that beats makes an interval within this time."""
+"""A beating heart produces an interval within this time."""
 
 
 def _contact_alone(in_contact: bool) -> Sequence[float]:
@@ -25,23 +25,23 @@ def _contact_alone(in_contact: bool) -> Sequence[float]:
 
 
 class StrapEmitter:
-    """Turns characteristic values into samples; one instance a device, over all connections.
+    """Converts characteristic values to samples; one instance per device, over all connections.
 
-    Nothing of a strap is stamped by the device: times are those of arrival, and
-    beats are placed before it by their intervals.
+    Straps send no timestamps: samples get their arrival time, and beats are placed before it by
+    their intervals.
 
     Parameters
     ----------
     quality
-        Makes a sample of ``quality`` of whether the skin is felt.
+        Creates a ``quality`` sample from the skin contact.
     trusts_contact
-        A heart rate is not expected while the skin is not felt.
+        Expect no heart rate while there is no skin contact.
 
     Attributes
     ----------
     has_better_intervals
-        The device sends its intervals elsewhere too, so those of the heart rate
-        measurement are passed over.
+        The device sends better intervals by other means, so those of the heart rate measurement
+        are ignored.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class StrapEmitter:
         Parameters
         ----------
         arrival_s
-            LSL clock when it arrived.
+            LSL time of arrival.
         """
         measured = parse_measurement(data)
         if measured is None:
@@ -82,7 +82,7 @@ class StrapEmitter:
         self._intervals(measured, arrival_s)
         in_contact = self._in_contact(measured, arrival_s)
         if not in_contact and self._trusts_contact:
-            # Some stop measuring while nobody wears them.
+            # Some straps stop measuring while they are not worn.
             self._sink.excuse("hr")
         self._sink.emit_at("quality", [self._quality(in_contact)], [arrival_s])
 
@@ -93,16 +93,16 @@ class StrapEmitter:
             self._sink.emit_at("bat", [percent], [arrival_s])
 
     def signal_strength(self, rssi_dbm: int | None, time_s: float) -> None:
-        """Emit ``rssi``, which is known only before the connection; None is "unknown"."""
+        """Emit ``rssi``, which is only known before the connection; None if unknown."""
         if rssi_dbm is not None:
             self._sink.emit_at("rssi", [rssi_dbm], [time_s])
 
     def _intervals(self, measured: HeartRateMeasurement, arrival_s: float) -> None:
         if self.has_better_intervals:
-            return  # nothing is dropped: the sensor tells better ones
+            return  # nothing is dropped: the sensor sends better ones
         intervals_s = measured.intervals_s
         if measured.is_saturated:
-            # Nobody knows how long it was: beats are counted again from the one that ended it.
+            # The length of this interval is unknown, so the beat clock restarts at its end.
             self._emit(self._beats.restart())
             intervals_s = measured.intervals_s_since_saturation
         placed = self._beats.place([Beat(each) for each in intervals_s], arrival_s)

@@ -36,16 +36,16 @@ _HAS_INTERVALS = 1 << 4
 
 @dataclass(frozen=True, slots=True)
 class HeartRateMeasurement:
-    """What a strap sends about once a second.
+    """A measurement, which straps send about once a second.
 
     Attributes
     ----------
     bpm
         Heart rate [1/min]; 0 = no reading.
     contact
-        Whether the skin is felt; None if the strap does not tell.
+        Whether there is skin contact; None if not reported.
     energy_kj
-        Energy expended since the last reset [kJ]; None if the strap does not tell.
+        Energy expended since the last reset [kJ]; None if not reported.
     intervals
         R-R intervals that ended since the last measurement [1/1024 s], oldest first.
     """
@@ -62,12 +62,12 @@ class HeartRateMeasurement:
 
     @property
     def is_saturated(self) -> bool:
-        """Whether an interval was longer than the field can tell, 64 s, or has no value."""
+        """Whether an interval exceeds the range of the field, 64 s, or has no value."""
         return _SATURATED in self.intervals
 
     @property
     def intervals_s_since_saturation(self) -> tuple[float, ...]:
-        """R-R intervals in seconds behind the last one of unknown length."""
+        """R-R intervals in seconds after the last one of unknown length."""
         from_end = self.intervals[::-1]
         return _in_seconds(self.intervals[len(from_end) - from_end.index(_SATURATED) :])
 
@@ -77,9 +77,9 @@ def _in_seconds(intervals: tuple[int, ...]) -> tuple[float, ...]:
 
 
 def parse_measurement(data: bytes) -> HeartRateMeasurement | None:
-    """Read a Heart Rate Measurement; None if it is cut short.
+    """Parse a Heart Rate Measurement; None if it is truncated.
 
-    An odd byte behind the intervals and the reserved flags are passed over.
+    A surplus byte after the intervals and reserved flags are ignored.
     """
     flags = data[0] if data else 0
     rate = "H" if flags & _RATE_IS_16_BIT else "B"
@@ -97,11 +97,11 @@ def parse_measurement(data: bytes) -> HeartRateMeasurement | None:
 
 
 def parse_battery_level(data: bytes) -> int | None:
-    """Read a Battery Level in percent; None if it is none."""
+    """Parse a Battery Level in percent; None if it is invalid."""
     return data[0] if data and data[0] <= 100 else None
 
 
 def parse_text(data: bytes) -> str:
-    """Read a text of the Device Information service; what cannot be printed is left out."""
+    """Parse a text of the Device Information service, without unprintable characters."""
     text = data.decode("utf-8", errors="ignore")
     return "".join(character for character in text if character.isprintable()).strip()

@@ -1,4 +1,4 @@
-"""The services that every heart-rate strap offers, on a connection that others may share."""
+"""The services common to all heart-rate straps, on a possibly shared connection."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Strap:
     Parameters
     ----------
     link
-        Whoever reads its notifications offers them to :meth:`take`.
+        The caller reads its notifications and passes them to :meth:`take`.
     """
 
     def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:
@@ -41,9 +41,9 @@ class Strap:
         self._level: tuple[bytes, float] | None = None
 
     async def start(self) -> DeviceInfo:
-        """Subscribe to the heart rate; return what the device says of itself.
+        """Subscribe to the heart rate; return the device information.
 
-        What the device does not have is left out.
+        Services that the device lacks are skipped.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Strap:
         return info
 
     async def identify(self) -> DeviceInfo:
-        """Return what the device says of itself; raises TransportError as :meth:`start` does."""
+        """Return the device information; raises TransportError like :meth:`start`."""
         return DeviceInfo(
             manufacturer=await self._text(MANUFACTURER_NAME),
             model=await self._text(MODEL_NUMBER),
@@ -67,7 +67,7 @@ class Strap:
         )
 
     async def ask_for_battery(self) -> dict[str, str]:
-        """Read the battery's level, which is emitted with the first data; return its refusal.
+        """Read the battery level, to be emitted with the first data; return why it is denied.
 
         Raises
         ------
@@ -80,20 +80,20 @@ class Strap:
             except AttError as error:
                 return {"bat": f"its level cannot be read: ATT error 0x{error.code:02X}"}
             except TransportError as error:
-                # Whether the silence lasts, the watchdog tells.
+                # If the silence lasts, the watchdog of the streams reports it.
                 if error.reason is not TransportReason.SILENT:
                     raise
         return {}
 
     def take(self, notification: Notification) -> None:
-        """Emit what a notification holds; one that is not the strap's is passed over."""
+        """Emit the contents of a notification; other characteristics are ignored."""
         if notification.uuid == HEART_RATE_MEASUREMENT:
             self._emitter.measurement(notification.data, notification.arrival)
         elif notification.uuid == BATTERY_LEVEL:
             self._emitter.battery(notification.data, notification.arrival)
 
     async def watch_battery(self) -> None:
-        """Emit the battery's level now, and then as often as the device notifies or 5 min pass.
+        """Emit the battery level now, and then at each notification or every 5 min.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class Strap:
             self._emitter.battery(*self._level)
         elif "read" in properties:
             await self._read_battery()
-        # Not before: BlueZ passes a value that is read on as a notification, too.
+        # Subscribed after reading, because BlueZ also passes on values read as notifications.
         if "notify" in properties and await self._subscribe_to_battery():
             return
         while "read" in properties:
@@ -113,13 +113,13 @@ class Strap:
             await self._read_battery()
 
     async def subscribe_again(self) -> None:
-        """Unsubscribe from the heart rate and subscribe; raises as :meth:`start` does."""
+        """Unsubscribe from the heart rate and subscribe again; raises like :meth:`start`."""
         if self._link.has(HEART_RATE_MEASUREMENT):
             await self._link.unsubscribe(HEART_RATE_MEASUREMENT)
             await self._link.subscribe(HEART_RATE_MEASUREMENT)
 
     async def stop(self) -> None:
-        """Unsubscribe; raises as :meth:`start` does."""
+        """Unsubscribe; raises like :meth:`start`."""
         if self._link.has(HEART_RATE_MEASUREMENT):
             await self._link.unsubscribe(HEART_RATE_MEASUREMENT)
 

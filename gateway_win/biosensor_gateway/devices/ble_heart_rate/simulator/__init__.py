@@ -24,19 +24,19 @@ from biosensor_gateway.simulation.world import World
 class SimulatedHeartRateStrap(StrapDevice):
     """Heart Rate, Battery and Device Information services, and nothing else.
 
-    Its measurements tell whether the strap touches the skin and carry R-R intervals.
-    Without contact the rate is 0 and there are no intervals.
+    Its measurements contain the skin contact and R-R intervals. Without contact the rate is 0 and
+    there are no intervals.
 
     Parameters
     ----------
     world, radio
-        Where it lives, and the air that it is heard on.
+        Simulated world and radio.
     address, name
         As advertised.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     demands_pairing
-        Tells its heart rate only to a host that has paired.
+        Sends its heart rate only to a paired host.
     **specimen
         As for every virtual device: see `Specimen`.
     """
@@ -84,5 +84,5 @@ class SimulatedHeartRateStrap(StrapDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._address}

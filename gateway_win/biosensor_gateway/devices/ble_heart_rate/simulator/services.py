@@ -1,4 +1,4 @@
-"""The services of a virtual strap, and the heart rate measurement that it sends."""
+"""The GATT services of a virtual strap, and its heart rate measurement."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CONTACT = 0x02
 _CONTACT_SUPPORTED = 0x04
 _ENERGY = 0x08
 _INTERVALS = 0x10
-# Each ends within a field that its flags promise.
+# Each value ends inside a field announced by its flags.
 _DAMAGED = ("", "10", "00", "0148", "184800", "0848", "1f2c01", "0d48", "0948", "01")
 
 
@@ -30,11 +30,11 @@ class HeartRateMeasurement(NamedTuple):
     Attributes
     ----------
     bpm
-        Heart rate [1/min]; 0 where there is none.
+        Heart rate [1/min]; 0 if there is none.
     rr
-        R-R intervals [1/1024 s], oldest first; None of a device that sends none at all.
+        R-R intervals [1/1024 s], oldest first; None for a device that never sends any.
     contact
-        None of a device that does not tell.
+        Skin contact; None for a device that does not report it.
     energy_kj
         Energy expended since the last reset [kJ], None if not sent.
     """
@@ -51,7 +51,7 @@ def encode(measurement: HeartRateMeasurement, *, wide: bool = False) -> bytes:
     Parameters
     ----------
     wide
-        Write the rate in two bytes even if one would do.
+        Write the rate in two bytes even if one is enough.
     """
     wide = wide or measurement.bpm > 0xFF
     flags = _WIDE * wide
@@ -68,7 +68,7 @@ def encode(measurement: HeartRateMeasurement, *, wide: bool = False) -> bytes:
 
 
 def damaged(count: int) -> Iterator[bytes]:
-    """Return so many values that are too short for their flags."""
+    """Return values that are too short for their flags."""
     return (bytes.fromhex(text) for text in islice(cycle(_DAMAGED), count))
 
 
@@ -81,7 +81,7 @@ _NOTIFY = Characteristic.Properties.NOTIFY
 
 @dataclass(frozen=True)
 class Identity:
-    """What the Device Information service (0x180A) says.
+    """Contents of the Device Information service (0x180A).
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Identity:
     software: str = ""
 
     def service(self) -> Service:
-        """Describe the service."""
+        """Return the service with these texts."""
         texts = {
             0x2A29: self.manufacturer,
             0x2A24: self.model,
@@ -132,7 +132,7 @@ class HeartRateService:
         self.service = Service(UUID.from_16_bits(0x180D), [self.measurement, where])
 
     def demand_pairing(self) -> None:
-        """Let only a host that has paired subscribe to the measurement."""
+        """Allow only a paired host to subscribe to the measurement."""
         self.measurement.permissions |= Attribute.Permissions.WRITE_REQUIRES_AUTHENTICATION
 
 
@@ -142,7 +142,7 @@ class BatteryService:
     Parameters
     ----------
     read
-        Called when a host reads the level; returns it [percent].
+        Called when a host reads the level; returns the level [percent].
 
     Attributes
     ----------

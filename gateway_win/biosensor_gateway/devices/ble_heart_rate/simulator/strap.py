@@ -1,6 +1,6 @@
-"""The parts of every heart-rate strap: power, skin contact, a battery, a pulse once a second.
+"""The parts common to virtual heart-rate straps: power, skin contact, battery, heart rate.
 
-A virtual device is built around a `Strap` and adds what it can do besides.
+A virtual device contains a `Strap` and adds its own features.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _NO_COMMANDS = "without a control point there is no command to refuse or to answ
 EXPECTED = Expected(
     without_contact=("hr", "ibi"),
     by_agent=frozenset({"quality"}),
-    # Of a beat, what is known of when it was in the second before its packet.
+    # The timing of a beat is only known to be in the second before its packet.
     unstamped_s={"hr": 0.0, "ibi": 0.1},
     impossible={
         FaultKind.REFUSE: _NO_COMMANDS,
@@ -64,7 +64,7 @@ class Interval(NamedTuple):
     time
         LSL time of the second peak.
     rr
-        Length [1/1024 s of the device's oscillator].
+        Length [1/1024 s by the device's oscillator].
     """
 
     time: float
@@ -74,17 +74,17 @@ class Interval(NamedTuple):
 class BeatDetector:
     """Finds R peaks and measures the intervals between them.
 
-    The ends of the intervals are rounded, not their lengths, so that the sum over many
-    beats stays exact.
+    The ends of intervals are rounded instead of their lengths, so that sums over many beats stay
+    exact.
 
     Parameters
     ----------
     oscillator
-        Of the device since its power-on.
+        Oscillator of the device since power-on.
     origin_s
         LSL time at which the wearer's time is 0.
     begin_s
-        LSL time from which beats are looked for.
+        LSL time of the start of the search.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class BeatDetector:
 
     @property
     def bpm(self) -> int:
-        """Rate over the last four intervals [1/min]; 0 until there is one."""
+        """Rate over the last four intervals [1/min]; 0 before the first one."""
         if not self._recent:
             return 0
         return round(60 * RR_TICKS_PER_S * len(self._recent) / sum(self._recent))
@@ -119,7 +119,7 @@ class BeatDetector:
         return intervals
 
     def begin_at(self, time_s: float) -> None:
-        """Look for no beat before an LSL time, as that at which the device was put on."""
+        """Ignore beats before an LSL time, for example when the device was put on."""
         if time_s > self._searched_s:
             self.lose(time_s)
 
@@ -146,7 +146,7 @@ class Pulse:
     Attributes
     ----------
     repeats
-        The last interval of each measurement is told in the next one again.
+        The last interval of each measurement is repeated in the next one.
     """
 
     def __init__(self, detector: BeatDetector, *, tells_contact: bool, sends_rr: bool) -> None:
@@ -160,11 +160,11 @@ class Pulse:
 
     @property
     def bpm(self) -> int:
-        """The rate that is shown [1/min]; 0 = none."""
+        """The displayed rate [1/min]; 0 = none."""
         return self._detector.bpm
 
     def measure(self, until_s: float, *, worn: bool) -> HeartRateMeasurement:
-        """Return what there is to send at an LSL time."""
+        """Return the measurement to send at an LSL time."""
         self._worn = worn
         if worn:
             self._intervals = self._detector.search(until_s)
@@ -180,7 +180,7 @@ class Pulse:
         )
 
     def note(self, truth: Truth, measured_s: float, *, sent: bool) -> None:
-        """Enter the last measurement as sent or as lost."""
+        """Record the last measurement in the truth as sent or lost."""
         rows: dict[str, tuple[list[float], list[tuple[float]]]] = {
             "quality": ([measured_s], [(float(self._worn),)])
         }
@@ -197,46 +197,45 @@ class Pulse:
 
 
 class Strap:
-    """A strap on the air; everything but the constructor is for the world's loop.
+    """A strap with its radio; everything except the constructor runs in the world's event loop.
 
     Parameters
     ----------
     peripheral
         Its radio.
     truth
-        Takes what it measured.
+        Record of everything measured.
     specimen
-        Who wears it, and what its oscillator and its radio are like.
+        Its wearer, and the properties of its oscillator and radio.
     identity, location
-        What its services say about it.
+        Contents of its services.
     tells_contact, sends_rr
-        What its heart rate measurements carry.
+        Contents of its heart rate measurements.
     off_body_drop_s
-        So long after it left the skin it switches itself off, until it is put on again.
+        Time without skin contact after which it switches off, until it is put on again.
 
     Attributes
     ----------
     services
-        Its GATT table; may be extended until it is switched on.
+        Its GATT services; may be extended until it is switched on.
     oscillator
-        Device time since power-on.
+        Device clock since power-on.
     origin_s
-        LSL time at which the wearer's time is 0: when it was first switched on.
+        LSL time at which the wearer's time is 0, which is the first power-on.
     worn, battery_percent
-        As they are now.
+        Current state.
     power
-        Switches it on and off.
+        Power switch.
     put_on_s
         LSL time at which it was last put on; -inf if it was never taken off.
     pulse
         Its heart rate measurement.
     is_unreadable
-        Whether what it measures comes in a form that nobody knows.
+        Whether it sends measurements in an unknown format.
     pulse_every_s
-        Its heart rate comes so often; 0 = not at all.
+        Interval between heart rate measurements; 0 = none.
     on_power_on, on_power_off, on_second
-        Called when it has been switched on, before it is switched off, and after
-        every measurement.
+        Called after power-on, before power-off, and after every measurement.
     """
 
     def __init__(
@@ -290,40 +289,40 @@ class Strap:
         await self.power.want(False)
 
     def drop(self) -> None:
-        """Be out of reach."""
+        """Move it out of range."""
         self.peripheral.drop()
 
     def restore(self) -> None:
-        """Be in reach again."""
+        """Move it back into range."""
         self.peripheral.restore()
 
     def babble(self, packets: float) -> None:
-        """Send so many damaged heart rate measurements."""
+        """Send damaged heart rate measurements."""
         self.run(self._send_garbage(round(packets)))
 
     def forget(self, _: float = 0.0) -> None:
-        """Take it that nobody has subscribed to the heart rate."""
+        """Forget the subscription to the heart rate."""
         self.peripheral.forget_subscription(self.heart_rate.measurement)
 
     def deny_by_turns(self, characteristics: Sequence[Characteristic[bytes]]) -> None:
-        """Have each `deny` deny the battery or one of these, instead of the heart rate."""
+        """Let successive calls of `deny` deny the battery or these in turn, not the heart rate."""
         self._to_deny = cycle((self._battery.level.uuid, *(each.uuid for each in characteristics)))
 
     def deny(self) -> None:
-        """Break the link, and refuse one signal from now on, another each time."""
+        """Break the link, and refuse one signal from now on, a different one each time."""
         self.peripheral.deny((next(self._to_deny),))
         self.break_link()
 
     def allow(self) -> None:
-        """Refuse no signal any more."""
+        """Stop refusing signals."""
         self.peripheral.deny(())
 
     def discharge(self, percent: float) -> None:
-        """Have so much charge left, and say so."""
+        """Set the battery level and notify it."""
         self.run(self._set_battery(round(percent)))
 
     def take_off(self) -> None:
-        """Be taken off the skin."""
+        """Take it off the skin."""
         self.worn = False
         if isfinite(self._off_body_drop_s):
             self._leaving = asyncio.get_running_loop().call_later(
@@ -331,24 +330,24 @@ class Strap:
             )
 
     def put_on(self) -> None:
-        """Be put on again, which switches it on."""
+        """Put it on again, which switches it on."""
         self.worn, self.put_on_s = True, self.oscillator.clock()
         if self._leaving is not None:
             self._leaving.cancel()
         self.power.release(FaultKind.OFF_BODY)
 
     def drift(self, ppm: float) -> None:
-        """Let the oscillator run so much too fast."""
+        """Let the oscillator run too fast."""
         self._drift_ppm = ppm
         self.oscillator.set_drift(ppm)
 
     def break_link(self) -> None:
-        """Lose the host, and be there again at once."""
+        """Break the link; it is connectable again at once."""
         self.drop()
         self.restore()
 
     def run(self, coroutine: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Run a coroutine beside everything else, until power-off at the longest."""
+        """Run a coroutine in the background, until power-off at most."""
         task = asyncio.create_task(coroutine)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -368,7 +367,7 @@ class Strap:
 
     async def _power_off(self) -> None:
         _call(self.on_power_off)
-        # What is on the air now still arrives, and who has sent it notes so.
+        # Packets being sent still arrive, and their senders record them as sent.
         await self.peripheral.power_off()
         for task in self._tasks:
             task.cancel()
@@ -429,7 +428,7 @@ STRAP_EFFECTS: Effects[Strap] = MappingProxyType(
         FaultKind.DRIFT: Effect(Strap.drift),
     }
 )
-"""What can happen to every strap."""
+"""Faults and effects common to all straps."""
 
 
 def _call(functions: Sequence[Callable[[], None]]) -> None:
@@ -438,7 +437,7 @@ def _call(functions: Sequence[Callable[[], None]]) -> None:
 
 
 class StrapDevice(VirtualDevice):
-    """A virtual device that is on while its strap is; a subclass makes the strap."""
+    """A virtual device around a strap, which subclasses create."""
 
     _strap: Strap
 

@@ -1,4 +1,4 @@
-"""The conversation with a Movesense sensor, and its settings."""
+"""Driver for Movesense sensors, and its settings."""
 
 from __future__ import annotations
 
@@ -93,21 +93,21 @@ class MovesenseSettings(DeviceSettings):
 
 
 class _Conversation(BleSession[Notification, bytes]):
-    """What is said over one connection."""
+    """The commands and answers on one connection."""
 
     def __init__(self, link: BleLink) -> None:
         super().__init__(link, self._receive, self._send, RESTART_ADVICE)
         self._answers = True
 
     async def begin(self) -> Greeting:
-        """Listen, and ask the device what it is.
+        """Subscribe, and query the device information.
 
         Raises
         ------
         TransportError
             ``LOST`` or ``SILENT``.
         ProtocolError
-            ``UNSUPPORTED`` by its firmware, ``NO_REPLY`` or ``REFUSED``.
+            ``UNSUPPORTED`` firmware, ``NO_REPLY`` or ``REFUSED``.
         """
         if not (self.link.has(COMMAND) and self.link.has(DATA)):
             message = (
@@ -115,7 +115,7 @@ class _Conversation(BleSession[Notification, bytes]):
                 "firmware to 2.3 or newer with the Movesense app"
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
-        # Before the first command, whose answer would be lost otherwise.
+        # Before the first command, otherwise its answer would be lost.
         await self.link.subscribe(DATA)
         self.dialogue.begin()
         answer = await self._ask(protocol.hello(HELLO_REFERENCE), HELLO_REFERENCE)
@@ -127,10 +127,10 @@ class _Conversation(BleSession[Notification, bytes]):
         return greeting
 
     async def subscribe(self, measurement: Measurement) -> int:
-        """Have the device send a measurement; return the status of a refusal, 0 if there is none.
+        """Subscribe to a measurement; return the status of a refusal, 0 if there is none.
 
-        Firmware of the first version answers only where it has no room: without an answer it is
-        taken at its word, and what does not come is noticed.
+        First-version firmware only answers if it has no free slot. A missing answer counts as
+        success, and the watchdog detects streams without data.
 
         Raises
         ------
@@ -149,7 +149,7 @@ class _Conversation(BleSession[Notification, bytes]):
         return answer.status if answer is not None and answer.is_refusal else 0
 
     async def unsubscribe(self, measurement: Measurement) -> None:
-        """End a measurement without waiting for an answer; raises as :meth:`subscribe` does."""
+        """End a measurement without waiting for an answer; raises like :meth:`subscribe`."""
         await self._send(protocol.unsubscribe(measurement.reference))
 
     async def _ask(self, command: bytes, reference: int) -> Message:
@@ -167,7 +167,7 @@ def _answer_to(reference: int) -> Callable[[Notification], Message | None]:
         message = parse_message(notification.data) if notification.uuid == DATA else None
         if message is None or message.reference != reference:
             return None
-        # Where data come, the answer to the subscription is lost or on its way.
+        # If data arrive, the answer to the subscription was lost or is delayed.
         return message if message.kind in (Kind.ANSWER, Kind.DATA) else None
 
     return answer
@@ -186,12 +186,12 @@ class MovesenseDriver:
     Parameters
     ----------
     sink
-        Its ``dropped_bytes`` are counted here.
+        Its ``dropped_bytes`` are increased here.
     rates
-        Nominal rates by data name, of the streams that have one.
+        Nominal rates of regular streams by data name.
     """
 
-    # Without ECG and movement there may be the temperature alone.
+    # With ECG and movement off, there may only be the temperature.
     silence_limit_s = 60.0
 
     def __init__(
@@ -234,13 +234,13 @@ class MovesenseDriver:
         )
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes; see the protocol class."""
+        """Emit data received since connecting; see the protocol class."""
         await self._conversation.stream(
             self._take, self._emitter.strap.signal_strength, self._strap.watch_battery
         )
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start again what is behind silent streams, and what comes too rarely to be missed."""
+        """Restart the measurements of silent streams, and those too rare for monitoring."""
         for each in self._wanted.values():
             if each.rate_hz is None or not streams.isdisjoint(each.streams):
                 await self._conversation.unsubscribe(each)
@@ -305,7 +305,7 @@ def _measurements(settings: MovesenseSettings) -> Sequence[Measurement]:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(MovesenseSettings, settings)
     silent = _REGULAR - own.wanted
     emitter = MovesenseEmitter(sink, silent)
@@ -329,6 +329,6 @@ def identify(seen: Advertisement) -> str | None:
 
 
 recognise = by_advertisement("movesense", identify)
-# The third text of the greeting.
+# The address is the third text of the greeting.
 IDENTIFIERS = (re.compile(rb"\0([0-9A-Fa-f:-]{12,17})\0"),)
 DRIVER = DriverEntry(MovesenseSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)

@@ -1,4 +1,4 @@
-"""Turns what a device measures into samples of the declared streams."""
+"""Converts a device's measurements to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 1.0
 
-# A packet is stamped at its first sample, in whole milliseconds. The rate is only about the nominal
-# one: the movement sensor has an oscillator of its own.
+# A packet has the timestamp of its first sample in whole milliseconds. The real rate deviates from
+# the nominal one, because the movement sensor has its own oscillator.
 RATE_TOLERANCE = 0.15
 WINDOW_PACKETS = 256
-"""20 s: a millisecond is 50 ppm of that."""
+"""About 20 s, of which the resolution of 1 ms is 50 ppm."""
 _TURN_MS = 1 << 32
 
 
 class Placed(NamedTuple):
-    """A packet's place on the device's clock.
+    """A packet's times on the device's clock.
 
     Attributes
     ----------
     times_s
         Device clock of each sample, ascending.
     lost
-        Samples missing before them.
+        Number of samples missing before them.
     """
 
     times_s: list[float]
@@ -59,13 +59,13 @@ class Placed(NamedTuple):
 
 
 class StampClock:
-    """Follows stamps of 32 bits over their roll-over, after 49.7 days."""
+    """Unwraps 32-bit timestamps, which overflow after 49.7 days."""
 
     def __init__(self) -> None:
         self._newest_ms: int | None = None
 
     def read(self, stamp_ms: int) -> float:
-        """Return the device's time in seconds; packets may come half a turn late at most."""
+        """Return the device's time in seconds; packets may be late by up to half the range."""
         if self._newest_ms is None:
             self._newest_ms = stamp_ms
             return stamp_ms / 1000
@@ -75,20 +75,20 @@ class StampClock:
         return read_ms / 1000
 
     def forget(self) -> None:
-        """Begin again with the next stamp."""
+        """Restart with the next timestamp."""
         self._newest_ms = None
 
 
 class PacketSeries:
-    """Packets of one measurement, followed over restarts and connections.
+    """Assigns times to the packets of one measurement, over restarts and connections.
 
-    Samples are chained by counting, at the rate that the stamps of the last 20 s have; the
-    stamps pull the chain only slowly, so that their rounding does not show.
+    Sample times are counted at the rate of the last 20 s. Timestamps correct them only slowly, so
+    that their rounding has no visible effect.
 
     Parameters
     ----------
     nominal_hz
-        Sampling rate that the device was asked for.
+        Requested sample rate.
     """
 
     def __init__(self, nominal_hz: float) -> None:
@@ -102,22 +102,22 @@ class PacketSeries:
         self._packets = 0
 
     def restart(self) -> None:
-        """Expect a new series of packets, which begins at any moment after the one before."""
+        """Expect a new series of packets, which may start at any time after the previous one."""
         self._is_new = True
 
     def restarted(self) -> PacketSeries:
-        """Return one that knows of no packet, for a device that counts again."""
+        """Return an empty series, for a device that restarted its clock."""
         return PacketSeries(self._nominal_hz)
 
     def place(self, stamp_s: float, count: int) -> Placed:
-        """Place the next packet.
+        """Assign times to the next packet.
 
         Parameters
         ----------
         stamp_s
-            Device clock at its first sample.
+            Device time of its first sample.
         count
-            Its samples, at least one.
+            Number of its samples, at least one.
         """
         period_s = self._period_s
         expected_s = stamp_s if self._next_s is None else self._next_s
@@ -139,7 +139,7 @@ class PacketSeries:
         return Placed([first_s + at * period_s for at in range(count)], lost)
 
     def _missing(self, late_s: float, count: int, period_s: float) -> int:
-        # Within a series whole packets are lost; where one begins, it is told by time alone.
+        # Within a series whole packets are lost; at its start only the time shows what is missing.
         unit = 1 if self._is_new else count
         return max(0, round(late_s / (unit * period_s))) * unit
 
@@ -154,16 +154,16 @@ class PacketSeries:
 
 
 class MovesenseEmitter:
-    """Turns packets into samples; one instance a device, over all its connections.
+    """Converts packets to samples; one instance per device, over all its connections.
 
     Attributes
     ----------
     strap
-        What the device has in common with every heart-rate strap: battery, signal strength.
+        Emitter for what all heart-rate straps have: battery, signal strength.
     log
-        Also for what is to be said once, and not at every connection.
+        Log of the device; its once-only messages appear once, not once per connection.
     silent
-        Data names that the settings switch off; some share a packet with what is wanted.
+        Data names that the settings switch off; some share a packet with wanted streams.
     """
 
     def __init__(self, sink: Sink, silent: Collection[str]) -> None:
@@ -193,12 +193,12 @@ class MovesenseEmitter:
             series.restart()
 
     def granted(self, measurement: Measurement) -> None:
-        """Note that the device measures it from now on."""
+        """Note that the device has accepted a measurement."""
         if measurement is HEART_RATE:
             self._searched_from_s = self._sink.clock()
 
     def take(self, measurement: Measurement, packet: Packet) -> None:
-        """Emit what a packet holds; one that makes no sense is counted and dropped."""
+        """Emit the samples of a packet; an invalid one is counted and dropped."""
         if measurement is HEART_RATE:
             is_readable = self._heart_rate(packet)
         elif measurement is TEMPERATURE:
@@ -266,7 +266,7 @@ class MovesenseEmitter:
         return True
 
     def _device_s(self, stamp_ms: int, arrival_s: float) -> float:
-        """Read a stamp; the first one of a connection tells whether the clock went on."""
+        """Unwrap a timestamp; the first one of a connection shows whether the clock restarted."""
         stamp_s = self._clock.read(stamp_ms)
         if self._restarts.counts_again(stamp_s, arrival_s):
             self.log.info("the device was switched off and counts again")
@@ -277,10 +277,10 @@ class MovesenseEmitter:
         return stamp_s
 
     def _quality(self, now_s: float) -> None:
-        """Tell about once a second whether a beat was seen lately: the device itself does not.
+        """Emit about once a second whether a beat was detected recently, as a contact signal.
 
-        Nothing is told while nobody knows: where the device looks for no beats, or has had no
-        time to find one.
+        The device itself does not report contact. Nothing is emitted while this is unknown: if the
+        device does not detect beats, or has had no time to find one.
         """
         last_s = self._searched_from_s if self._beat_s is None else self._beat_s
         if last_s is None or now_s - self._quality_s < QUALITY_PERIOD_S:

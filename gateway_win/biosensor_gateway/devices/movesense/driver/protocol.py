@@ -1,9 +1,9 @@
 """GATT SensorData Protocol: commands out, messages and their payloads in; no I/O and no clock.
 
 A command is ``command | reference | argument``, a message ``kind | reference | payload``, all
-little-endian; the reference, chosen by the host, ties them together [1]_. The first version
-answers ``HELLO`` with that word and subscriptions not at all [2]_, later ones name
-themselves and answer with a status as of HTTP [3]_.
+little-endian; the reference is chosen by the host and links them [1]_. The first version answers
+``HELLO`` with that word and does not answer subscriptions [2]_; later ones identify themselves and
+answer with an HTTP-like status [3]_.
 
 .. [1] https://www.movesense.com/docs/esw/gatt_sensordata_protocol
 .. [2] Movesense device library, samples/gatt_sensordata_app.
@@ -31,15 +31,14 @@ OUT_OF_SLOTS = 507
 _LAST_STATUS = 599
 _GREETING = b"Hello"
 
-# Arrays have no length of their own, they fill the payload. Where there are several, they are
-# equally long and stand one behind the other, not interleaved. The layouts are those that
-# Movesense's example programs read (samples/gatt_sensordata_app, Python and iOS clients). What the
-# documentation calls millivolts are whole microvolts: samples that came on both paths at a time had
-# the ratio 0.38147.
+# Arrays have no length field; they fill the payload. Several arrays have equal length and follow
+# each other, not interleaved. The layouts are those in Movesense's example programs
+# (samples/gatt_sensordata_app, Python and iOS clients). What the documentation calls millivolts
+# are whole microvolts: samples received on both paths at once had the ratio 0.38147.
 STAMP_BYTES = 4
 VECTOR_BYTES = 12
 ECG_SAMPLES = 16
-"""Of a packet, at all rates."""
+"""Samples per packet, at all rates."""
 MICROVOLTS_PER_COUNT = 0.381469726563
 _ABSOLUTE_ZERO_C = -273.15
 _FASTEST_BPM, _HOTTEST_K = 500.0, 1000.0
@@ -55,9 +54,9 @@ class Block(NamedTuple):
     Attributes
     ----------
     stamp_ms
-        Device clock at the first one, in ms since it was switched on, modulo 2**32.
+        Device time of the first sample, in ms since power-on, modulo 2**32.
     samples : array, shape (n_streams, n_samples, n_channels)
-        Of each stream that shares the packet.
+        Samples of all streams in the packet.
     """
 
     stamp_ms: int
@@ -65,20 +64,20 @@ class Block(NamedTuple):
 
 
 class HeartRate(NamedTuple):
-    """Mean heart rate [1/min], 0 if there is none, and R-R intervals [ms], oldest first."""
+    """Mean heart rate [1/min], 0 if none, and R-R intervals [ms], oldest first."""
 
     bpm: float
     intervals_ms: tuple[int, ...]
 
 
 def parse_ecg(payload: bytes, width: int) -> Block | None:
-    """Read a packet of ECG [uV]; None if it is cut short.
+    """Parse an ECG packet [uV]; None if it is truncated.
 
     Parameters
     ----------
     width
-        Bytes a sample: 4 for counts, 2 for microvolts. A packet that has as many samples as it
-        always has tells its width by itself.
+        Bytes per sample: 4 for counts, 2 for microvolts. Only used if the packet does not have the
+        usual number of samples, which shows the width.
     """
     body = payload[STAMP_BYTES:]
     width = len(body) // ECG_SAMPLES if len(body) in (2 * ECG_SAMPLES, 4 * ECG_SAMPLES) else width
@@ -90,19 +89,19 @@ def parse_ecg(payload: bytes, width: int) -> Block | None:
 
 
 def parse_vectors(payload: bytes, streams: int) -> Block | None:
-    """Read a packet of vectors of so many streams; None if it is cut short or has no numbers."""
+    """Parse a packet of vectors of several streams; None if truncated or not finite."""
     body = payload[STAMP_BYTES:]
     if not body or len(body) % (VECTOR_BYTES * streams):
         return None
     numbers = np.frombuffer(body, "<f4")
-    # Some that are no numbers cannot even be turned into float64 without a warning.
+    # Converting some NaN bit patterns to float64 causes a warning, so this is checked first.
     if not np.isfinite(numbers).all():
         return None
     return Block(_stamp(payload), numbers.astype(np.float64).reshape(streams, -1, 3))
 
 
 def parse_heart_rate(payload: bytes) -> HeartRate | None:
-    """Read a heart rate; None if it is cut short or makes no sense. It has no stamp."""
+    """Parse a heart rate, which has no timestamp; None if truncated or invalid."""
     if len(payload) < 4 or len(payload) % 2:
         return None
     (bpm,) = np.frombuffer(payload[:4], "<f4").tolist()
@@ -111,7 +110,7 @@ def parse_heart_rate(payload: bytes) -> HeartRate | None:
 
 
 def parse_temperature(payload: bytes) -> tuple[int, float] | None:
-    """Read a temperature: its stamp [ms], and degrees Celsius; None if it makes no sense."""
+    """Parse a temperature: timestamp [ms] and degrees Celsius; None if invalid."""
     if len(payload) != STAMP_BYTES + 4:
         return None
     (kelvin,) = np.frombuffer(payload[STAMP_BYTES:], "<f4").tolist()
@@ -119,7 +118,7 @@ def parse_temperature(payload: bytes) -> tuple[int, float] | None:
 
 
 def in_g(metres_per_second_squared: Floats) -> Floats:
-    """Turn accelerations as the device sends them into g."""
+    """Convert accelerations from the device's unit to g."""
     return metres_per_second_squared / STANDARD_GRAVITY
 
 
@@ -136,7 +135,7 @@ class Command(IntEnum):
 
 
 class Kind(IntEnum):
-    """First byte of a message; data that do not fit into one message go on in the next."""
+    """First byte of a message; data that do not fit into one message continue in the next."""
 
     ANSWER = 1
     DATA = 2
@@ -145,12 +144,12 @@ class Kind(IntEnum):
 
 
 class Message(NamedTuple):
-    """What the device sends.
+    """A message from the device.
 
     Attributes
     ----------
     reference
-        Of the command that it answers, or that asked for the data.
+        Reference of the command that it answers or that requested the data.
     """
 
     kind: Kind
@@ -159,26 +158,26 @@ class Message(NamedTuple):
 
     @property
     def status(self) -> int:
-        """Status of an answer, as of HTTP; 0 if it has none."""
+        """HTTP-like status of an answer; 0 if it has none."""
         status = int.from_bytes(self.payload[:2], "little")
-        # The first version has the bytes of its only one the other way round.
+        # The first version's only status has its bytes swapped.
         return status if status <= _LAST_STATUS else int.from_bytes(self.payload[:2], "big")
 
     @property
     def is_refusal(self) -> bool:
-        """Whether it answers that the command was not carried out."""
+        """Whether it reports that the command failed."""
         return self.kind is Kind.ANSWER and self.status >= FIRST_ERROR
 
 
 class Greeting(NamedTuple):
-    """What a device says of itself.
+    """The device information.
 
     Attributes
     ----------
     answers
         Whether it answers subscriptions.
     serial_number, product, app, app_version
-        Empty where it does not tell.
+        Empty if not reported.
     """
 
     answers: bool
@@ -192,17 +191,17 @@ _KINDS = frozenset(Kind)
 
 
 def parse_message(data: bytes) -> Message | None:
-    """Read a notification; None if it is none of this protocol."""
+    """Parse a notification; None if it does not belong to this protocol."""
     if len(data) < 2 or data[0] not in _KINDS:
         return None
     return Message(Kind(data[0]), data[1], data[2:])
 
 
 def parse_greeting(payload: bytes) -> Greeting:
-    """Read the answer to ``HELLO``, the one answer that has no status.
+    """Parse the answer to ``HELLO``, the only answer without a status.
 
-    A byte with the version, then texts that end with a zero byte: serial number, product,
-    address, name and version of the app that runs on the device.
+    It consists of a version byte, then zero-terminated texts: serial number, product, address,
+    name and version of the app on the device.
     """
     if payload == _GREETING:
         return Greeting(answers=False)
@@ -212,22 +211,22 @@ def parse_greeting(payload: bytes) -> Greeting:
 
 
 def is_refused_greeting(payload: bytes) -> bool:
-    """Whether the answer to ``HELLO`` is a status after all."""
+    """Whether the answer to ``HELLO`` is an error status."""
     return len(payload) == 2 and int.from_bytes(payload, "little") >= FIRST_ERROR
 
 
 def hello(reference: int) -> bytes:
-    """Command that asks the device what it is."""
+    """Return the command that requests the device information."""
     return bytes([Command.HELLO, reference])
 
 
 def subscribe(reference: int, path: str) -> bytes:
-    """Command that has the device send a measurement, named by its path."""
+    """Return the command that subscribes to a measurement, given its path."""
     return bytes([Command.SUBSCRIBE, reference]) + path.encode("ascii")
 
 
 def unsubscribe(reference: int) -> bytes:
-    """Command that ends that."""
+    """Return the command that ends a subscription."""
     return bytes([Command.UNSUBSCRIBE, reference])
 
 
@@ -242,22 +241,22 @@ class Packet(NamedTuple):
     arrival_s: float
 
 
-# Nothing in a part says whether another one follows. A packet is complete when it is as long as
-# those of its measurement are; if none ever is, what comes before the next first part is.
+# Parts do not indicate whether another one follows. A packet is complete when it has the usual
+# length of its measurement, or else when the next packet starts.
 class Assembler:
-    """Packets of one subscription.
+    """Assembles the packets of one subscription.
 
     Parameters
     ----------
     full_bytes
-        How long its packets are likely to be; 0 if each is complete as it comes.
+        Usual length of its packets; 0 if each part is a complete packet.
     sample_bytes
-        Their samples, of all streams together.
+        Size of one sample of all streams together.
 
     Attributes
     ----------
     dropped_bytes
-        Of parts that make no packet.
+        Bytes of parts without a complete packet.
     """
 
     def __init__(self, full_bytes: int, sample_bytes: int) -> None:
@@ -268,14 +267,14 @@ class Assembler:
         self._held: Packet | None = None
 
     def take(self, part: Message, arrival_s: float) -> list[Packet]:
-        """Return the packets that are complete now, at most two; usually one.
+        """Add a part; return the packets that are complete now, at most two.
 
         Parameters
         ----------
         part
-            A message of data.
+            A data message.
         arrival_s
-            LSL clock when it arrived.
+            LSL time of arrival.
         """
         if not self._full_bytes:
             return [Packet(part.payload, arrival_s)]
@@ -294,7 +293,7 @@ class Assembler:
         return complete
 
     def _give_up(self) -> list[Packet]:
-        """Return what is held if it may be a packet of another length than was likely."""
+        """Return the buffered parts if they may be a packet of unusual length."""
         held, self._held = self._held, None
         if held is None:
             return []
@@ -307,10 +306,10 @@ class Assembler:
 
 
 HELLO_REFERENCE = 1
-"""The others are those of the measurements; none is 0."""
+"""The measurements use other references; none is 0."""
 _ECG, _MOVEMENT, _HEART_RATE, _TEMPERATURE = 100, 99, 98, 97
 _PACKETS_PER_SECOND = 13
-"""Of movement, at all rates: 4 samples a packet at 52 Hz, 8 at 104 Hz."""
+"""Packets per second of movement data at all rates: 4 samples at 52 Hz, 8 at 104 Hz."""
 _SHARED = {
     frozenset({"acc"}): ("/Meas/Acc", ("acc",)),
     frozenset({"gyro"}): ("/Meas/Gyro", ("gyro",)),
@@ -329,15 +328,15 @@ class Measurement(NamedTuple):
     Attributes
     ----------
     reference
-        Which the device sends with its packets.
+        Sent by the device with each packet.
     streams
         Data names, in the order of the arrays in a packet.
     rate_hz
-        Nominal; None where packets come when there is something.
+        Nominal rate; None for irregular packets.
     full_bytes
-        How long a packet is likely to be; 0 where each is complete as it comes.
+        Usual length of a packet; 0 if each part is a complete packet.
     sample_bytes
-        Of all streams together.
+        Size of one sample of all streams together.
     """
 
     reference: int
@@ -353,7 +352,7 @@ TEMPERATURE = Measurement(_TEMPERATURE, "/Meas/Temp", ("temp",))
 
 
 def ecg(rate_hz: int, *, in_millivolts: bool) -> Measurement:
-    """Return the measurement of the ECG, as counts or in what the device calls millivolts."""
+    """Return the ECG measurement, in counts or in what the device calls millivolts."""
     width = 2 if in_millivolts else 4
     path = f"/Meas/ECG/{rate_hz}" + ("/mV" if in_millivolts else "")
     full = STAMP_BYTES + width * ECG_SAMPLES
@@ -361,7 +360,7 @@ def ecg(rate_hz: int, *, in_millivolts: bool) -> Measurement:
 
 
 def movement(wanted: Collection[str], rate_hz: int) -> Measurement:
-    """Return the measurement that has the wanted streams, all of them stamped together.
+    """Return the measurement that contains the wanted streams, with common timestamps.
 
     Parameters
     ----------

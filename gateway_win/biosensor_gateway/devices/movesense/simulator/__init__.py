@@ -39,7 +39,7 @@ _OPEN_ELECTRODES_UV = 30.0
 _DETECTION_PERIOD_S = 0.25
 _TEMPERATURE_PERIOD_S = 1.0
 _ABSOLUTE_ZERO_C = -273.15
-# Of the earth, as the device lies on the chest [uT].
+# The earth's magnetic field in the position on the chest [uT].
 _FIELD_UT = np.array([18.0, -2.0, 42.0])
 
 
@@ -47,31 +47,31 @@ class Pipe(Protocol):
     """Sends the packets of one subscription."""
 
     async def __call__(self, payload: bytes) -> bool:
-        """Send a packet; False if the host does not get all of it, or cannot read it."""
+        """Send a packet; return False if the host does not get all of it or cannot read it."""
         ...
 
 
 class MeasurementStream(Protocol):
-    """A measurement that is on."""
+    """A running measurement."""
 
     async def run(self) -> None:
-        """Measure and send for ever."""
+        """Measure and send until cancelled."""
         ...
 
     def end(self) -> None:
-        """Account for what was measured and not sent, once `run` is cancelled."""
+        """Record what was measured but not sent, after `run` was cancelled."""
         ...
 
 
 class SampledStream:
-    """Samples at a constant rate: ECG, or vectors that are measured together.
+    """Samples at a constant rate: ECG, or vectors measured together.
 
     Parameters
     ----------
     strap
-        Who measures.
+        The strap that measures.
     deviation
-        By which share the true rate is above the nominal one.
+        Relative deviation of the true rate from the nominal one.
     """
 
     def __init__(self, strap: Strap, resource: Resource, send: Pipe, deviation: float) -> None:
@@ -87,7 +87,7 @@ class SampledStream:
         self._count = wire.ECG_SAMPLES if is_ecg else resource.rate_hz // _PACKETS_PER_SECOND
 
     async def run(self) -> None:
-        """Measure and send for ever."""
+        """Measure and send until cancelled."""
         while True:
             await self._oscillator.reach(self._device_s(self._next + self._count - 1))
             first_s = self._device_s(self._next)
@@ -100,13 +100,13 @@ class SampledStream:
                 self._note(name, times, rows, sent=sent)
 
     def end(self) -> None:
-        """Account for the packet that was begun."""
+        """Record the unfinished packet."""
         measured = int((self._oscillator.now() - self._begin_s) * self._rate_hz) + 1
         for name in self._names:
             self._strap.truth.unsent(name, max(0, measured - self._next))
 
     def _packet(self, stamp_ms: int, times: Floats) -> tuple[bytes, list[Floats]]:
-        """Return the bytes, and the samples in units of the declaration."""
+        """Return the bytes, and the samples in declared units."""
         t = times - self._strap.origin_s
         wearer, worn = self._strap.wearer, self._strap.worn
         if self._resource.kind == "ecg":
@@ -132,7 +132,7 @@ class SampledStream:
 
 
 class HeartRateStream:
-    """Mean heart rate and R-R interval, with each beat; it has no stamp."""
+    """Mean heart rate and R-R interval, sent with each beat without a timestamp."""
 
     def __init__(self, strap: Strap, send: Pipe) -> None:
         self._strap = strap
@@ -141,7 +141,7 @@ class HeartRateStream:
         self._detector = BeatDetector(strap.wearer, strap.oscillator, strap.origin_s, now_s)
 
     async def run(self) -> None:
-        """Look for beats and send them for ever."""
+        """Detect and send beats until cancelled."""
         oscillator = self._strap.oscillator
         device_s = oscillator.now()
         while True:
@@ -158,7 +158,7 @@ class HeartRateStream:
                     self._strap.truth.sent("ibi", [interval.time], [(length_ms / 1000,)])
 
     def end(self) -> None:
-        """Nothing is missing: the next beat is told by the next subscription."""
+        """Do nothing: the next subscription sends the next beat."""
 
 
 class TemperatureStream:
@@ -169,7 +169,7 @@ class TemperatureStream:
         self._send = send
 
     async def run(self) -> None:
-        """Measure and send for ever."""
+        """Measure and send until cancelled."""
         oscillator = self._strap.oscillator
         device_s = oscillator.now()
         while True:
@@ -183,11 +183,11 @@ class TemperatureStream:
                 self._strap.truth.sent("temp", [measured_s], [(held,)])
 
     def end(self) -> None:
-        """Nothing is missing: it is irregular."""
+        """Do nothing: an irregular stream has no missing samples."""
 
 
 def stream(strap: Strap, resource: Resource, send: Pipe, deviation: float) -> MeasurementStream:
-    """Return what measures a resource."""
+    """Return the measurement of a resource."""
     match resource.kind:
         case "hr":
             return HeartRateStream(strap, send)
@@ -196,7 +196,7 @@ def stream(strap: Strap, resource: Resource, send: Pipe, deviation: float) -> Me
         case "ecg":
             return SampledStream(strap, resource, send, 0.0)
         case _:
-            # It has an oscillator of its own.
+            # The movement sensor has its own oscillator.
             return SampledStream(strap, resource, send, deviation)
 
 
@@ -207,10 +207,10 @@ def _vectors(wearer: Wearer, name: str, t: Floats) -> Floats:
     return np.stack(axes, axis=1) + (_FIELD_UT if name == "mag" else 0.0)
 
 
-# The heart rate service, and what the vendor is assigned.
+# The heart rate service, and the UUID assigned to the vendor.
 _ADVERTISED = ("180d", "fdf3")
 _DENIABLE = ("hr", "temp", "ecg", "movement")
-"""What is denied, one at each time."""
+"""Measurements that are denied, one at a time."""
 
 EXPECTED = replace(
     ANY_STRAP,
@@ -219,9 +219,9 @@ EXPECTED = replace(
         Untidiness.RATE: "who subscribes says the rate, in the path",
         Untidiness.STRAY: "a message of another subscription is one of garbage",
     },
-    # It is switched off.
+    # The device is off during the gap.
     gaps={FaultKind.RESTART: Gap.STOPPED},
-    # Each connection begins a new series, which is placed by time.
+    # Each connection starts a new series, whose start is only known by time.
     loss_tolerance=LossTolerance(over_break=2),
 )
 
@@ -230,28 +230,28 @@ _Properties = Characteristic.Properties
 
 
 class _SensorDataService:
-    """Adds the protocol to a strap.
+    """Adds the service of the protocol to a strap.
 
     Parameters
     ----------
     strap
-        Gets the service; must not be switched on yet.
+        Gets the service; must be off.
     serial
-        Of which it tells.
+        Serial number that it reports.
     is_old
-        The first version of the firmware: it answers subscriptions only by data, or where it
-        has no room for them.
+        Simulate first-version firmware, which answers subscriptions only with data, or if it has
+        no free slot.
     deviation
-        By which share the movement sensor is faster than it should be.
+        Relative deviation of the movement sensor's rate.
 
     Attributes
     ----------
     answer_delay_s
-        Every command is answered so late.
+        Delay of every answer.
     refuses
-        Every command is refused.
+        Whether every command is refused.
     denied
-        Kinds of what there is no room for: ``ecg``, ``hr``, ``temp`` or ``movement``.
+        Kinds of measurements without a free slot: ``ecg``, ``hr``, ``temp`` or ``movement``.
     """
 
     def __init__(self, strap: Strap, serial: str, *, is_old: bool, deviation: float) -> None:
@@ -279,12 +279,12 @@ class _SensorDataService:
         strap.peripheral.on_disconnected.append(self._lose_host)
 
     def forget(self) -> None:
-        """End all measurements without a word."""
+        """End all measurements silently."""
         for reference in list(self._running):
             self._end(reference)
 
     def babble(self, packets: float) -> None:
-        """Send so many notifications that make no sense."""
+        """Send invalid notifications."""
         self._strap.run(self._send_garbage(round(packets)))
 
     async def _send_garbage(self, packets: int) -> None:
@@ -292,7 +292,7 @@ class _SensorDataService:
             await self._strap.peripheral.notify(self._data, value)
 
     def _hear(self, _connection: Connection, command: bytes) -> None:
-        # The notification must come after the response to this write.
+        # The notification must follow the response to this write.
         task = self._strap.run(self._answer(command))
         self._answers.add(task)
         task.add_done_callback(self._answers.discard)
@@ -306,7 +306,7 @@ class _SensorDataService:
                 await self._strap.peripheral.notify(self._data, answer[:room])
 
     def _carry_out(self, command: bytes) -> bytes:
-        """Return the answer, empty if there is none."""
+        """Execute a command; return the answer, empty if there is none."""
         code, reference, argument = command[0], command[1], command[2:]
         if self.refuses:
             return wire.status(reference, wire.FORBIDDEN)
@@ -321,7 +321,7 @@ class _SensorDataService:
             case _:
                 result = wire.BAD_REQUEST
         if self._is_old:
-            # It has one answer, and that with its bytes turned round.
+            # The old firmware has only this answer, with swapped bytes.
             return bytes((wire.ANSWER, reference, 0x01, 0xFB)) if result == wire.NO_SLOT else b""
         return wire.status(reference, result)
 
@@ -343,7 +343,7 @@ class _SensorDataService:
         cut = payload if is_readable else payload[:-1]
         first, *others = wire.parts(reference, cut, self._strap.peripheral.host_mtu)
         sent = await self._strap.send(self._data, first)
-        # At once, so that parts of different packets do not mix on the air.
+        # Without a pause, so that parts of different packets are not mixed.
         for part in others:
             sent = await self._strap.peripheral.notify(self._data, part) and sent
         return sent and is_readable
@@ -362,16 +362,16 @@ class _SensorDataService:
 
 @dataclass(frozen=True)
 class Firmware:
-    """A build of the firmware.
+    """A firmware version.
 
     Attributes
     ----------
     is_old
-        Of the first version of the protocol.
+        Whether it uses the first version of the protocol.
     max_mtu
-        The largest ATT MTU that it grants.
+        Largest ATT MTU that it accepts.
     demands_pairing
-        It takes commands only of a host that has paired.
+        Whether it accepts commands only from a paired host.
     """
 
     is_old: bool = False
@@ -389,11 +389,11 @@ class SimulatedMovesense(StrapDevice):
     serial
         Twelve digits, as engraved.
     firmware
-        What it runs; a new one by default.
+        Its firmware; a new version by default.
     deviation
-        By which share the movement sensor is faster than it should be.
+        Relative deviation of the movement sensor's rate.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     """
 
     sensor = "movesense"
@@ -442,7 +442,7 @@ class SimulatedMovesense(StrapDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._serial}
 
     def _break_link(self) -> None:

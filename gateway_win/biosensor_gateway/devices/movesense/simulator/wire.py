@@ -1,4 +1,4 @@
-"""The bytes of the GATT SensorData Protocol as a sensor writes them.
+"""Encodes a sensor's messages of the GATT SensorData Protocol.
 
 Sources: Movesense's "GATT SensorData Protocol specification" and the firmware sample
 gatt_sensordata_app of the Movesense device library.
@@ -21,7 +21,7 @@ DATA_UUID = "34800002-7185-4D5D-B431-630E7050E8F0"
 
 HELLO, SUBSCRIBE, UNSUBSCRIBE = 0, 1, 2
 ANSWER = 1
-# Code of a packet's first part, and of those that follow.
+# Codes of a packet's first part and of the following parts.
 _PARTS = (2, 3, 4)
 OK, BAD_REQUEST, FORBIDDEN, NOT_FOUND, NO_SLOT = 200, 400, 403, 404, 507
 SLOTS = 4
@@ -45,16 +45,16 @@ VECTORS = {
 
 
 class Resource(NamedTuple):
-    """What a path names.
+    """The resource of a path.
 
     Attributes
     ----------
     kind
         Lower case: ``ecg``, ``hr``, ``temp`` or a key of `VECTORS`.
     rate_hz
-        0 where there is none.
+        0 if it has no rate.
     scaled
-        ECG as the firmware converts it.
+        Whether the firmware converts the ECG.
     """
 
     kind: str
@@ -63,7 +63,7 @@ class Resource(NamedTuple):
 
 
 def resource(path: bytes) -> Resource | None:
-    """Find what a path names; None if the firmware has no such resource."""
+    """Return the resource of a path; None if the firmware does not have it."""
     found = _PATH.fullmatch(path.rstrip(b"\0").decode("ascii", "replace"))
     if found is None:
         return None
@@ -75,12 +75,12 @@ def resource(path: bytes) -> Resource | None:
 
 
 def status(reference: int, code: int) -> bytes:
-    """Answer a command."""
+    """Return the answer to a command."""
     return struct.pack("<BBH", ANSWER, reference, code)
 
 
 def greeting(reference: int, serial: str, *, old: bool) -> bytes:
-    """Answer ``HELLO``."""
+    """Return the answer to ``HELLO``."""
     if old:
         return bytes((ANSWER, reference)) + b"Hello"
     texts = (serial, "Movesense HR2", "0C8CDC000001", "gatt_sensordata_app", "1.2.0")
@@ -89,7 +89,7 @@ def greeting(reference: int, serial: str, *, old: bool) -> bytes:
 
 
 def parts(reference: int, payload: bytes, mtu: int) -> list[bytes]:
-    """Cut a packet into notifications."""
+    """Split a packet into notifications."""
     room = min(mtu, FULL_MTU) - ATT_HEADER_BYTES - 2
     pieces = [payload[at : at + room] for at in range(0, len(payload), room)]
     codes = _PARTS + _PARTS[-1:] * len(pieces)
@@ -97,31 +97,31 @@ def parts(reference: int, payload: bytes, mtu: int) -> list[bytes]:
 
 
 def ecg(stamp_ms: int, microvolts: Floats, *, scaled: bool) -> tuple[bytes, Floats]:
-    """Return a packet of ECG, and the values that it holds [uV]."""
+    """Return an ECG packet, and the values in it [uV]."""
     unit, dtype, limit = (1.0, "<i2", 32767) if scaled else (COUNT_UV, "<i4", 1 << 23)
     counts = np.clip(np.rint(microvolts / unit), -limit, limit).astype(dtype)
     return _stamp(stamp_ms) + counts.tobytes(), counts * unit
 
 
 def vectors(stamp_ms: int, arrays: list[Floats]) -> tuple[bytes, list[Floats]]:
-    """Return a packet of vectors, one array behind the other, and the values that it holds."""
+    """Return a packet of consecutive vector arrays, and the values in it."""
     floats = [array.astype("<f4") for array in arrays]
     body = b"".join(each.tobytes() for each in floats)
     return _stamp(stamp_ms) + body, [each.astype(np.float64) for each in floats]
 
 
 def heart_rate(bpm: float, interval_ms: int) -> bytes:
-    """Return a mean heart rate and one R-R interval."""
+    """Return a packet with mean heart rate and one R-R interval."""
     return struct.pack("<fH", bpm, interval_ms)
 
 
 def temperature(stamp_ms: int, kelvin: float) -> bytes:
-    """Return a temperature."""
+    """Return a temperature packet."""
     return _stamp(stamp_ms) + struct.pack("<f", kelvin)
 
 
 def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
-    """Return so many notifications of which none is a whole message that somebody asked for."""
+    """Yield notifications that are not complete messages of any subscription."""
     for number in range(count):
         noise = rng.bytes(int(rng.integers(0, 18)))
         yield (b"\x02", bytes((9, 9)) + noise, bytes((2, 255)) + noise)[number % 3]

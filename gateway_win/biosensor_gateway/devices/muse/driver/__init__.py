@@ -1,4 +1,4 @@
-"""The conversation with a Muse headband, its settings, and what its presets send."""
+"""Driver for Muse headbands, with their settings and presets."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ _NAME = re.compile(r"Muse(?:S|Athena| Athena)?-(?P<number>\w+)")
 _SEPARATORS = re.compile(r"[^0-9A-Fa-f]")
 
 KEEP_ALIVE_S = 10.0
-"""Headbands that hear nothing end the stream after some minutes (muse-lsl, issue 184)."""
+"""Without commands, headbands end the stream after some minutes (muse-lsl, issue 184)."""
 ANSWER_LIMIT_S = 5.0
 _ALWAYS = frozenset({"eeg", "acc", "gyro"})
 _OPTIONAL = frozenset({"aux", "ppg", "optics"})
 
-# Sources: BrainFlow's list of supported boards for what presets send; recordings of an Athena in
-# OpenMuse (`tests/test_data`), in which those of two digits send no light; the package openble-muse
-# for serial numbers.
+# Sources: BrainFlow's list of supported boards for the contents of presets; recordings of an
+# Athena in OpenMuse (`tests/test_data`), where two-digit presets have no light; the package
+# openble-muse for serial numbers.
 _MODELS = {
     "2": "Muse 2016",
     "4": "Muse 2",
@@ -62,14 +62,14 @@ MUSE_S = frozenset({"5", "6"})
 
 
 class _Preset(NamedTuple):
-    """What a headband sends besides four channels of EEG, acceleration and rotation.
+    """What a preset contains besides four EEG channels, acceleration and rotation.
 
     Attributes
     ----------
     has_aux
-        The inputs for electrodes of one's own.
+        Whether it has the inputs for additional electrodes.
     light
-        Channels of light.
+        Number of light channels.
     """
 
     has_aux: bool
@@ -84,7 +84,7 @@ CLASSIC_PRESETS = {
     "p60": _Preset(True, 3),
     "p61": _Preset(False, 3),
 }
-"""Of headbands before the Athena; the last two of a Muse S."""
+"""Presets of headbands before the Athena; the last two are for the Muse S."""
 ATHENA_PRESETS = {
     "p21": _Preset(False, 0),
     "p1034": _Preset(False, 8),
@@ -148,7 +148,7 @@ class MuseSettings(DeviceSettings):
 
 
 def model_of(serial: str) -> str:
-    """Return the model by its serial number, empty if that tells nothing."""
+    """Return the model from the serial number; empty if unknown."""
     return _MODELS.get(serial[:1], "")
 
 
@@ -159,7 +159,7 @@ def classic_preset(serial: str, *, aux: bool, ppg: bool) -> str:
 
 
 def athena_preset(*, aux: bool, light: int) -> str:
-    """Return the preset of an Athena with the fewest channels that has what is wanted."""
+    """Return the Athena preset with the fewest channels that contains what is wanted."""
     fitting = [
         (preset.light, preset.has_aux, name)
         for name, preset in ATHENA_PRESETS.items()
@@ -169,17 +169,18 @@ def athena_preset(*, aux: bool, light: int) -> str:
 
 
 class _Conversation(BleSession[Notification, str]):
-    """What is said over one connection."""
+    """The commands and answers on one connection."""
 
     def __init__(self, link: BleLink) -> None:
         super().__init__(link, self._receive, self.tell, "switch it off and on")
-        # One for all questions: a packet may end an answer and begin the next one.
+        # Shared by all requests, because a packet may contain the end of one answer and the start
+        # of the next.
         self._answers = Answers()
         self._fresh: list[Answer] = []
 
     async def begin(self) -> None:
-        """Listen to answers; raises as :meth:`BleLink.subscribe` does."""
-        # Before the first command, whose answer would be lost otherwise.
+        """Subscribe to answers; raises like :meth:`BleLink.subscribe`."""
+        # Before the first command, otherwise its answer would be lost.
         await self.link.subscribe(CONTROL)
         self.dialogue.begin()
 
@@ -189,7 +190,7 @@ class _Conversation(BleSession[Notification, str]):
         Parameters
         ----------
         key
-            A field that the answer has, and no other one: an earlier one may come late.
+            A field that only this answer has, because an earlier answer may arrive late.
 
         Raises
         ------
@@ -231,7 +232,7 @@ class _Conversation(BleSession[Notification, str]):
 class MuseDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # Silent streams are noticed long before.
+    # Silent streams are detected much earlier.
     silence_limit_s = 30.0
 
     def __init__(
@@ -247,7 +248,7 @@ class MuseDriver:
         self._percent: float | None = None
 
     async def connect(self) -> Connected:
-        """Connect and start what is wanted; see the protocol class."""
+        """Connect and start the wanted streams; see the protocol class."""
         await self._conversation.connect()
         if not self._link.has(CONTROL) or not (self._link.has(EEG[0]) or self._is_athena):
             message = (
@@ -267,22 +268,22 @@ class MuseDriver:
         refused = {"ppg"} if self._is_athena else {"optics"}
         if not (self._is_athena or self._link.has(PPG[0])):
             refused.add("ppg")
-        # Nobody waits for what this model has only in name.
+        # Streams that this model does not have are not monitored.
         silent = _OPTIONAL - wanted | refused
         model = model_of(serial) or ("Muse S Athena" if self._is_athena else "")
         info = DeviceInfo("", model, serial, text_of(version, "fw"))
         return Connected(info, silent=silent, refused=frozenset(refused), denied=denied)
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes; see the protocol class."""
+        """Emit data received since connecting; see the protocol class."""
         await self._conversation.stream(self._take, self._emitter.signal_strength, self._keep_alive)
 
     async def close(self) -> None:
-        """Stop the headband, without waiting for its answer, and disconnect."""
+        """Stop the headband without waiting for an answer, and disconnect."""
         await self._conversation.close(lambda: self._conversation.tell(protocol.HALT))
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start everything again, as one preset has all of it; see the protocol class."""
+        """Restart all streams, because a preset covers all of them; see the protocol class."""
         del streams
         await self._start()
 
@@ -293,13 +294,13 @@ class MuseDriver:
     async def _start(self) -> None:
         await self._conversation.request(protocol.HALT)
         await self._conversation.request(self._preset)
-        # Before the command: packets may come before its answer.
+        # Before the command, because packets may arrive before its answer.
         self._emitter.started(self._wanted, self._percent)
         start = protocol.START_FRAMES if self._is_athena else protocol.START
         await self._conversation.request(start)
 
     def _chosen(self, serial: str) -> tuple[str, frozenset[str]]:
-        """Return the preset, and which optional streams are to come with it."""
+        """Return the preset and the optional streams in it."""
         own, has_ppg = self._settings, self._link.has(PPG[0])
         known = ATHENA_PRESETS if self._is_athena else CLASSIC_PRESETS
         preset = own.preset or (
@@ -320,12 +321,12 @@ class MuseDriver:
         return preset, frozenset(wanted)
 
     async def _subscribe(self, sources: Mapping[str, Sequence[str]]) -> dict[str, str]:
-        """Subscribe to what sends each stream; return why some are refused.
+        """Subscribe to the characteristics of each stream; return why some are refused.
 
         Raises
         ------
         AttError
-            All are refused.
+            If all are refused.
         TransportError
             ``LOST`` or ``SILENT``.
         """
@@ -338,14 +339,14 @@ class MuseDriver:
                 denied[name] = f"nobody may subscribe to it: ATT error 0x{error.code:02X}"
                 if len(denied) == len(sources):
                     raise
-                # Of some channels alone it would be another signal.
+                # A subset of its channels would be a different signal, so all are dropped.
                 for uuid in uuids:
                     with suppress(AttError):
                         await self._link.unsubscribe(uuid)
         return denied
 
     def _sources(self, wanted: frozenset[str]) -> Mapping[str, Sequence[str]]:
-        """Return by data name the characteristics that send what is wanted."""
+        """Return the characteristics of the wanted streams by data name."""
         if self._is_athena:
             return {"eeg": [uuid for uuid in FRAMES if "notify" in self._link.properties(uuid)]}
         return {
@@ -371,7 +372,7 @@ class MuseDriver:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MuseDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(MuseSettings, settings)
     emitter = MuseEmitter(sink)
     choice = Choice(identify, KIND, own.device, ADVICE)
@@ -381,7 +382,8 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MuseDriver]:
 def identify(seen: Advertisement) -> str | None:
     """Return the digits of a name like ``Muse-3A1F`` or ``MuseS-3A1F``; None for other devices.
 
-    Some headbands advertise no name: their service tells them, and nothing their digits.
+    Headbands without an advertised name are recognised by their service, but their digits are
+    unknown.
     """
     if not seen.name.strip():
         return "" if SERVICE in seen.service_uuids else None
@@ -390,7 +392,7 @@ def identify(seen: Advertisement) -> str | None:
 
 
 def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is a Muse."""
+    """Recognise a Muse."""
     if not isinstance(seen, Advertisement):
         return None
     number = identify(seen)
@@ -401,6 +403,6 @@ def recognise(seen: Advertisement | SerialPort) -> Found | None:
     return Found("muse", seen.name or f"{KIND} without a name", settings, seen.rssi_dbm)
 
 
-# Of the headband's status: number of its chip, serial number, address, name.
+# Fields of the headband's status: chip id, serial number, address, name.
 IDENTIFIERS = (re.compile(rb'"(?:id|sn|ma|hn)"\s*:\s*"([^"]{4,64})"'),)
 DRIVER = DriverEntry(MuseSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)

@@ -1,7 +1,7 @@
-"""Turns what a headband sends into samples of the declared streams.
+"""Converts a headband's data to samples of the declared streams.
 
-A Muse 2 or Muse S sends numbered packets by a characteristic for each channel and no time; an
-Athena sends frames of blocks, with its clock.
+A Muse 2 or Muse S sends numbered packets without timestamps, with one characteristic per channel;
+an Athena sends frames of blocks with its clock.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _DIODES = {uuid: channel for channel, uuid in enumerate(PPG)}
 _AXES = {ACC: ("acc", ACC_G), GYRO: ("gyro", GYRO_DPS)}
 _INPUTS = len(SPEC.stream("aux").channels)
 PATIENCE = 3
-"""A channel that is missing so often in a row is taken for one that the device does not send."""
+"""A channel missing this often in a row is assumed not to be sent by the device."""
 
 
 class Rows(NamedTuple):
@@ -64,11 +64,11 @@ class Rows(NamedTuple):
     Attributes
     ----------
     number
-        Of the packets.
+        Packet number.
     samples : ndarray of float64, shape (n_samples, n_channels)
-        NaN of a channel whose packet is missing.
+        NaN for a channel whose packet is missing.
     arrival_s
-        Of the newest of their packets.
+        Arrival of the newest packet.
     """
 
     number: int
@@ -77,16 +77,17 @@ class Rows(NamedTuple):
 
 
 class RowAssembler:
-    """Collects the packets of channels that share their numbers.
+    """Joins the packets of several channels with the same packet number.
 
-    The channels of a moment come one after the other, so a packet of another number ends it.
+    The packets of all channels arrive in sequence, so a packet with a different number completes
+    the rows.
 
     Parameters
     ----------
     channels
-        How many there may be.
+        Maximum number of channels.
     samples
-        In each packet.
+        Samples per packet.
     """
 
     def __init__(self, channels: int, samples: int) -> None:
@@ -97,9 +98,9 @@ class RowAssembler:
         self._absent = [0] * channels
 
     def take(self, channel: int, packet: Packet, arrival_s: float = 0.0) -> list[Rows]:
-        """Return what is complete now: nothing, a moment, or two."""
+        """Add a packet; return the rows that are complete now: none, one or two."""
         if packet.number == self._given_out:
-            # It is later than it was waited for, or came twice: this moment has its rows.
+            # Too late or repeated: the rows with this number were already returned.
             self._absent[channel] = 0
             # nothing is dropped: this moment has its rows, and says NaN where they were late
             return []
@@ -116,7 +117,7 @@ class RowAssembler:
         return complete
 
     def forget(self) -> None:
-        """Begin again: what is held is of an earlier connection."""
+        """Discard packets of an earlier connection."""
         self._held.clear()
         self._given_out = None
 
@@ -133,7 +134,7 @@ class RowAssembler:
 
 
 class _Numbered:
-    """One series of packets or blocks, which fills one stream or several."""
+    """One series of packets or blocks, which contains one or more streams."""
 
     def __init__(
         self, sink: Sink, log: DeviceLog, modulus: int, samples: int, rate_hz: float
@@ -145,14 +146,14 @@ class _Numbered:
     def place(
         self, packets: Sequence[tuple[int, float]], names: Sequence[str], own_delay_s: float = 0.0
     ) -> list[float]:
-        """Return the times of the samples of packets, and count what is missing before them.
+        """Return the times of the samples of packets, and count missing ones before them.
 
         Parameters
         ----------
         packets
-            The number of each, and when it came or was made.
+            Number of each packet, and its arrival or creation time.
         names
-            Data names of what they hold.
+            Data names of their streams.
         """
         places = [self.series.place(*packet) for packet in packets]
         if places[0].is_again:
@@ -172,9 +173,10 @@ class _Numbered:
 
 
 class ClassicEmitter:
-    """Emits what a Muse 2 or Muse S sends, over all its connections.
+    """Emits the data of a Muse 2 or Muse S, over all its connections.
 
-    They send no time: samples are counted, and placed by the earliest arrivals.
+    They send no timestamps: samples are counted, and their times are based on the earliest
+    arrivals.
     """
 
     def __init__(self, sink: Sink, log: DeviceLog) -> None:
@@ -191,7 +193,7 @@ class ClassicEmitter:
         self._diodes = RowAssembler(len(PPG), LIGHT_SAMPLES)
 
     def started(self, *, has_aux: bool) -> None:
-        """Expect packets that are counted again, with or without an electrode of one's own."""
+        """Expect restarted packet numbers, with or without an additional electrode."""
         for each in (self._eeg, self._light, *self._axes.values()):
             each.series.restart()
         if has_aux != self._has_aux:
@@ -201,12 +203,12 @@ class ClassicEmitter:
         self._diodes.forget()
 
     def take(self, uuid: str, data: bytes, arrival_s: float) -> bool:
-        """Emit what a characteristic sent; return whether it made sense.
+        """Emit the data of a characteristic; return whether they are valid.
 
         Parameters
         ----------
         arrival_s
-            LSL clock when it came.
+            LSL time of arrival.
         """
         if uuid in _ELECTRODES:
             return self._take_electrode(_ELECTRODES[uuid], data, arrival_s)
@@ -257,11 +259,11 @@ class ClassicEmitter:
 
 
 AGREE_S = 0.4
-"""How exactly the first frame of a connection tells whether the device stayed on."""
+"""Tolerance for detecting a restarted clock with the first frame of a connection."""
 TURNED_BACK_S = 0.2
-"""A frame holds blocks of 150 ms, and its newest may be older than that of the frame before."""
+"""A frame has blocks of up to 150 ms, and its newest may be older than the previous frame's."""
 _INNER = slice(4, 8)
-"""Four channels of light are those between the eyes."""
+"""With four light channels, these are the ones between the eyes."""
 _CHARGE_PERCENT = (1 / 256, 1 / 512)
 _SAMPLES = {
     Kind.EEG4: (4, EEG_HZ),
@@ -274,7 +276,7 @@ _SAMPLES = {
 
 
 class AthenaEmitter:
-    """Emits what an Athena sends, over all its connections."""
+    """Emits the data of an Athena, over all its connections."""
 
     def __init__(self, sink: Sink, log: DeviceLog) -> None:
         self._sink, self._log = sink, log
@@ -290,19 +292,19 @@ class AthenaEmitter:
         self._emitted_percent: float | None = None
 
     def started(self, wanted: frozenset[str], percent: float | None) -> None:
-        """Expect frames that are counted again; as of `MuseEmitter`."""
+        """Expect restarted frame numbers; see `MuseEmitter`."""
         self._wanted, self._percent = wanted, percent
         self._charge_unit = 0.0
         self._restarts.reconnected()
         self._begin_series()
 
     def take(self, data: bytes, arrival_s: float) -> int:
-        """Emit what a notification holds; return how many of its bytes make no sense.
+        """Emit the data of a notification; return its number of invalid bytes.
 
         Parameters
         ----------
         arrival_s
-            LSL clock when it came.
+            LSL time of arrival.
         """
         found, unread = frames.parse_notification(data)
         for frame in found:
@@ -326,13 +328,14 @@ class AthenaEmitter:
                 self._emit_charge(block)
 
     def _follow_clock(self, stamp_s: float, arrival_s: float) -> None:
-        """Begin again where the device's clock did.
+        """Restart the clock mapping if the device restarted its clock.
 
-        The first frame of a connection tells best: later ones may have waited for the agent.
+        The first frame of a connection shows this best, because later ones may have waited for the
+        agent.
         """
         counts_again = self._restarts.counts_again(stamp_s, arrival_s)
         if self._newest is None:
-            return  # nothing is dropped: it is the first packet of all
+            return  # nothing is dropped: it is the very first packet
         pause_s = arrival_s - self._newest[1]
         apart_s = stamp_s - self._newest[0] - pause_s
         is_behind = stamp_s < self._newest[0] - TURNED_BACK_S
@@ -344,7 +347,7 @@ class AthenaEmitter:
                 each.series.forget()
 
     def _follow_counter(self, counter: int) -> None:
-        """Begin new series where the device did without a word."""
+        """Start new series if the device did so silently."""
         steps = 1 if self._counter is None else (counter - self._counter) % frames.COUNTERS
         if not 0 < steps < frames.COUNTERS // 2:
             self._begin_series()
@@ -364,7 +367,7 @@ class AthenaEmitter:
             self._sink.emit(name, streams[name], times)
 
     def _emit_charge(self, block: Block) -> None:
-        """Emit the charge in the unit that fits what the device said at the connection."""
+        """Emit the charge, in the unit that matches the status at the connection."""
         counts = frames.charge_counts(block)
         if not self._charge_unit:
             told = self._percent
@@ -382,7 +385,7 @@ class AthenaEmitter:
 
 
 def _streams(blocks: Sequence[Block]) -> dict[str, Floats]:
-    """Return the samples of blocks of one kind by data name."""
+    """Return the samples of blocks of one kind, by data name."""
     kind = blocks[0].kind
     if kind is Kind.MOTION:
         acceleration, rotation = frames.motion(blocks)
@@ -399,7 +402,7 @@ def _streams(blocks: Sequence[Block]) -> dict[str, Floats]:
 
 
 class MuseEmitter:
-    """Turns packets into samples; one instance a device, over all its connections."""
+    """Converts packets to samples; one instance per device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -408,20 +411,20 @@ class MuseEmitter:
         self._athena = AthenaEmitter(sink, self._log)
 
     def started(self, wanted: frozenset[str], percent: float | None) -> None:
-        """Expect packets that are counted again; to be called before they can come.
+        """Expect restarted packet numbers; call this before packets can arrive.
 
         Parameters
         ----------
         wanted
-            Data names of the regular streams; what else comes with them is not emitted.
+            Data names of the regular streams; other data are not emitted.
         percent
-            What it says is left in the battery; None if it does not.
+            Reported battery level; None if unknown.
         """
         self._classic.started(has_aux="aux" in wanted)
         self._athena.started(wanted, percent)
 
     def take(self, notification: Notification) -> None:
-        """Emit what a notification holds; what makes no sense is counted and dropped."""
+        """Emit the data of a notification; invalid data are counted and dropped."""
         data, arrival_s = notification.data, notification.arrival
         if notification.uuid in FRAMES:
             dropped = self._athena.take(data, arrival_s)
@@ -433,6 +436,6 @@ class MuseEmitter:
             self._log.warn_once("packets are dropped", start=data[:10].hex())
 
     def signal_strength(self, rssi_dbm: int | None, seen_s: float) -> None:
-        """Emit how strongly an advertisement was heard; None is passed over."""
+        """Emit the signal strength of an advertisement; None is ignored."""
         if rssi_dbm is not None:
             self._sink.emit_at("rssi", [rssi_dbm], [seen_s])

@@ -1,15 +1,16 @@
-"""Frames of an Athena; no I/O and no clock.
+"""Parses the frames of an Athena; no I/O and no clock.
 
-A frame is its length, a counter of 16 bits, the device's clock in milliseconds of 48 bits, then
-blocks; a block is a tag, a number that counts the blocks of its tag, an offset of 24 bits with
-sign, and its samples, all little-endian and packed from the lowest bit on. A notification holds
-whole frames.
+A frame consists of its length, a 16-bit counter, the device's clock in milliseconds (48 bits), and
+blocks. A block consists of a tag, a counter of the blocks of this tag, a signed 24-bit offset, and
+its samples. Everything is little-endian and packed from the lowest bit on. A notification contains
+complete frames.
 
-In 22 recordings [1]_ every byte fits this: counters and numbers have no gap, and the clock, which
-goes on between recordings, keeps up with the host's to 120 ppm. Programs that read a clock of
-256 kHz in bytes 2 to 5 [2]_ see the upper half of the counter and milliseconds of the same clock.
-The offset of the first block is that to the clock, those of the others to the first block, in
-microseconds: so the stamps of acceleration never turn back, and all others by less than 1 ms.
+All bytes of 22 recordings [1]_ match this: the counters have no gaps, and the clock, which
+continues between recordings, agrees with the host's to 120 ppm. Programs that read a 256 kHz clock
+in bytes 2 to 5 [2]_ actually see the upper half of the counter and milliseconds of this clock. The
+offset of the first block is relative to the clock, those of the others to the first block, in
+microseconds. With this interpretation, timestamps of acceleration never step back, and all others
+by less than 1 ms.
 
 .. [1] OpenMuse, `tests/test_data`.
 .. [2] OpenMuse, `decode.py`. Layouts of blocks and their units: the same, muse-lsl `athena.py`,
@@ -34,7 +35,7 @@ _EEG_BITS, _LIGHT_BITS = 14, 20
 
 
 class Kind(IntEnum):
-    """What a block holds: the lower half of its tag; the upper half is a code of its rate."""
+    """Kind of a block: the lower half of its tag; the upper half is a code of its rate."""
 
     EEG4 = 1
     EEG8 = 2
@@ -58,10 +59,10 @@ _BYTES = {
 }
 _CHANNELS = {Kind.EEG4: 4, Kind.EEG8: 8, Kind.LIGHT4: 4, Kind.LIGHT8: 8, Kind.LIGHT16: 16}
 _LATEST_S = 9e10
-"""Since 1970; later, it is no time: below what a `DeviceClock` takes."""
+"""Latest valid time since 1970, below the limit of a `DeviceClock`."""
 _WEIGHTS = 2.0 ** np.arange(_LIGHT_BITS)
 _LONG_BATTERY = 0x88
-"""Of newer firmware: others found it to last until the end of its frame."""
+"""Battery block of newer firmware; according to other programs it extends to the frame's end."""
 
 
 class Block(NamedTuple):
@@ -70,9 +71,9 @@ class Block(NamedTuple):
     Attributes
     ----------
     number
-        Counts the blocks of its kind, modulo `NUMBERS`.
+        Counter of the blocks of its kind, modulo `NUMBERS`.
     stamp_s
-        The device's clock when it was handed on.
+        Device time at which it was completed.
     """
 
     kind: Kind
@@ -87,9 +88,9 @@ class Frame(NamedTuple):
     Attributes
     ----------
     counter
-        Counts frames, modulo `COUNTERS`.
+        Frame counter, modulo `COUNTERS`.
     unread_bytes
-        What follows the last block that makes sense.
+        Number of bytes after the last valid block.
     """
 
     counter: int
@@ -98,7 +99,7 @@ class Frame(NamedTuple):
 
 
 def parse_notification(data: bytes) -> tuple[list[Frame], int]:
-    """Read the frames of a notification; return them, and how many bytes make no sense."""
+    """Parse the frames of a notification; return them and the number of invalid bytes."""
     frames: list[Frame] = []
     at = 0
     while at < len(data):
@@ -111,16 +112,16 @@ def parse_notification(data: bytes) -> tuple[list[Frame], int]:
 
 
 def eeg_uv(blocks: Sequence[Block]) -> Floats:
-    """Return samples of TP9, AF7, AF8, TP10, and of four more inputs if there are eight [uV].
+    """Return samples of TP9, AF7, AF8, TP10, and of four more inputs if present [uV].
 
-    Here and below, the blocks are of one kind, one at least.
+    Here and below, all blocks have the same kind and there is at least one.
     """
     counts = _unpacked(_joined(blocks), _EEG_BITS).reshape(-1, _CHANNELS[blocks[0].kind])
     return (counts - EEG_ZERO).astype(np.float64) * EEG_UV
 
 
 def light(blocks: Sequence[Block]) -> Floats:
-    """Return samples of 4, 8 or 16 photodiodes and wavelengths [counts of 20 bits]."""
+    """Return samples of 4, 8 or 16 light channels [20-bit counts]."""
     counts = _unpacked(_joined(blocks), _LIGHT_BITS).reshape(-1, _CHANNELS[blocks[0].kind])
     return counts.astype(np.float64)
 
@@ -128,14 +129,14 @@ def light(blocks: Sequence[Block]) -> Floats:
 def motion(blocks: Sequence[Block]) -> tuple[Floats, Floats]:
     """Return samples of acceleration [g] and rotation [deg/s].
 
-    The axes of rotation are turned, as in the programs named above.
+    The signs of rotation axes are as in the programs named above.
     """
     counts = np.frombuffer(_joined(blocks), "<i2").reshape(-1, 6)
     return counts[:, :3] * ACC_G, counts[:, 3:] * -GYRO_DPS
 
 
 def charge_counts(block: Block) -> int:
-    """Return the battery's state of charge, in 256ths of a percent or, some say, 512ths."""
+    """Return the battery level in 1/256 percent or, according to some programs, 1/512 percent."""
     return int.from_bytes(block.payload[:2], "little")
 
 
@@ -148,7 +149,7 @@ def _frame(data: bytes) -> Frame:
 
 
 def _walk(data: bytes, clock_s: float) -> tuple[list[Block], int]:
-    """Return the blocks, and how many bytes are left over."""
+    """Return the blocks and the number of bytes left over."""
     blocks: list[Block] = []
     at = _HEADER_BYTES
     while at + _BLOCK_HEADER_BYTES <= len(data):
@@ -167,7 +168,7 @@ def _walk(data: bytes, clock_s: float) -> tuple[list[Block], int]:
 
 
 def _size(tag: int, rest: bytes) -> int | None:
-    """Return how long a block's samples are, None if it is none."""
+    """Return the size of a block's samples in bytes; None if the tag is invalid."""
     kind = tag & 0xF
     if kind not in _BYTES or _BYTES[Kind(kind)] > len(rest):
         return None
@@ -178,7 +179,7 @@ def _size(tag: int, rest: bytes) -> int | None:
 
 
 def _are_blocks(data: bytes) -> bool:
-    """Tell whether bytes are blocks and nothing else, by their tags and lengths."""
+    """Whether bytes consist exactly of blocks, by their tags and lengths."""
     at = 0
     while at < len(data):
         kind = data[at] & 0xF
@@ -189,12 +190,12 @@ def _are_blocks(data: bytes) -> bool:
 
 
 def _joined(blocks: Sequence[Block]) -> bytes:
-    # Samples of a block fill its bytes to the last bit.
+    # The samples of a block fill its bytes completely.
     return b"".join(block.payload for block in blocks)
 
 
 def _unpacked(payload: bytes, width: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     bits = np.unpackbits(np.frombuffer(payload, np.uint8), bitorder="little")
-    # Exact in floats, whose product is the fast one.
+    # Floats are exact here, and their matrix product is faster.
     values = bits.reshape(-1, width).astype(np.float64) @ _WEIGHTS[:width]
     return values.astype(np.int64)

@@ -1,11 +1,11 @@
-"""Characteristics, commands and answers of a headband, and packets of those before the Athena.
+"""Characteristics, commands and answers of headbands, and packets of those before the Athena.
 
-A command is a byte that counts what follows, then ASCII that ends with a line feed. The answer
-is a JSON object with a return code ``rc``, 0 for success, in pieces of up to 20 bytes: each
-begins with the count of its characters [1]_, in the lower five bits [2]_.
+A command is a length byte and ASCII text that ends with a line feed. The answer is a JSON object
+with a return code ``rc``, 0 for success, in pieces of up to 20 bytes. Each piece begins with its
+number of characters [1]_, in the lower five bits [2]_.
 
-Each characteristic sends packets of 20 bytes: a number, then samples of one channel or of three
-axes, all big-endian; the number counts the packets of its characteristic [1]_.
+Each characteristic sends packets of 20 bytes: a packet counter and samples of one channel or of
+three axes, all big-endian; each characteristic has its own counter [1]_.
 
 .. [1] muse-js, `muse-utils.ts` and `muse-parse.ts`; muse-lsl, `muse.py` and `constants.py`, which
    also have the UUIDs, as BrainFlow has.
@@ -35,14 +35,14 @@ GYRO, ACC, TELEMETRY = _uuid(0x09), _uuid(0x0A), _uuid(0x0B)
 PPG = (_uuid(0x0F), _uuid(0x10), _uuid(0x11))
 """Ambient, infrared, red."""
 FRAMES = (_uuid(0x13), _uuid(0x14))
-"""Of an Athena, which sends everything on them; firmware may have the first one only."""
+"""Characteristics for all data of an Athena; some firmware only has the first one."""
 
 HALT = "h"
 STATUS = "s"
 KEEP_ALIVE = "k"
 START, START_FRAMES = "d", "dc001"
 VERSION, VERSION_OF_FRAMES = "v1", "v6"
-"""They offer a version of the protocol: the first one is of headbands before the Athena."""
+"""Commands that select a protocol version; the first one is for headbands before the Athena."""
 _LONGEST_BODY = 19
 _COUNT_MASK = 0x1F
 _LONGEST_ANSWER = 1024
@@ -57,7 +57,7 @@ def encode(command: str) -> bytes:
     Raises
     ------
     ValueError
-        It is empty, too long or no ASCII.
+        If it is empty, too long or not ASCII.
     """
     body = (command + "\n").encode("ascii")
     if not 1 < len(body) <= _LONGEST_BODY:
@@ -66,12 +66,12 @@ def encode(command: str) -> bytes:
 
 
 class Answers:
-    """Puts the pieces of answers together, wherever they were cut.
+    """Joins the pieces of answers.
 
     Attributes
     ----------
     complete
-        Answers that a piece ended besides the one that it was asked for.
+        Further answers completed by the last piece.
     """
 
     def __init__(self) -> None:
@@ -79,9 +79,9 @@ class Answers:
         self.complete: list[Answer] = []
 
     def feed(self, piece: bytes) -> Answer | None:
-        """Take a piece; return the answer that it ends, None if it ends none.
+        """Add a piece; return the answer that it completes, if any.
 
-        A piece may end several: the others are `complete`, until the next piece.
+        If it completes several, the others are in `complete` until the next piece.
         """
         count = piece[0] & _COUNT_MASK if piece else 0
         self._text += piece[1 : 1 + count].decode("ascii", "replace")
@@ -89,11 +89,11 @@ class Answers:
         return self.complete.pop(0) if self.complete else None
 
     def _cut_off(self) -> Iterator[Answer]:
-        """Return the answers that are whole, and keep what is behind the last one."""
+        """Yield the complete answers, and keep the rest."""
         begin = self._text.find("{")
         while begin >= 0:
             found = _first_of(self._text[begin:])
-            # An answer whose end was lost must not spoil the next one.
+            # An answer whose end was lost must not corrupt the next one.
             begin = self._text.find("{", begin + 1)
             if found is not None:
                 answer, rest = found
@@ -109,13 +109,13 @@ def text_of(answer: Answer, key: str) -> str:
 
 
 def return_code(answer: Answer) -> int:
-    """Return what an answer says of its command: 0 for success, also where it says nothing."""
+    """Return the return code of an answer; 0 for success or if it is missing."""
     code = answer.get("rc", 0)
     return code if isinstance(code, int) else -1
 
 
 def battery_percent(answer: Answer) -> float | None:
-    """Return what is left in the battery; None where a status does not tell."""
+    """Return the battery level; None if a status does not contain it."""
     percent = answer.get("bp")
     if isinstance(percent, bool) or not isinstance(percent, int | float):
         return None
@@ -123,7 +123,7 @@ def battery_percent(answer: Answer) -> float | None:
 
 
 def _first_of(text: str) -> tuple[Answer, str] | None:
-    """Return the object that a text begins with, and what is behind; None if it is not whole."""
+    """Return the JSON object at the start of a text, and the rest; None if incomplete."""
     try:
         found, end = _DECODER.raw_decode(text)
     except (ValueError, RecursionError):
@@ -135,7 +135,7 @@ NUMBERS = 1 << 16
 _BYTES, _NUMBER_BYTES = 20, 2
 EEG_SAMPLES, LIGHT_SAMPLES, MOTION_SAMPLES = 12, 6, 3
 EEG_UV = 2000 / 4096
-"""Of a count: 12 bits hold 2 mV."""
+"""Microvolts per count: the range of 12 bits is 2 mV."""
 EEG_ZERO = 2048
 ACC_G = 1 / 16384
 GYRO_DPS = 245 / 32768
@@ -145,7 +145,7 @@ CHARGE_PERCENT = 1 / 512
 Floats = NDArray[np.float64]
 
 FULLEST_PERCENT = 105
-"""A full battery says a little more than 100."""
+"""A full battery reports a little more than 100."""
 
 
 class Packet(NamedTuple):
@@ -154,9 +154,9 @@ class Packet(NamedTuple):
     Attributes
     ----------
     number
-        Counts packets of the characteristic, modulo `NUMBERS`.
+        Packet counter of the characteristic, modulo `NUMBERS`.
     samples : ndarray of float64
-        Shape (n,) of a channel, (n, 3) of axes.
+        Shape (n,) for a channel, (n, 3) for axes.
     """
 
     number: int
@@ -164,7 +164,7 @@ class Packet(NamedTuple):
 
 
 def parse_eeg(data: bytes) -> Packet | None:
-    """Read twelve samples of an electrode [uV]; None if it is no packet."""
+    """Parse twelve samples of an electrode [uV]; None if invalid."""
     if len(data) != _BYTES:
         return None
     triples = np.frombuffer(data, np.uint8, offset=_NUMBER_BYTES).reshape(-1, 3).astype(np.int32)
@@ -175,7 +175,7 @@ def parse_eeg(data: bytes) -> Packet | None:
 
 
 def parse_light(data: bytes) -> Packet | None:
-    """Read six samples of a photodiode [counts of 24 bits]; None if it is no packet."""
+    """Parse six samples of a photodiode [24-bit counts]; None if invalid."""
     if len(data) != _BYTES:
         return None
     triples = np.frombuffer(data, np.uint8, offset=_NUMBER_BYTES).reshape(-1, 3).astype(np.int32)
@@ -184,12 +184,12 @@ def parse_light(data: bytes) -> Packet | None:
 
 
 def parse_motion(data: bytes, unit: float) -> Packet | None:
-    """Read three samples of X, Y, Z; None if it is no packet.
+    """Parse three samples of X, Y, Z; None if invalid.
 
     Parameters
     ----------
     unit
-        What a count is: `ACC_G` or `GYRO_DPS`.
+        Size of a count: `ACC_G` or `GYRO_DPS`.
     """
     if len(data) != _BYTES:
         return None
@@ -198,7 +198,7 @@ def parse_motion(data: bytes, unit: float) -> Packet | None:
 
 
 def parse_charge(data: bytes) -> float | None:
-    """Read the battery's state of charge [percent] of a telemetry packet; None if it is none."""
+    """Parse the battery level [percent] in a telemetry packet; None if invalid."""
     if len(data) != _BYTES:
         return None
     percent = int.from_bytes(data[2:4], "big") * CHARGE_PERCENT

@@ -1,9 +1,9 @@
-"""Tells which sample of a stream a packet holds, and when counted samples were measured.
+"""Determines the sample numbers of packets, and the times of counted samples.
 
-Samples wait before they are handed on: a headband collects them for up to 130 ms, and the radio
-makes them later still. So a `DeviceClock` keeps to the earliest ones. Their rate is only about
-the nominal one, by more than what that takes for an oscillator: in recordings of an Athena, light
-came 0.3 % too fast. So it is corrected as soon as it is known to be another one.
+Samples are delayed: a headband collects them for up to 130 ms, and the radio adds more delay. So a
+`DeviceClock` follows the earliest ones. The real rate deviates from the nominal one by more than
+the `DeviceClock` tolerates for an oscillator: in recordings of an Athena, light was 0.3 % too
+fast. So the rate is corrected as soon as the deviation is certain.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ POINT_EVERY_S = 0.5
 POINTS = 240
 LEAST_POINTS = 10
 LATE_S = 0.25
-"""What is later had to wait for a host that did not read, and tells nothing of the rate."""
+"""Later samples waited for a host that did not read, and say nothing about the rate."""
 RATE_LIMIT = 0.02
 DEVIATIONS = 3.0
-"""The rate is another one if it differs by so many standard errors."""
+"""The rate is corrected if it differs by this many standard errors."""
 LEAST_CHANGE = 100e-6
-"""What a `DeviceClock` follows well by itself."""
+"""Smaller deviations are within what a `DeviceClock` can follow."""
 AHEAD_S = 2.0
-"""Numbers may be so far ahead of the time; further, the device counts again."""
+"""If numbers are further ahead of the time, the device has restarted its counter."""
 AHEAD_SHARE = 0.05
 
 Point = tuple[int, float]
-"""Number of a sample, and when it was handed on [s]."""
+"""Number of a sample, and the time when it was sent [s]."""
 
 
 class SampleClock:
@@ -40,7 +40,7 @@ class SampleClock:
     Parameters
     ----------
     rate_hz
-        Nominal.
+        Nominal rate.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -53,19 +53,19 @@ class SampleClock:
 
     @property
     def rate_hz(self) -> float:
-        """As far as it is known."""
+        """The best current estimate."""
         return 1 / self._period_s
 
     def restart(self) -> None:
-        """Place the next samples by their time alone; the rate is the same as before."""
+        """Place the next samples by their time alone, but keep the rate."""
         self._points.clear()
         self._clock = DeviceClock()
 
     def observe(self, *handed_on: Point, own_delay_s: float = 0.0) -> None:
-        """Note when samples were handed on together, of each packet the last one.
+        """Add the last samples of packets that were sent together.
 
-        The earliest one tells: the others had to wait for it. What they may have waited for this
-        computer is as :meth:`DeviceClock.observe` has it.
+        The one with the smallest delay counts. For the delay in this computer, see
+        :meth:`DeviceClock.observe`.
         """
         index, read_s = min(handed_on, key=lambda each: each[1] - self._counted_s(each[0]))
         counted_s = self._counted_s(index)
@@ -77,7 +77,7 @@ class SampleClock:
             self._correct(index)
 
     def times(self, indices: Iterable[int]) -> list[float]:
-        """Return when samples were measured, on the clock that they were read by."""
+        """Return the times of samples on the clock of the observations."""
         return self._clock.all_to_lsl([self._counted_s(index) for index in indices])
 
     def _counted_s(self, index: int) -> float:
@@ -85,7 +85,7 @@ class SampleClock:
         return at_s + (index - at) * self._period_s
 
     def _keep(self, index: int, read_s: float) -> bool:
-        """Keep the earliest of each half second; return whether a new one began."""
+        """Keep the earliest point of each half second; return whether a new half second began."""
         number = math.floor(read_s / POINT_EVERY_S)
         if number != self._bin:
             self._bin = number
@@ -99,7 +99,7 @@ class SampleClock:
         return False
 
     def _correct(self, index: int) -> None:
-        # The newest half second has just begun.
+        # Without the newest half second, which is incomplete.
         period_s, error_s = _slope(list(self._points)[:-1])
         change = period_s / self._period_s - 1
         is_known = abs(change) > DEVIATIONS * error_s / self._nominal_s + LEAST_CHANGE
@@ -124,16 +124,16 @@ def _slope(points: Sequence[Point]) -> tuple[float, float]:
 
 
 class Place(NamedTuple):
-    """Where a packet is among the samples.
+    """A packet's place among the samples of its stream.
 
     Attributes
     ----------
     first
-        Number of its first sample; those of a series follow each other.
+        Number of its first sample; numbers are consecutive within a series.
     lost
-        Samples missing before it.
+        Number of samples missing before it.
     is_again
-        It is the first one of a series, whose place is told by time alone.
+        Whether it is the first packet of a series, which is placed by time alone.
     """
 
     first: int
@@ -142,16 +142,16 @@ class Place(NamedTuple):
 
 
 class PacketSeries:
-    """Packets of one stream, over all connections.
+    """Numbers the packets of one stream, over all connections.
 
     Parameters
     ----------
     modulus
         Number of different packet numbers.
     samples
-        In each packet.
+        Samples per packet.
     rate_hz
-        Nominal.
+        Nominal rate.
     """
 
     def __init__(self, modulus: int, samples: int, rate_hz: float) -> None:
@@ -161,23 +161,23 @@ class PacketSeries:
         self._next = 0
 
     def restart(self) -> None:
-        """Expect the device to count again."""
+        """Expect restarted packet numbers."""
         self._numbers.forget()
 
     def forget(self) -> None:
-        """Take it that the clock which tells the time begins again, too."""
+        """Expect restarted packet numbers and a restarted clock."""
         self._numbers.forget()
         self._newest_s = None
 
     def place(self, number: int, time_s: float) -> Place:
-        """Place a packet.
+        """Determine the place of a packet.
 
         Parameters
         ----------
         number
-            Its own.
+            Its packet number.
         time_s
-            When it came, or was made by the device's clock.
+            Its arrival time, or its creation time on the device's clock.
         """
         passed_s = 0.0 if self._newest_s is None else time_s - self._newest_s
         expected = passed_s * self._rate_hz / self._samples

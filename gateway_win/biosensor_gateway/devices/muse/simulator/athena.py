@@ -1,8 +1,8 @@
-"""A virtual Muse S Athena: frames of blocks, which wait for each other.
+"""A virtual Muse S Athena, which sends blocks in common frames.
 
-Sources: recordings of OpenMuse for the frame, with 16 bits of counter and 48 bits of
-milliseconds as the package openble-muse reads them; OpenMuse (`decode.py`) and BrainFlow
-(`muse_athena.cpp`) for tags, lengths, packing and scales of blocks.
+Sources: recordings in OpenMuse for the frame, with 16 bits of counter and 48 bits of milliseconds
+as in the package openble-muse; OpenMuse (`decode.py`) and BrainFlow (`muse_athena.cpp`) for tags,
+lengths, packing and scales of blocks.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DATA_UUIDS = (uuid(0x13), uuid(0x14))
 
 
 class Tag(IntEnum):
-    """Of a block: a code of its rate, and what it holds."""
+    """Tag of a block: a code of its rate, and its kind."""
 
     EEG4 = 0x11
     EEG8 = 0x12
@@ -60,7 +60,7 @@ class Block(NamedTuple):
     Attributes
     ----------
     stamp_us
-        The device's clock when it was handed on.
+        Device time at which it was completed.
     """
 
     tag: int
@@ -70,12 +70,12 @@ class Block(NamedTuple):
 
     @property
     def length(self) -> int:
-        """In bytes, with its header."""
+        """Length in bytes, with its header."""
         return BLOCK_HEADER_BYTES + len(self.payload)
 
 
 def frame(counter: int, blocks: Sequence[Block]) -> bytes:
-    """Return a frame of blocks: milliseconds of the first one, its rest, and distances to it."""
+    """Return a frame of blocks, with their offsets relative to the first one."""
     first_us = blocks[0].stamp_us
     offsets = [first_us % 1000, *(each.stamp_us - first_us for each in blocks[1:])]
     body = b"".join(
@@ -88,19 +88,19 @@ def frame(counter: int, blocks: Sequence[Block]) -> bytes:
 
 
 def eeg(microvolts: Floats) -> tuple[bytes, Floats]:
-    """Return samples of 4 or 8 electrodes, and the values that they hold [uV]."""
+    """Return encoded samples of 4 or 8 electrodes, and the values in them [uV]."""
     counts = np.clip(np.rint(microvolts / _UV) + 8192, 0, (1 << 14) - 1).astype(int)
     return _packed(counts, 14), (counts - 8192) * _UV
 
 
 def light(values: Floats) -> tuple[bytes, Floats]:
-    """Return samples of light, and the values that they hold [counts]."""
+    """Return encoded light samples, and the values in them [counts]."""
     counts = np.clip(np.rint(values), 0, (1 << 20) - 1).astype(int)
     return _packed(counts, 20), counts.astype(float)
 
 
 def motion(g: Floats, degrees_per_s: Floats) -> tuple[bytes, Floats, Floats]:
-    """Return samples of acceleration and rotation, and the values that they hold."""
+    """Return encoded samples of acceleration and rotation, and the values in them."""
     units = np.array([_G] * 3 + [_DPS] * 3)
     counts = np.rint(np.concatenate((g, degrees_per_s), axis=1) / units)
     raw = np.clip(counts, -32768, 32767).astype("<i2")
@@ -109,16 +109,16 @@ def motion(g: Floats, degrees_per_s: Floats) -> tuple[bytes, Floats, Floats]:
 
 
 def charge(percent: float) -> tuple[bytes, float]:
-    """Return the battery's state of charge, and the percentage that it holds.
+    """Return the encoded battery level, and the percentage in it.
 
-    Of a full one, a headband was seen to say 100.5 %.
+    A real headband with a full battery was seen to report 100.5 %.
     """
     raw = 25728 if percent >= 100 else round(percent * 256)
     return raw.to_bytes(2, "little") + bytes(18), min(100.0, raw / 256)
 
 
 def _packed(counts: np.ndarray[tuple[int, ...], np.dtype[np.int64]], width: int) -> bytes:
-    """Pack values one after the other, each from its lowest bit on."""
+    """Pack values bit by bit, each from its lowest bit on."""
     bits = 0
     for place, each in enumerate(counts.reshape(-1)):
         bits |= int(each) << (width * place)
@@ -126,7 +126,7 @@ def _packed(counts: np.ndarray[tuple[int, ...], np.dtype[np.int64]], width: int)
 
 
 _EPOCH_US = 1_733_145_684_908_000
-"""Its clock was never set, and says some day of the past."""
+"""Its clock was never set and shows a date in the past."""
 _TICK_S = 0.01
 _BLOCK_US = 61
 _ELECTRODES = ("TP9", "AF7", "AF8", "TP10", "AUX1", "AUX2", "AUX3", "AUX4")
@@ -144,14 +144,14 @@ Rows = dict[str, Floats]
 
 
 class _Source(NamedTuple):
-    """What is measured by one tag.
+    """The measurement of one tag.
 
     Attributes
     ----------
     rate_hz
-        True one: that of recordings.
+        True rate, as in recordings.
     ticks
-        It hands on what it has at every so many ticks of the processor.
+        Number of processor ticks between blocks.
     """
 
     tag: Tag
@@ -160,7 +160,7 @@ class _Source(NamedTuple):
 
 
 class _Waiting(NamedTuple):
-    """A block that waits for its frame, and what it holds."""
+    """A block that waits for its frame, with its samples."""
 
     block: Block
     times: Floats
@@ -236,7 +236,7 @@ class SimulatedAthena(Headband):
     def _handed_on(
         self, sources: Iterable[_Source], tick: int, begin_s: float, numbers: Counter[int]
     ) -> Iterable[_Waiting]:
-        """Return the blocks that are complete, of the sources whose turn it is."""
+        """Return the blocks completed at this tick."""
         stamp_us = _EPOCH_US + round((begin_s + tick * _TICK_S) * 1e6)
         for source in sources:
             samples = SAMPLES[source.tag]
@@ -262,7 +262,7 @@ class SimulatedAthena(Headband):
                 self._note(name, each.times, samples, sent=sent)
 
     def _measure(self, tag: Tag, times: Floats) -> tuple[bytes, Rows]:
-        """Return the bytes of a block, and its samples by data name."""
+        """Return the payload of a block, and its samples by data name."""
         match tag:
             case Tag.EEG4 | Tag.EEG8:
                 names = _ELECTRODES[: WIDTHS[tag]]
@@ -288,13 +288,13 @@ class SimulatedAthena(Headband):
                 return bytes(24), {}
 
     def _light(self, times: Floats, width: int) -> Floats:
-        """Return light of so many channels: some of the blood, some of the room."""
+        """Return light channels: reflected light and ambient light."""
         colours = ("infrared", "red", "ambient")
         columns = [self._signals.light(times, colours[at % 3]) + 40 * at for at in range(width)]
         return np.stack(columns, axis=1)
 
     def _garbage(self, number: int) -> tuple[str, bytes]:
-        """Return bytes whose length is wrong, or that are no blocks."""
+        """Return bytes of wrong length or without valid blocks."""
         noise = self._rng.bytes(20)
         wrong = (
             bytes((250,)) + noise if number % 2 else bytes((21, 0, 0)) + noise[:6] + b"\x0f" * 12

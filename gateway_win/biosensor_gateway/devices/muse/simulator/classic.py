@@ -1,4 +1,4 @@
-"""A virtual Muse 2: a characteristic for each channel, packets that are numbered."""
+"""A virtual Muse 2, with numbered packets and one characteristic per channel."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _FULL_12, _FULL_24 = (1 << 12) - 1, (1 << 24) - 1
 
 
 def _eeg_packet(number: int, microvolts: Floats) -> tuple[bytes, Floats]:
-    """Return a packet of one electrode, and the values that it holds [uV]."""
+    """Return a packet of one electrode, and the values in it [uV]."""
     counts = np.clip(np.rint(microvolts / _UV) + 2048, 0, _FULL_12).astype(int)
     bits = 0
     for each in counts:
@@ -47,24 +47,24 @@ def _eeg_packet(number: int, microvolts: Floats) -> tuple[bytes, Floats]:
 
 
 def _light_packet(number: int, values: Floats) -> tuple[bytes, Floats]:
-    """Return a packet of one photodiode, and the values that it holds [counts]."""
+    """Return a packet of one photodiode, and the values in it [counts]."""
     counts = np.clip(np.rint(values), 0, _FULL_24).astype(int)
     body = b"".join(int(count).to_bytes(3, "big") for count in counts)
     return struct.pack(">H", number & 0xFFFF) + body, counts.astype(float)
 
 
 def _acceleration_packet(number: int, g: Floats) -> tuple[bytes, Floats]:
-    """Return a packet of acceleration, and the values that it holds [g]."""
+    """Return a packet of acceleration, and the values in it [g]."""
     return _motion(number, g, _G)
 
 
 def _rotation_packet(number: int, degrees_per_s: Floats) -> tuple[bytes, Floats]:
-    """Return a packet of rotation, and the values that it holds [deg/s]."""
+    """Return a packet of rotation, and the values in it [deg/s]."""
     return _motion(number, degrees_per_s, _DPS)
 
 
 def _telemetry_packet(number: int, percent: float) -> tuple[bytes, float]:
-    """Return a packet of battery and temperature, and the percentage that it holds."""
+    """Return a packet of battery and temperature, and the battery level in it."""
     raw = round(percent * 512)
     fields = struct.pack(">HHHHH", number & 0xFFFF, raw, 1700, 3900, 25)
     return fields.ljust(20, b"\0"), raw / 512
@@ -76,15 +76,15 @@ def _motion(number: int, values: Floats, unit: float) -> tuple[bytes, Floats]:
 
 
 class _Source(NamedTuple):
-    """What is measured together.
+    """Channels that are measured together.
 
     Attributes
     ----------
     samples
-        In a packet.
+        Samples per packet.
     measure
-        Takes the packet's number and the true times; returns packets with their
-        characteristics, and samples by data name.
+        Takes the packet number and the true times; returns packets with their characteristics, and
+        samples by data name.
     """
 
     rate_hz: float
@@ -98,7 +98,7 @@ class SimulatedMuse(Headband):
     Parameters
     ----------
     motion_deviation
-        By which share acceleration and rotation are faster than 52 Hz.
+        Relative deviation of acceleration and rotation from 52 Hz.
     """
 
     expected = CLASSIC
@@ -188,7 +188,7 @@ class SimulatedMuse(Headband):
         rows = {"eeg": np.stack(columns, axis=1)}
         if self._preset in _WITH_AUX and self._is_heard(AUX_UUID):
             data, held = _eeg_packet(number, self._signals.eeg_uv(times, "AUX"))
-            # It is the first one that comes, as handles are numbered from behind.
+            # The AUX packet is sent first, because handles are in reverse order.
             values.insert(0, (AUX_UUID, data))
             nothing = np.full((len(held), 3), np.nan)
             rows["aux"] = np.concatenate((held[:, np.newaxis], nothing), axis=1)
@@ -220,6 +220,6 @@ class SimulatedMuse(Headband):
             self._note("bat", [measured_s], [(percent,)], sent=sent)
 
     def _garbage(self, number: int) -> tuple[str, bytes]:
-        """Return packets that are too short or too long."""
+        """Return a packet that is too short or too long."""
         uuids = [each for each in self._characteristics if each != TELEMETRY_UUID]
         return uuids[number % len(uuids)], self._rng.bytes(17 + 4 * (number % 2))

@@ -1,4 +1,4 @@
-"""Base of all virtual headbands: power, commands and answers, faults, and what an agent can know.
+"""Base class of virtual headbands: power, commands and answers, faults, and expected results.
 
 Sources: muse-lsl (`constants.py`, `muse.py`), muse-js (`muse-utils.ts`) and OpenMuse (`muse.py`)
 for UUIDs, framing and the fields of answers.
@@ -39,9 +39,9 @@ from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
 
 CLASSIC = Expected(
-    # It comes without a time.
+    # The battery level has no timestamp.
     unstamped_s={"bat": 0.0},
-    # Each connection begins to count again, and is placed by its arrival.
+    # Counters restart with each connection, so its start is only known by the arrival.
     loss_tolerance=LossTolerance(over_break=48, by_arrival=True),
     impossible={
         FaultKind.OFF_BODY: "it does not tell whether anybody wears it",
@@ -59,9 +59,9 @@ ATHENA = replace(
         Untidiness.APART: USUALLY_IMPOSSIBLE[Untidiness.APART],
         FaultKind.DENY: "all that it measures comes by one characteristic",
     },
-    # Each connection begins to count again, and is placed by the device's clock.
+    # Counters restart with each connection, so its start is only known by the device's clock.
     loss_tolerance=LossTolerance(over_break=48),
-    # Its clock begins again.
+    # The device's clock restarts.
     gaps={FaultKind.RESTART: Gap.STOPPED},
 )
 
@@ -72,7 +72,7 @@ _PIECE_BYTES = 20
 
 
 def uuid(number: int) -> str:
-    """Return the UUID of a characteristic by the part that differs."""
+    """Return the UUID of a characteristic from its variable part."""
     return _BASE.format(number)
 
 
@@ -80,7 +80,7 @@ CONTROL = uuid(0x0001)
 
 
 def command_text(written: bytes) -> str | None:
-    """Return the command in what a host wrote, None if it is none."""
+    """Return the command in written data; None if it is invalid."""
     if len(written) < 2 or written[0] != len(written) - 1 or written[-1:] != b"\n":
         return None
     return written[1:-1].decode("ascii", "replace")
@@ -89,14 +89,14 @@ def command_text(written: bytes) -> str | None:
 def pieces(
     answers: Iterable[Mapping[str, object]], cuts: np.random.Generator | None = None
 ) -> Iterator[bytes]:
-    """Cut answers into notifications: a count, so many characters, zeros.
+    """Split answers into notifications: number of characters, characters, zero padding.
 
     Parameters
     ----------
     answers
-        One behind the other.
+        Answers in sequence.
     cuts
-        Makes pieces of any length; None fills them.
+        For pieces of random length; None for full pieces.
     """
     text = b"".join(json.dumps(each, separators=(",", ":")).encode("ascii") for each in answers)
     room = _PIECE_BYTES - 1
@@ -107,7 +107,7 @@ def pieces(
 
 
 def version(firmware: str, protocol: int) -> dict[str, object]:
-    """Return what a headband says of its firmware."""
+    """Return the answer about the firmware."""
     return {
         "ap": "headset",
         "sp": "RevE",
@@ -122,7 +122,7 @@ def version(firmware: str, protocol: int) -> dict[str, object]:
 
 
 def status(name: str, serial: str, percent: float, preset: str) -> dict[str, object]:
-    """Return what a headband says of its state."""
+    """Return the answer about the state."""
     return {
         "hn": name,
         "sn": serial,
@@ -139,7 +139,7 @@ _P = Characteristic.Properties
 _REFUSED = 1
 
 _LIGHT = {
-    # Level, share of the pulse and noise [counts].
+    # Level, relative pulse amplitude, and noise [counts].
     "ambient": (4000.0, 0.0, 12.0),
     "infrared": (150_000.0, 2500.0, 20.0),
     "red": (90_000.0, 900.0, 20.0),
@@ -160,11 +160,11 @@ class _Signals:
         self._wearer = wearer
 
     def eeg_uv(self, times: Floats, electrode: str) -> Floats:
-        """Potential of an electrode [uV]."""
+        """Voltage of an electrode [uV]."""
         return self._wearer.eeg_uv(times - self.origin_s, electrode)
 
     def light(self, times: Floats, colour: str) -> Floats:
-        """Light that comes back from the skin [counts]."""
+        """Light reflected by the skin [counts]."""
         level, share, noise = _LIGHT[colour]
         t = times - self.origin_s
         return level + share * self._wearer.pulse(t) + self._wearer.noise(t, noise, colour)
@@ -180,20 +180,20 @@ class _Signals:
 
 
 class Headband(RadioDevice):
-    """A headband on the air, which streams when it is told to.
+    """A headband with its radio, which streams on command.
 
     Parameters
     ----------
     world, radio
-        Where it lives, and the air that it is heard on.
+        Simulated world and radio.
     address
-        Bluetooth address; its name is made of the last four digits.
+        Bluetooth address; its last four digits form the name.
     serial
-        Its first digit tells the model.
+        Serial number; its first digit identifies the model.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     patience_s
-        It ends the stream when it has heard nothing for so long.
+        Time without a command after which it ends the stream.
     **specimen
         As for every virtual device: see `Specimen`.
     """
@@ -201,14 +201,14 @@ class Headband(RadioDevice):
     sensor = "muse"
     on_air = True
     kind: ClassVar[str]
-    """What its name begins with."""
+    """Prefix of its name."""
     protocol: ClassVar[int]
-    """Version of what it speaks."""
+    """Protocol version."""
     start: ClassVar[str]
     """The command that begins the stream."""
     presets: ClassVar[frozenset[str]]
     deniable: ClassVar[Sequence[str]] = ()
-    """Characteristics of which one is refused at each time."""
+    """Characteristics that are refused, one at a time."""
 
     def __init__(
         self,
@@ -246,19 +246,19 @@ class Headband(RadioDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._number}
 
     @abstractmethod
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:
-        """Return what measures and sends for ever, by the preset."""
+        """Return the tasks that measure and send, according to the preset."""
 
     @abstractmethod
     def _garbage(self, number: int) -> tuple[str, bytes]:
-        """Return a notification that makes no sense, and its characteristic."""
+        """Return an invalid notification and its characteristic."""
 
     def _offer(self, uuids: Iterable[str]) -> None:
-        """Have these characteristics, which notify."""
+        """Add notifying characteristics."""
         for uuid in uuids:
             self._characteristics[uuid] = Characteristic[bytes](
                 uuid, _P.NOTIFY, Attribute.Permissions.READABLE, b""
@@ -282,14 +282,14 @@ class Headband(RadioDevice):
         answer: Mapping[str, object] = {"rc": _REFUSED}
         if command is not None and not self._refuses:
             answer = self._carry_out(command)
-        # Such as to a command to stay awake, which is answered together with this one.
+        # Adds an answer, such as to a keep-alive command, in the same notification.
         answers = [answer, {"rc": 0}] if self._glues else [answer]
         cuts = self._rng if self._glues else None
         for piece in pieces(answers, cuts):
             await self._peripheral.notify(self._control, piece)
 
     def _carry_out(self, command: str) -> Mapping[str, object]:
-        """Return the answer to a command."""
+        """Execute a command and return its answer."""
         if command.startswith("v"):
             return version("1.2.13", self.protocol)
         if command == "s":
@@ -314,19 +314,19 @@ class Headband(RadioDevice):
         self.break_link()
 
     async def _leave(self, measured_s: float, before_s: float) -> float:
-        """Wait for the radio, behind the packet before; return when the packet left."""
+        """Wait for the radio, after the previous packet; return the time of sending."""
         due_s = max(before_s, measured_s + self._rng.uniform(0, self.specimen.jitter_s))
         await asyncio.sleep(max(0.0, due_s - self.world.clock()))
         return due_s
 
     async def _notify(self, uuid: str, value: bytes) -> bool:
-        """Send a value; False if the host does not get it, or cannot read it."""
+        """Send a value; return False if the host does not get it or cannot read it."""
         cut = value[:-1] if self._is_unreadable else value
         sent = await self._peripheral.notify(self._characteristics[uuid], cut)
         return sent and not self._is_unreadable
 
     def _note(self, name: str, times: Iterable[float], rows: Iterable[Any], *, sent: bool) -> None:
-        """Note samples in the units of the declaration."""
+        """Record samples in declared units."""
         stamps = list(times)
         if sent:
             note = self.truth.told if name == "bat" else self.truth.sent
@@ -350,12 +350,12 @@ class Headband(RadioDevice):
                 await self._peripheral.notify(self._control, piece)
 
     def deny(self) -> None:
-        """Break the link and let nobody subscribe to a characteristic, another each time."""
+        """Break the link and refuse subscriptions to one characteristic, in turn."""
         self._peripheral.deny((UUID(next(self._to_deny)),))
         self.break_link()
 
     def give(self) -> None:
-        """Let everybody subscribe to all again."""
+        """Allow all subscriptions again."""
         self._peripheral.deny(())
 
     def _answer_unasked(self, count: float) -> None:

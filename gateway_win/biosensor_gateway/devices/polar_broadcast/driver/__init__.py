@@ -1,4 +1,4 @@
-"""Listens to a Polar strap or watch that advertises its heart rate; nothing is sent to it."""
+"""Driver for Polar devices that advertise their heart rate; it only receives."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from biosensor_gateway.transports.ble_scanner import Sighting, sightings
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 READABLE_S = 5.0
-"""Five measurements: one that makes sense is heard within."""
+"""Time for five measurements, of which at least one should be valid."""
 ABSENT_S = 6.0
-"""Shorter than the rate may be overdue: who is not heard at all is gone."""
+"""Without any advertisement for this time, the device is gone; less than the stream's limit."""
 _DUE = {"hr": 7.5}
 _OPTICAL = frozenset({"Sense", "Verity Sense", "OH1", "360", "Loop"})
 _ADVICE = "put it on with wet electrodes, bring it nearer, or switch its broadcast on"
@@ -48,9 +48,9 @@ class PolarBroadcastSettings(DeviceSettings):
 
 
 class PolarBroadcastDriver:
-    """Listens until the device is not heard any more; see the protocol class `Driver`."""
+    """Receives until the device is gone; see the protocol class `Driver`."""
 
-    # It ends by itself when nothing is heard.
+    # `stream` ends by itself when nothing is received.
     silence_limit_s = 15.0
 
     def __init__(self, choice: Choice, emitter: BroadcastEmitter, clock: Clock) -> None:
@@ -61,7 +61,7 @@ class PolarBroadcastDriver:
         self._heard: AsyncIterator[Sighting] | None = None
 
     async def connect(self) -> Connected:
-        """Find the device, and hear what makes sense."""
+        """Find the device, and wait for a valid measurement."""
         found = (await self._choice.find()).advertisement
         self._choice.keep(found)
         self._heard = await self._listening.enter_async_context(sightings(found.address))
@@ -77,7 +77,7 @@ class PolarBroadcastDriver:
         )
 
     async def stream(self) -> None:
-        """Emit what is heard."""
+        """Emit the received measurements."""
         loop = asyncio.get_running_loop()
         while self._heard is not None:
             try:
@@ -87,13 +87,13 @@ class PolarBroadcastDriver:
                 message = f"{self._choice.what} is not heard any more; {_ADVICE}"
                 raise TransportError(TransportReason.ABSENT, message) from error
             seen = sighting.advertisement
-            # It has waited for its turn.
+            # Without the time that it waited in the queue.
             arrival_s = self._clock() - (loop.time() - sighting.heard_s)
             self._emitter.feels_skin = _named(seen)[0] not in _OPTICAL
             self._emitter.heard(seen.manufacturer_data.get(COMPANY, b""), arrival_s, seen.rssi_dbm)
 
     async def close(self) -> None:
-        """Listen no more."""
+        """Stop receiving."""
         self._heard = None
         await self._listening.aclose()
 
@@ -108,7 +108,7 @@ class PolarBroadcastDriver:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarBroadcastDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarBroadcastSettings, settings)
     emitter = BroadcastEmitter(sink)
     kind = identify_any if own.device else identify
@@ -117,7 +117,7 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarBroadcastDr
 
 
 def _named(seen: Advertisement) -> tuple[str, str]:
-    """Return model and id, the last word of the name ``Polar <model> <id>``; empty if unknown."""
+    """Return model and id from the name ``Polar <model> <id>``; empty if unknown."""
     words = seen.name.split()
     if len(words) < 3 or words[0] != "Polar":
         return "", ""
@@ -129,18 +129,18 @@ def _tells_rate(seen: Advertisement) -> bool:
 
 
 def identify(seen: Advertisement) -> str | None:
-    """Return the id of a device that advertises a heart rate; its address without a name."""
+    """Return the id, or without a name the address, of a device that advertises a heart rate."""
     return identify_any(seen) if _tells_rate(seen) else None
 
 
 def identify_any(seen: Advertisement) -> str | None:
-    """Return the id of any Polar device, its address without a name; None for all others."""
+    """Return the id, or without a name the address, of any Polar device; None for others."""
     is_polar = COMPANY in seen.manufacturer_data or seen.name.startswith("Polar ")
     return (_named(seen)[1] or seen.address) if is_polar else None
 
 
 def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this advertises its heart rate."""
+    """Recognise a device that advertises its heart rate."""
     identity = identify(seen) if isinstance(seen, Advertisement) else None
     if not isinstance(seen, Advertisement) or identity is None:
         return None

@@ -1,4 +1,4 @@
-"""Turns advertised heart rates into samples, and counts those that were not heard."""
+"""Converts advertised heart rates to samples, and counts those not received."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from biosensor_gateway.devices.sink import Sink
 
 PERIOD_S = 1.0
 COUNTABLE_S = 60.0
-"""Who was not heard for longer may have been switched off."""
+"""After a longer absence the device may have been switched off, so losses are not counted."""
 _log = structlog.get_logger("biosensor_gateway.polar_broadcast")
 
 
 class BroadcastEmitter:
-    """Takes what is heard of one device; one instance a device, over all its connections.
+    """Processes a device's advertisements; one instance per device, over all its connections.
 
-    A measurement is advertised again and again until the next one: it is emitted when it is
-    heard for the first time, with the time of that arrival.
+    Each measurement is advertised repeatedly until the next one. It is emitted when first
+    received, with that arrival time.
 
     Attributes
     ----------
     feels_skin
-        The device can tell whether it is worn; what an optical sensor says of it means nothing.
+        Whether the device can detect that it is worn; the contact bit of optical sensors is
+        meaningless.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -38,7 +39,7 @@ class BroadcastEmitter:
         self._told: Collection[str] = frozenset()
 
     def heard(self, data: bytes, arrival_s: float, rssi_dbm: int | None) -> None:
-        """Take manufacturer data in, heard at a time of the LSL clock."""
+        """Process manufacturer data received at an LSL time."""
         broadcast = parse(data)
         is_repeated, self._data = data == self._data, data
         if broadcast is None:
@@ -48,12 +49,12 @@ class BroadcastEmitter:
         if steps:
             self._emit(broadcast, arrival_s, rssi_dbm, lost=steps - 1)
         elif not self._counts:
-            # Whether it still measures nobody can know.
+            # An unchanged value does not show whether the device still measures.
             self._sink.heard("hr")
         self._last, self._heard_s = broadcast, arrival_s
 
     def _steps(self, broadcast: Broadcast, arrival_s: float) -> int:
-        """Return how many measurements are new; a guess where all eight numbers went by."""
+        """Return the number of new measurements; a guess after the counter has wrapped around."""
         if self._last is None:
             return 1
         away_s = arrival_s - self._heard_s
@@ -75,14 +76,14 @@ class BroadcastEmitter:
         self._sink.heard("hr")
         is_worn = broadcast.contact or not self.feels_skin
         if not is_worn:
-            # The rate that it goes on telling is that of before.
+            # The advertised rate is an old one.
             self._sink.excuse("hr")
         rates = {"hr": broadcast.bpm, "hr_fast": broadcast.fast_bpm} if is_worn else {}
         contact = float(broadcast.contact) if self.feels_skin else math.nan
         samples = {name: [float(bpm)] for name, bpm in rates.items() if bpm}
         samples["quality"] = [contact, float(broadcast.battery_ok)]
         for data_name, sample in samples.items():
-            # What came before the first value, or while it was off the skin, had none.
+            # Before the first value, and without skin contact, there are no values to lose.
             if lost and data_name in self._told:
                 self._sink.lost(data_name, lost)
             self._sink.emit_at(data_name, [sample], [arrival_s])

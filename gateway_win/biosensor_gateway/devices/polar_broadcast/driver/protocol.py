@@ -1,10 +1,10 @@
-"""Heart rates in the manufacturer data of Polar's advertisements; no I/O, no clock.
+"""Parses heart rates in the manufacturer data of Polar's advertisements; no I/O, no clock.
 
-Manufacturer data are blocks behind each other. A block whose first byte has bit 6 set is of
-another kind and tells its length in the next byte; the heart rate is in one without that bit,
-of 3 bytes, or 4 with a second average [1]_. A set bit 0 means that the battery will do: so the
-vendor's interface says [2]_, and so it is in what devices of users sent; a test of the vendor's
-names it the other way round.
+Manufacturer data are a sequence of blocks. A block whose first byte has bit 6 set is of another
+kind and has its length in the next byte. The heart rate is in a block without that bit, of 3
+bytes, or 4 bytes with a second average [1]_. Bit 0 means that the battery is good, according to
+the vendor's interface [2]_ and data from users' devices; a test of the vendor names it the other
+way round.
 
 References
 ----------
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 COMPANY = 0x006B
 COUNTS = 8
-"""The counter has three bits and goes up once a second."""
+"""The counter has three bits and increases once a second."""
 
 _BATTERY_OK = 1 << 0
 _CONTACT = 1 << 1
@@ -28,18 +28,18 @@ _SHORT, _LONG = 3, 4
 
 
 class Broadcast(NamedTuple):
-    """What one block says.
+    """The contents of one heart rate block.
 
     Attributes
     ----------
     bpm
-        The average that devices show [1/min]; 0 = no reading.
+        The average displayed by devices [1/min]; 0 = no reading.
     fast_bpm
-        Over a shorter time; 0 = no reading, or not told.
+        Average over a shorter time; 0 = no reading or not included.
     contact
-        Whether the device says that it feels the skin.
+        Whether the device reports skin contact.
     counter
-        Of the measurements, modulo `COUNTS`; some old devices do not count.
+        Counter of measurements, modulo `COUNTS`; some old devices do not count.
     """
 
     bpm: int
@@ -50,7 +50,7 @@ class Broadcast(NamedTuple):
 
 
 def parse(data: bytes) -> Broadcast | None:
-    """Read manufacturer data, without the company's number; None if no heart rate is in them."""
+    """Parse manufacturer data without the company id; None if they contain no heart rate."""
     at = 0
     while at < len(data) and data[at] & _OTHER_KIND:
         if at + 1 >= len(data):
