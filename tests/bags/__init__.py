@@ -1,1 +1,0 @@
-"""Bags made of recordings, and recordings made of bags."""

@@ -1,1 +1,0 @@
-"""The fault matrix: every fault that can hit a device, for every sensor at once."""

@@ -1,1 +1,0 @@
-"""Features: pure classes in any cutting, headers that are wrong, and recordings."""

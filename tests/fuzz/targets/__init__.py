@@ -1,1 +1,0 @@
-"""One module for each reader: ``check(data)`` says what must hold for any bytes."""

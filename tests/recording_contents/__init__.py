@@ -1,1 +1,0 @@
-"""The contents of recordings, piece by piece."""

@@ -1,1 +1,0 @@
-"""Virtual Windows PCs, by Wine, on which the finished installer is run."""

@@ -1,1 +1,0 @@
-"""What is installed beside the code: manifests and files."""

@@ -1,1 +1,0 @@
-"""The three tiers of tests: unit, seams, nightly."""

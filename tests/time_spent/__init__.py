@@ -1,1 +1,0 @@
-"""Where the time of a run went, and which files begin or take turns."""

@@ -1,1 +1,0 @@
-"""The check of recordings: on files written byte by byte, and on LabRecorder's own."""
