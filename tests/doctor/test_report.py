@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
 
 from biosensor_common.doctor.check import AGENT, Finding, Level, checks_of
 from biosensor_common.doctor.report import Report, as_json, as_text
+from biosensor_common.doctor.windows_firewall import (
+    Network,
+    Protocol,
+    Rule,
+    Treatment,
+    judge_rules,
+    merged,
+    read_rule,
+)
+from biosensor_common.lsl.api_file import Ports
 
 CHECKS = checks_of(AGENT)
-
 FINDINGS = (
     Finding(Level.OK, "all well", check="versions"),
     Finding(Level.ERROR, "a stream of \u2603 M\u00fcller\x1b[2J", "why", "one\ntwo", "streams"),
@@ -16,7 +29,6 @@ FINDINGS = (
     Finding(Level.NOTE, "a note", "why", "fix", "clock"),
 )
 REPORT = Report(CHECKS, FINDINGS, 4.25)
-
 TEXT = f"""\
 Program
   [ok]      versions: all well
@@ -73,3 +85,169 @@ def test_the_json_is_what_scripts_rely_on() -> None:
         "fix": "one\ntwo",
     }
     assert all(list(each) == list(content["findings"][0]) for each in content["findings"])
+
+
+# The rules of Windows' firewall, as the registry has them, and what they mean for LSL.
+PORTS = Ports(16571, 16572, 16603)
+EXE = r"C:\Program Files\Biosensor Gateway\biosensor-gateway.exe"
+NAME = "Biosensor Gateway"
+ORDINARY = Treatment()
+# As netsh and Windows' own question write them.
+INSTALLED = (
+    "v2.31|Action=Allow|Active=TRUE|Dir=In|Profile=Domain|Profile=Private|RA4=LocalSubnet|"
+    rf"RA6=LocalSubnet|App={EXE}|Name={NAME}|"
+)
+CANCELLED = (
+    rf"v2.31|Action=Block|Active=TRUE|Dir=In|Protocol={{}}|Profile=Private|App={EXE.lower()}|"
+    "Name=biosensor-gateway|Desc=biosensor-gateway|Defer=User|"
+)
+OF_PORTS = [
+    "v2.31|Action=Allow|Active=TRUE|Dir=In|Protocol=17|LPort=16571|LPort2_10=16572-16603|Name=LSL|",
+    "v2.31|Action=Allow|Active=TRUE|Dir=In|Protocol=6|LPort2_10=16572-16827|Name=LSL|",
+]
+
+
+def judged(
+    *written: str,
+    network: Network | None = Network.PRIVATE,
+    of_domain: Sequence[str] = (),
+    private: Treatment = ORDINARY,
+) -> list[tuple[Level, str]]:
+    rules = [rule for rule in map(read_rule, written) if rule is not None]
+    rules += [replace(rule, is_local=False) for rule in map(read_rule, of_domain) if rule]
+    found = judge_rules(rules, EXE, PORTS, network, {"Private": private})
+    return [(each.level, each.what) for each in found]
+
+
+def test_the_rule_of_the_installer_is_read() -> None:
+    profiles = frozenset({"Domain", "Private"})
+    assert read_rule(INSTALLED) == Rule(NAME, allows=True, program=EXE, profiles=profiles)
+    assert judged(INSTALLED) == [(Level.OK, f"the firewall lets this program in: {NAME!r}")]
+    assert judged(INSTALLED, network=None)[0][0] is Level.OK
+
+
+def test_variables_in_a_path_are_expanded() -> None:
+    rule = read_rule(
+        INSTALLED.replace(r"C:\Program Files", "%ProgramFiles%"),
+        {"PROGRAMFILES": r"C:\Program Files"},
+    )
+    assert rule is not None
+    assert rule.is_for(EXE.upper())
+    assert not rule.is_for(EXE.replace("C:", "D:"))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        INSTALLED.replace("Dir=In", "Dir=Out"),
+        INSTALLED.replace("Dir=In|", "Dir=In|Protocol=1|"),
+        INSTALLED.replace("Dir=In|", "Dir=In|Svc=upnphost|"),
+        INSTALLED.replace("Dir=In|", "Dir=In|AppPkgId=S-1-15-2-1|"),
+        "v2.31",
+        "",
+    ],
+)
+def test_rules_for_something_else_are_left_out(other: str) -> None:
+    assert read_rule(other) is None
+
+
+@pytest.mark.parametrize(
+    ("written", "why"),
+    [
+        (INSTALLED.replace("TRUE", "FALSE"), "is switched off"),
+        (INSTALLED.replace("C:", "D:"), rf"is for {EXE.replace('C:', 'D:')}"),
+        (
+            INSTALLED.replace("|Profile=Private", ""),
+            "holds in domain networks only",
+        ),
+        (INSTALLED.replace("Dir=In|", "Dir=In|LPort=80|"), "is for other ports or protocols"),
+        (INSTALLED.replace("Action=Allow", "Action=Block"), "blocks"),
+    ],
+)
+def test_a_rule_of_that_name_alone_is_no_proof(written: str, why: str) -> None:
+    *blocking, (level, what) = judged(written)
+    assert level is Level.NOTE
+    assert what.startswith("no rule of the firewall lets TCP and UDP in to this program")
+    assert f"the rule {NAME!r} {why}" in what
+    assert bool(blocking) == (why == "blocks")
+
+
+def test_no_rule_at_all() -> None:
+    what = "no rule of the firewall lets TCP and UDP in to this program"
+    assert judged() == [(Level.NOTE, what)]
+    assert judged(INSTALLED, network=Network.PUBLIC)[0][0] is Level.NOTE
+
+
+def test_rules_that_block_win_over_those_that_allow() -> None:
+    found = judged(INSTALLED, CANCELLED.format(6), CANCELLED.format(17))
+    assert [level for level, _ in found] == [Level.WARNING, Level.WARNING]
+    assert "'biosensor-gateway' blocks TCP" in found[0][1]
+    # Where it is not in force, and for ports that LSL does not use, it blocks nothing.
+    assert judged(INSTALLED, CANCELLED.format(6), network=Network.DOMAIN)[0][0] is Level.OK
+    of_others = CANCELLED.format("6|LPort=22345").replace(f"App={EXE.lower()}|", "")
+    assert judged(INSTALLED, of_others)[0][0] is Level.OK
+    everything = "v2.31|Action=Block|Active=TRUE|Dir=In|Name=Nobody|"
+    assert judged(INSTALLED, everything)[0][0] is Level.WARNING
+
+
+def test_rules_for_ports_let_every_program_in() -> None:
+    assert judged(*OF_PORTS) == [(Level.OK, "the firewall lets this program in: 'LSL'")]
+    (found,) = judged(OF_PORTS[0])
+    assert found == (Level.NOTE, "no rule of the firewall lets TCP in to this program")
+    half = OF_PORTS[1].replace("-16827", "-16580")
+    assert judged(OF_PORTS[0], half) == [found]
+    rpc = read_rule(OF_PORTS[1].replace("LPort2_10=16572-16827", "LPort=RPC"))
+    assert rpc == Rule("LSL", allows=True, protocols=frozenset({Protocol.TCP}), ports=())
+
+
+def test_rules_that_cannot_be_read() -> None:
+    (found,) = judge_rules(None, EXE, PORTS, None, {})
+    assert (found.level, "cannot be read" in found.what) == (Level.NOTE, True)
+    assert "netsh advfirewall" in found.fix
+
+
+def test_a_firewall_that_is_off_needs_no_rule() -> None:
+    off = Treatment(is_on=False)
+    ((level, what),) = judged(CANCELLED.format(6), private=off)
+    assert (level, "is off in private networks" in what) == (Level.OK, True)
+    # Of two kinds of network one is not.
+    assert judged(private=off, network=None)[0][0] is Level.NOTE
+    assert judged(INSTALLED, private=off, network=Network.DOMAIN)[0][0] is Level.OK
+
+
+def test_nothing_is_right_where_everything_is_blocked() -> None:
+    shut = Treatment(lets_in=False)
+    ((level, what),) = judged(INSTALLED, private=shut)
+    assert (level, "lets nobody in, in private networks" in what) == (Level.WARNING, True)
+    assert judged(INSTALLED, private=shut, network=Network.DOMAIN)[0][0] is Level.OK
+
+
+def test_rules_of_a_pc_that_its_manager_does_not_merge_are_none() -> None:
+    deaf = Treatment(heeds_local_rules=False)
+    ((level, what),) = judged(INSTALLED, private=deaf)
+    assert (level, "only rules of who manages this PC" in what) == (Level.WARNING, True)
+    # What Windows' own question has blocked is not in force, either.
+    allowed = (Level.OK, f"the firewall lets this program in: {NAME!r}")
+    blocked = CANCELLED.format(6)
+    assert judged(INSTALLED, blocked, of_domain=[INSTALLED], private=deaf) == [allowed]
+    assert judged(INSTALLED, of_domain=[blocked], private=deaf)[0][0] is Level.WARNING
+
+
+OF_MANAGERS: list[tuple[dict[str, object], list[dict[str, object]], Treatment]] = [
+    ({}, [{}, {}], ORDINARY),
+    ({"EnableFirewall": 0}, [{}, {}], Treatment(is_on=False)),
+    ({"EnableFirewall": 0}, [{"EnableFirewall": 1}, {}], ORDINARY),
+    ({"EnableFirewall": 1}, [{}, {"EnableFirewall": 0}], Treatment(is_on=False)),
+    ({"DoNotAllowExceptions": 1}, [{}, {}], Treatment(lets_in=False)),
+    ({}, [{"AllowLocalPolicyMerge": 0}, {}], Treatment(heeds_local_rules=False)),
+    ({}, [{"AllowLocalPolicyMerge": 1}, {"AllowLocalPolicyMerge": 1}], ORDINARY),
+    # A PC cannot say this of itself.
+    ({"AllowLocalPolicyMerge": 0}, [{}, {}], ORDINARY),
+]
+
+
+@pytest.mark.parametrize(("local", "managed", "treatment"), OF_MANAGERS)
+def test_settings_of_who_manages_a_pc_come_first(
+    local: dict[str, object], managed: list[dict[str, object]], treatment: Treatment
+) -> None:
+    assert merged(local, managed) == treatment

@@ -20,7 +20,7 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.sink import DeviceSink
-from tests.gateway.test_status_file import NoDriver
+from tests.gateway.test_new_file import NoDriver
 from tests.rigs.memory_outlet import MemoryOutlet
 
 

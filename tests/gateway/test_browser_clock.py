@@ -1,9 +1,10 @@
-"""The clock of a browser, from exchanges whose truth is known."""
+"""The browser of the page: which one is found, and its clock."""
 
 from __future__ import annotations
 
 import math
 import random
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,9 @@ from biosensor_gateway.page.experiments.conversation import (
     BrowserClock,
     Exchange,
 )
+from biosensor_gateway.system.browser import apps
+
+# The clock of a browser, from exchanges whose truth is known.
 
 TWO_HOURS_S = 7200.0
 
@@ -104,3 +108,16 @@ def test_a_resolution_that_nobody_has_is_not_believed() -> None:
         uncertainty = clock.newest_uncertainty_s
         assert uncertainty is not None
         assert 0 <= uncertainty < 1
+
+
+# Where browsers are that can show a page in a window of its own.
+def test_browsers_of_a_mac_are_found_in_its_folders_of_applications(tmp_path: Path) -> None:
+    everybody, own = tmp_path / "Applications", tmp_path / "me" / "Applications"
+    edge = everybody / "Microsoft Edge.app" / "Contents" / "MacOS" / "Microsoft Edge"
+    chrome = own / "Google Chrome.app" / "Contents" / "MacOS" / "Google Chrome"
+    for program in (edge, chrome):
+        program.parent.mkdir(parents=True)
+        program.touch()
+    # What is left of a removed one is none.
+    (everybody / "Chromium.app" / "Contents").mkdir(parents=True)
+    assert list(apps((everybody, own))) == [str(chrome), str(edge)]

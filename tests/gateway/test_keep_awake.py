@@ -1,13 +1,32 @@
-"""When the computer is kept awake, and what is said of it."""
+"""When and by which program the computer is kept awake, and what is said of it."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
+import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.system.keep_awake import GRACE_S, RETRY_S, KeepAwake
+from biosensor_common.errors import ConfigError
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.system.keep_awake import (
+    GRACE_S,
+    RETRY_S,
+    Inhibitor,
+    KeepAwake,
+    system_inhibitor,
+)
 from tests.rigs.set_clock import SetClock
+
+# When the computer is kept awake, and what is said of it.
 
 KEPT = "the computer is kept from sleeping while a device streams"
 LET_GO = "the computer may go to sleep again"
@@ -124,3 +143,277 @@ def test_it_is_not_said_to_be_held_before_the_system_has_agreed() -> None:
         every_second(awake, clock, 5, wanted=True)
     assert system.calls == ["begin"]
     assert events(logs) == [KEPT]
+
+
+# By which program the computer is kept awake, and that it always ends.
+Until = Callable[[Callable[[], bool]], None]
+StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
+ENDED_WITHIN_S = 15.0
+NOTHING = "nothing on this computer can hold off its sleep"
+# Both run something that they outlive, as the real ones do.
+STAND_INS = {
+    "systemd-inhibit": """\
+while [ "${1#--}" != "$1" ]; do shift; done
+"$@" """,
+    "caffeinate": """\
+while kill -0 "$3"; do sleep 0.05; done 2>/dev/null""",
+}
+ARGUMENTS = {
+    "systemd-inhibit": "--what=sleep:idle --mode=block --who=Biosensor Gateway "
+    f"--why=a biosensor is streaming {shutil.which('cat')}",
+    "caffeinate": f"-i -w {os.getpid()}",
+}
+PLATFORMS = {"linux": "systemd-inhibit", "darwin": "caffeinate"}
+BOTH = pytest.mark.parametrize("platform", PLATFORMS)
+
+
+class Programs:
+    """A folder of stand-ins, and what was written down there."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._calls = folder / "calls"
+        for name, work in STAND_INS.items():
+            self.write(name, work)
+
+    def write(self, name: str, work: str) -> None:
+        program = self._folder / name
+        program.write_text(
+            f'#!/bin/sh\necho "called $$ $*" >>{self._calls}\n{work}\n'
+            f"code=$?; echo released >>{self._calls}; exit $code\n"
+        )
+        program.chmod(0o755)
+
+    @property
+    def calls(self) -> list[str]:
+        """One line a call, ``called PID ARGUMENTS``, and one when its work ended by itself."""
+        return self._calls.read_text().splitlines() if self._calls.exists() else []
+
+    @property
+    def process(self) -> int:
+        return int(self.calls[0].split()[1])
+
+
+def is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.fixture
+def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Programs:
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    # The stand-ins do not connect to it.
+    monkeypatch.setenv("DBUS_SYSTEM_BUS_ADDRESS", f"unix:path={folder / 'bus'}")
+    return Programs(folder)
+
+
+@pytest.fixture
+def keep_awake() -> Generator[Callable[[Inhibitor | None], KeepAwake]]:
+    made: list[KeepAwake] = []
+
+    def make(inhibitor: Inhibitor | None) -> KeepAwake:
+        made.append(KeepAwake(inhibitor))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+MakeKeepAwake = Callable[[Inhibitor | None], KeepAwake]
+
+
+def held_until(awake: KeepAwake, logs: list[Any], event: str) -> Callable[[], bool]:
+    """Hold until something is logged."""
+
+    def logged() -> bool:
+        awake.hold(True)
+        return event in events(logs)
+
+    return logged
+
+
+@pytest.mark.seam
+@BOTH
+def test_the_program_runs_while_it_is_held_and_not_longer(
+    programs: Programs, keep_awake: MakeKeepAwake, until: Until, platform: str
+) -> None:
+    awake = keep_awake(system_inhibitor(platform))
+    with capture_logs() as logs:
+        until(held_until(awake, logs, KEPT))
+        until(lambda: programs.calls != [])
+        awake.hold(True)
+        assert is_running(programs.process)
+        # Ctrl-C goes to the group of the agent.
+        assert os.getpgid(programs.process) != os.getpgid(0)
+        awake.close()
+        assert not is_running(programs.process)
+    (call,) = programs.calls
+    assert call.split(maxsplit=2)[2] == ARGUMENTS[PLATFORMS[platform]]
+    assert events(logs) == [KEPT, LET_GO]
+    assert logs[0]["way"] == PLATFORMS[platform]
+
+
+@pytest.mark.nightly
+@BOTH
+def test_a_program_that_refuses_is_quoted(
+    programs: Programs, keep_awake: MakeKeepAwake, until: Until, platform: str
+) -> None:
+    programs.write(PLATFORMS[platform], "echo; echo 'Failed: Access denied' >&2; echo >&2; false")
+    awake = keep_awake(system_inhibitor(platform))
+    with capture_logs() as logs:
+        until(held_until(awake, logs, WARNED))
+    assert logs[-1]["error"] == "Failed: Access denied"
+    assert len(programs.calls) == 2
+
+
+@pytest.mark.nightly
+def test_a_program_that_is_killed_is_noticed(
+    programs: Programs, keep_awake: MakeKeepAwake, until: Until
+) -> None:
+    awake = keep_awake(system_inhibitor("linux"))
+    with capture_logs() as logs:
+        until(held_until(awake, logs, KEPT))
+        os.kill(programs.process, signal.SIGKILL)
+        until(held_until(awake, logs, WARNED))
+    assert logs[-1]["error"] == "it ended by itself"
+
+
+@pytest.mark.nightly
+def test_a_program_that_cannot_be_started_is_a_refusal(
+    programs: Programs, keep_awake: MakeKeepAwake, tmp_path: Path
+) -> None:
+    awake = keep_awake(system_inhibitor("linux"))
+    (tmp_path / "bin" / "systemd-inhibit").unlink()
+    with capture_logs() as logs:
+        awake.hold(True)
+        awake.hold(True)
+    assert events(logs) == [WARNED]
+    assert programs.calls == []
+
+
+@BOTH
+def test_where_there_is_no_such_program_nobody_is_bothered(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, platform: str
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with capture_logs() as logs:
+        inhibitor = system_inhibitor(platform)
+        KeepAwake(inhibitor).hold(True)
+    assert inhibitor is None
+    assert [(entry["event"], entry["log_level"]) for entry in logs] == [(NOTHING, "debug")]
+
+
+def test_a_container_without_a_system_bus_has_nobody_to_ask(
+    programs: Programs, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv("DBUS_SYSTEM_BUS_ADDRESS")
+    monkeypatch.setattr("biosensor_gateway.system.keep_awake._BUS_SOCKET", tmp_path / "bus")
+    assert system_inhibitor("linux") is None
+    (tmp_path / "bus").touch()
+    assert system_inhibitor("linux") is not None
+    assert programs.calls == []
+
+
+HOLDS = """
+from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
+import sys, time
+awake = KeepAwake(system_inhibitor(sys.argv[1]))
+while True:
+    awake.hold(True)
+    time.sleep(0.1)
+"""
+
+
+@pytest.mark.nightly
+@BOTH
+def test_the_program_ends_with_a_process_that_is_killed(
+    programs: Programs, until: Until, platform: str
+) -> None:
+    with subprocess.Popen([sys.executable, "-c", HOLDS, platform]) as holder:
+        try:
+            until(lambda: programs.calls != [])
+            process = programs.process
+            assert is_running(process)
+        finally:
+            holder.kill()
+    until(lambda: programs.calls[-1] == "released")
+    until(lambda: not is_running(process))
+
+
+def device_state(folder: Path) -> tuple[str, float]:
+    """State of the only device of a running agent, and when the agent reported it."""
+    try:
+        status = status_file.read_status(folder)
+    except ConfigError:
+        return "", 0.0
+    return status["devices"][0]["state"], status["written"]
+
+
+def reports(until: Until, folder: Path, state: str) -> None:
+    """Wait for three of the agent's reports with the device in that state."""
+    seen: set[float] = set()
+
+    def enough() -> bool:
+        now, written = device_state(folder)
+        if now == state:
+            seen.add(written)
+        return len(seen) >= 3
+
+    until(enough)
+
+
+needs_linux = pytest.mark.skipif(
+    sys.platform != "linux", reason="the stand-in is the program of Linux"
+)
+
+
+@pytest.mark.nightly
+@needs_linux
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_an_agent_that_streams_keeps_the_computer_awake_until_it_ends(
+    cli_process: StartCli, programs: Programs, until: Until, tmp_path: Path, number: signal.Signals
+) -> None:
+    with cli_process(tmp_path, "run", "--simulate", "zephyr") as agent:
+        until(lambda: KEPT in (tmp_path / "stderr.txt").read_text())
+        reports(until, tmp_path, "streaming")
+        assert is_running(programs.process)
+        agent.send_signal(number)
+        assert agent.wait(ENDED_WITHIN_S) in {0, -signal.SIGKILL}
+    until(lambda: not is_running(programs.process))
+    told = (tmp_path / "stderr.txt").read_text()
+    assert len([call for call in programs.calls if call.startswith("called")]) == 1
+    assert told.count(KEPT) == 1
+    assert told.count(LET_GO) == (1 if number == signal.SIGTERM else 0)
+
+
+@pytest.mark.nightly
+@needs_linux
+def test_an_agent_whose_device_is_absent_keeps_nothing_awake(
+    cli_process: StartCli, programs: Programs, until: Until, tmp_path: Path
+) -> None:
+    settings = tmp_path / "settings.toml"
+    settings.write_text(f'[[device]]\nsensor = "zephyr"\nunit = "1"\nport = "{tmp_path}/tty"\n')
+    with cli_process(tmp_path, "run", "--settings", str(settings)):
+        reports(until, tmp_path, "discovering")
+    assert programs.calls == []
+
+
+@pytest.mark.nightly
+@needs_linux
+def test_the_settings_switch_it_off(
+    cli_process: StartCli,
+    programs: Programs,
+    until: Until,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_POWER__KEEP_AWAKE", "false")
+    with cli_process(tmp_path, "run", "--simulate", "zephyr"):
+        reports(until, tmp_path, "streaming")
+    assert programs.calls == []

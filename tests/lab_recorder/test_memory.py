@@ -1,20 +1,42 @@
-"""What is kept of the recording that was started last."""
+"""What is known of a recording before it starts: its name, its participants, the last one."""
 
 from __future__ import annotations
 
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent.status_file import write_status
+from biosensor_gateway.recording.participants import OtherParticipantsError, Worn
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    BidsLabels,
+    RecorderReason,
+    RecordingRequest,
+    SensorsAwayError,
+    choose_target,
+)
 from biosensor_gateway.recording.recorder.state import (
     WINDOW_FILE,
     WRITTEN_WITHIN_S,
     WindowRecording,
     file_going_on,
 )
+from biosensor_gateway.recording.recorder.streams import (
+    Presence,
+    VisibleStream,
+    expected_devices,
+    require_startable,
+)
+from biosensor_gateway.settings.models import GatewaySettings
+
+# What is kept of the recording that was started last.
 
 RECORDING = WindowRecording("127.0.0.1", 22345, "/data/a.xdf", 1795279855.5)
 
@@ -73,3 +95,175 @@ def test_a_window_records_as_long_as_it_writes(age_s: float, goes_on: bool, tmp_
     assert file_going_on(tmp_path) == (file if goes_on else None)
     WindowRecording.forget(tmp_path)
     assert file_going_on(tmp_path) is None
+
+
+# Which name LabRecorder is told, and where its file will be.
+LABELS = BidsLabels("P07", "S2", "Walk", 12, "left", "EEG")
+
+
+def test_a_bids_name_is_told_with_placeholders_that_keep_their_case(tmp_path: Path) -> None:
+    target = choose_target(RecordingRequest(tmp_path, labels=LABELS), is_local=True)
+    name = "sub-P07/ses-S2/eeg/sub-P07_ses-S2_task-Walk_acq-left_run-012_eeg.xdf"
+    assert target.files == (tmp_path / name,)
+    assert target.template == target.template.lower()
+    assert target.command.startswith(
+        f"filename {{root:{tmp_path}}}{{template:sub-%p/ses-%s/%m/sub-%p_ses-%s_task-%b_acq-%a_run"
+    )
+
+
+def test_the_run_is_told_last_because_a_task_or_modality_resets_it() -> None:
+    command = choose_target(RecordingRequest(Path("/data"), labels=LABELS), is_local=True).command
+    assert command.endswith("{run:12}")
+    assert command.index("{template:") < command.index("{task:") < command.index("{run:")
+
+
+def test_without_an_acquisition_the_name_has_none() -> None:
+    target = choose_target(RecordingRequest(Path("/data"), labels=BidsLabels("p1")), is_local=True)
+    assert target.files[0].name == "sub-p1_ses-S001_task-Default_run-001_beh.xdf"
+    assert "acq" not in target.command
+
+
+def test_a_file_is_looked_for_in_lower_case_and_as_it_was_given(tmp_path: Path) -> None:
+    target = choose_target(RecordingRequest(file=tmp_path / "Sub" / "Night.xdf"), is_local=True)
+    assert target.files == (tmp_path / "Sub" / "night.xdf", tmp_path / "Sub" / "Night.xdf")
+    assert target.command == f"filename {{root:{tmp_path / 'Sub'}}}{{template:night.xdf}}"
+
+
+def test_a_relative_file_is_below_the_folder_else_below_the_working_folder() -> None:
+    file = Path("day/one.xdf")
+    assert choose_target(RecordingRequest(Path("/data"), file=file), is_local=True).files == (
+        Path("/data/day/one.xdf"),
+    )
+    assert choose_target(RecordingRequest(file=file), is_local=True).files == (Path.cwd() / file,)
+
+
+def test_another_computer_may_call_the_folder_differently(tmp_path: Path) -> None:
+    file, there = Path("day/one.xdf"), "D:\\Studies"
+    target = choose_target(RecordingRequest(tmp_path, there, file), is_local=False)
+    assert target.command == "filename {root:D:\\Studies/day}{template:one.xdf}"
+    assert target.files == (tmp_path / "day" / "one.xdf",)
+    target = choose_target(RecordingRequest(tmp_path, there, labels=LABELS), is_local=False)
+    assert "{root:D:\\Studies}" in target.command
+    assert target.files[0].is_relative_to(tmp_path)
+
+
+def test_of_another_computer_nothing_is_seen_without_a_folder() -> None:
+    assert choose_target(RecordingRequest(), is_local=False).command == ""
+    for place in (
+        RecordingRequest(file=Path("one.xdf")),
+        RecordingRequest(labels=LABELS),
+        RecordingRequest(),
+    ):
+        target = choose_target(place, is_local=False)
+        assert (target.folder, target.files, target.root) == (None, (), "")
+
+
+def test_a_folder_alone_leaves_the_name_to_labrecorder(tmp_path: Path) -> None:
+    target = choose_target(RecordingRequest(tmp_path), is_local=True)
+    assert target.command == f"filename {{root:{tmp_path}}}"
+    assert (target.folder, target.files) == (tmp_path, ())
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        (RecordingRequest(), "--folder"),
+        (RecordingRequest(file=Path("notes.txt")), ".xdf"),
+        (RecordingRequest(file=Path("100%p.xdf")), "%"),
+        (RecordingRequest(file=Path("a}{task:b.xdf")), "braces"),
+        (RecordingRequest(Path("/a{b}"), labels=LABELS), "braces"),
+        (RecordingRequest(Path("/a\nstop"), labels=LABELS), "control characters"),
+        (RecordingRequest(Path("/data"), file=Path("one.xdf"), labels=LABELS), "not both"),
+        (RecordingRequest(Path("/data"), file=Path("/one.xdf")), "relative to --folder"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(place: RecordingRequest, words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        choose_target(place, is_local=True)
+    assert caught.value.reason is ConfigReason.WRONG_VALUE
+
+
+def test_a_path_of_this_computer_means_nothing_to_another() -> None:
+    with pytest.raises(ConfigError, match="--recorder-folder"):
+        choose_target(RecordingRequest(file=Path("/data/one.xdf")), is_local=False)
+
+
+@pytest.mark.parametrize("label", ["p_01", "p-01", "p 01", "", "müller", "a}{run:2"])
+def test_a_participant_is_a_bids_label(label: str) -> None:
+    with pytest.raises(ConfigError, match="letters and digits"):
+        BidsLabels(label)
+
+
+@pytest.mark.parametrize("run", [0, 1001])
+def test_a_run_is_what_labrecorder_s_field_takes(run: int) -> None:
+    with pytest.raises(ConfigError, match="1000"):
+        BidsLabels("p01", run=run)
+
+
+# Who wears the sensors is compared with what the file is called, before anything is recorded.
+SEEN = VisibleStream("P01-polar_h10-A1-ecg", "P01@polar_h10-ecg", "lab-pc")
+PRESENCE = Presence((SEEN,), (), (), (Worn("polar_h10/A1", "P01"),))
+
+
+def request(participant: str, **more: Any) -> RecordingRequest:
+    return RecordingRequest(Path("/data"), labels=BidsLabels(participant), **more)
+
+
+@pytest.mark.parametrize(
+    "confirmed",
+    [
+        request("P01"),
+        RecordingRequest(file=Path("walk.xdf")),
+        RecordingRequest(Path("/data")),
+        request("P03", other_participants=True),
+    ],
+)
+def test_what_agrees_or_is_confirmed_is_recorded(confirmed: RecordingRequest) -> None:
+    require_startable(PRESENCE, PRESENCE.visible, confirmed)
+
+
+@pytest.mark.parametrize(
+    "where", [request("P03"), RecordingRequest(file=Path("/data/sub-P03_task-a.xdf"))]
+)
+def test_another_participant_is_refused_and_the_option_named(where: RecordingRequest) -> None:
+    with pytest.raises(OtherParticipantsError, match="--other-participants") as caught:
+        require_startable(PRESENCE, PRESENCE.visible, where)
+    # The command line makes exit code 2 of it.
+    assert caught.value.reason is ConfigReason.WRONG_VALUE
+    assert "the file is called P03, but its sensors are worn by P01" in str(caught.value)
+
+
+def test_nothing_is_made_of_a_recording_that_is_refused(tmp_path: Path) -> None:
+    order = RecordingRequest(tmp_path, labels=BidsLabels("P03"))
+    recording = LocalRecorder(tmp_path / "state")
+    with pytest.raises(OtherParticipantsError):
+        recording.start(order, lambda: PRESENCE)
+    assert list(tmp_path.rglob("*.xdf")) == []
+    assert not recording.is_running
+
+
+def test_a_sensor_that_does_not_stream_refuses_and_the_option_is_named(tmp_path: Path) -> None:
+    presence = replace(PRESENCE, away=("P01's strap is paused since 14:03",))
+    recording = LocalRecorder(tmp_path / "state")
+    with pytest.raises(SensorsAwayError, match="P01's strap is paused since 14:03") as caught:
+        recording.start(RecordingRequest(tmp_path, labels=BidsLabels("P01")), lambda: presence)
+    assert "--allow-missing" in str(caught.value)
+    assert caught.value.reason is RecorderReason.STREAMS_MISSING
+    assert list(tmp_path.rglob("*.xdf")) == []
+    require_startable(presence, presence.visible, request("P01", without_away=True))
+
+
+def test_what_the_agent_says_of_a_pause_is_known_before_it_begins(tmp_path: Path) -> None:
+    known: dict[str, object] = {"sensor": "polar_h10", "participant": "P01", "label": "",
+                                "error": None, "paused": False, "streams": {}}  # fmt: skip
+    devices: list[dict[str, object]] = [
+        {**known, "unit": "A1", "state": "streaming", "paused": True, "since": 1.0},
+        {**known, "unit": "A2", "state": "streaming"},
+        # A part of its streams may be all that it ever sends.
+        {**known, "unit": "A3", "state": "streaming", "error": "no data of acc"},
+        {**known, "unit": "A4", "state": "discovering", "since": 1.0},
+    ]
+    write_status(tmp_path, {"written": time.time(), "devices": devices})
+    found = expected_devices(GatewaySettings(), tmp_path)
+    told = [each.away.partition(" since ")[0] for each in found]
+    assert told == ["P01's Polar H10 A1 is paused", "", "", "P01's Polar H10 A4 is not found"]

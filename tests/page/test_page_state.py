@@ -1,21 +1,48 @@
-"""What the page's server keeps between requests."""
+"""What the page's server keeps and shows: state, values of now, logs, settings of LSL."""
 
 from __future__ import annotations
 
+import asyncio
 import json
+import tempfile
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
+from hypothesis import given
+from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.naming import source_id
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.auth import ViewKeys
-from biosensor_gateway.page.models import AgentState
+from biosensor_gateway.page.live import HOLDS_S, History
+from biosensor_gateway.page.models import AgentState, DeviceView, StreamView
+from biosensor_gateway.page.routes import devices
 from biosensor_gateway.page.routes.api import misformed
+from biosensor_gateway.page.routes.devices import MOST_BYTES, MOST_LINES, last_lines
+from biosensor_gateway.page.routes.recording import NewRecording, Recorder
 from biosensor_gateway.page.session import STARTING_S, Session
+from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.request import (
+    RecorderError,
+    RecorderReason,
+    RecordingRequest,
+)
+from biosensor_gateway.system.logs import LOG_FILE_NAME
+
+# What the page's server keeps between requests.
 
 
 def test_settings_that_cannot_be_read_do_not_fill_the_memory(tmp_path: Path) -> None:
@@ -67,3 +94,169 @@ async def test_an_agent_that_was_started_is_waited_for_and_then_is_absent(
     later_s = time.monotonic() + STARTING_S
     monkeypatch.setattr(time, "monotonic", lambda: later_s)
     assert session.agent is AgentState.ABSENT
+
+
+# A value that is not of now is not shown.
+NOW = 500.0
+STRAP = DeviceIdentity("polar_h10", "A1", "P01")
+SPEC = declaration("polar_h10")
+
+
+class Agent:
+    """An agent with one strap that has sent everything once, some time ago."""
+
+    def __init__(self, age_s: float = 1.0) -> None:
+        self._history = History()
+        self._viewer = Viewer(self._history)
+        for stream in SPEC.streams:
+            samples = Samples(
+                source_id(STRAP, stream.data_name),
+                np.array([NOW - age_s]),
+                np.full((1, len(stream.channels)), 72.0, np.float32),
+            )
+            self._history.add(samples)
+
+    def shows(self, **changes: Any) -> DeviceView:
+        streams = {
+            source_id(STRAP, each.data_name): StreamStatus(
+                pushed=1, lost=4, refused=0, last_stamp=NOW, withheld=0, waited=0,
+                nominal_hz=each.rate if isinstance(each.rate, int | float) else 130.0, silent=False,
+            ) for each in SPEC.streams
+        }  # fmt: skip
+        usual: dict[str, Any] = {
+            "sensor": "polar_h10", "unit": "A1", "participant": "P01", "label": "",
+            "state": "streaming", "paused": False, "worn": True, "connections": 1, "error": None,
+            "dropped_bytes": 0, "battery_percent": 80.0, "clock": None, "streams": streams,
+        }  # fmt: skip
+        device = DeviceStatus(**(usual | changes))
+        (shown,) = self._viewer.devices(AgentStatus(lsl_time=NOW, devices=[device]))
+        return shown
+
+
+def stream(device: DeviceView, data_name: str) -> StreamView:
+    return device.streams[source_id(STRAP, data_name)]
+
+
+def test_of_a_device_that_streams_all_is_shown() -> None:
+    shown = Agent().shows()
+    assert shown.is_sending
+    assert (shown.lost, shown.battery_percent, shown.worn) == (4 * len(SPEC.streams), 80.0, True)
+    assert all(each.is_fresh and each.values for each in shown.streams.values())
+
+
+@pytest.mark.parametrize(
+    "away",
+    [
+        {"paused": True},
+        *({"state": state} for state in ("discovering", "connecting", "backoff", "stopped")),
+    ],
+)
+def test_of_a_device_that_does_not_nothing_is(away: dict[str, Any]) -> None:
+    shown = Agent().shows(**away)
+    assert not shown.is_sending
+    assert (shown.lost, shown.battery_percent, shown.worn) == (None, None, None)
+    for each in shown.streams.values():
+        assert (each.is_fresh, each.values, each.measured_hz) == (False, [], None)
+
+
+def test_a_heart_rate_of_before_is_not_that_of_now_and_a_battery_holds() -> None:
+    shown = Agent(age_s=HOLDS_S + 1).shows()
+    for name in ("hr", "ibi", "ecg"):
+        assert not stream(shown, name).is_fresh
+    assert stream(shown, "bat").values == [72.0]
+
+
+# The end of the log of one device, whatever else is in the file.
+def record(event: str, unit: str = "A", **facts: object) -> str:
+    about = {"sensor": "zephyr", "unit": unit, "level": "warning"}
+    when = {"timestamp": "2026-05-04T10:20:30.000000Z", "logger": "biosensor_gateway.agent"}
+    return json.dumps({"event": event, **about, **when, **facts}) + "\n"
+
+
+def sentences(folder: Path) -> list[str]:
+    return [each.sentence for each in last_lines(folder, "zephyr", "A").lines]
+
+
+def test_the_newest_of_the_device_come_first_with_their_facts(tmp_path: Path) -> None:
+    log = tmp_path / LOG_FILE_NAME
+    log.write_text(
+        record("connected", firmware="1.2", reason="hidden")
+        + record("connected", unit="B")
+        + record("lost\x1b[31m", samples=3)
+    )
+    (line, _) = last_lines(tmp_path, "zephyr", "A").lines
+    assert sentences(tmp_path) == ["lost\\x1b[31m (samples 3)", "connected (firmware 1.2)"]
+    assert (line.level, line.time) == ("warning", "2026-05-04T10:20:30.000000Z")
+    assert last_lines(tmp_path, "polar_h10", "A").lines == []
+
+
+def test_a_file_that_has_just_been_filled_is_read_on(tmp_path: Path) -> None:
+    (tmp_path / LOG_FILE_NAME).write_text(record("new"))
+    (tmp_path / f"{LOG_FILE_NAME}.1").write_text(record("old"))
+    assert sentences(tmp_path) == ["new", "old"]
+
+
+def test_of_a_long_file_the_end_is_read(tmp_path: Path) -> None:
+    assert sentences(tmp_path) == []
+    lines = [record(f"event {each}") for each in range(5000)]
+    (tmp_path / LOG_FILE_NAME).write_text("".join(lines))
+    assert sum(map(len, lines)) > MOST_BYTES
+    assert sentences(tmp_path) == [f"event {each}" for each in range(4999, 4999 - MOST_LINES, -1)]
+    (tmp_path / LOG_FILE_NAME).write_text(record("x" * 100_000))
+    assert len(sentences(tmp_path)[0]) < 500
+
+
+@given(st.lists(st.binary(max_size=60) | st.sampled_from([b"[]", b"1", b'{"sensor": ["zephyr"]}'])))
+def test_whatever_else_is_in_the_file_is_passed_over(noise: list[bytes]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        content = b"\n".join([*noise, record("here").encode(), *noise])
+        (Path(folder) / LOG_FILE_NAME).write_bytes(content)
+        assert sentences(Path(folder)) == ["here"]
+
+
+# What the page records and streams for a trial is in the LSL session of the settings.
+SETTINGS = '[lsl]\nsession_id = "lab7"\nknown_peers = ["192.168.1.20"]\n'
+
+
+def test_a_recording_looks_where_the_settings_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[LslOverrides | None] = []
+
+    def start(
+        _self: LocalRecorder,
+        _request: RecordingRequest,
+        _look: object,
+        lsl: LslOverrides | None = None,
+    ) -> None:
+        told.append(lsl)
+        raise RecorderError(RecorderReason.NOT_BEGUN, "not in this test")
+
+    monkeypatch.setattr(LocalRecorder, "start", start)
+    settings = tmp_path / "settings.toml"
+    settings.write_text(SETTINGS)
+
+    async def nobody(_participant: str) -> None:
+        return None
+
+    recording = Recorder(Session(tmp_path, settings), nobody)
+    wanted = NewRecording(participant="p01", session="S001", task="rest", folder=str(tmp_path))
+    with pytest.raises(RecorderError, match="not in this test"):
+        asyncio.run(recording.start(wanted))
+    assert told == [LslOverrides("lab7", ("192.168.1.20",))]
+
+
+@pytest.mark.parametrize("virtual", [True, False])
+def test_an_agent_has_the_settings_of_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, virtual: bool
+) -> None:
+    """Also one of virtual devices, and where there is no such file yet."""
+    begun: list[tuple[Any, ...]] = []
+    note: Callable[..., None] = lambda *arguments: begun.append(arguments)  # noqa: E731
+    monkeypatch.setattr(devices, "start_beside", note)
+    settings = tmp_path / "mine.toml"
+    devices.start_agent(tmp_path, settings, virtual=virtual)
+    ((words, environment),) = begun
+    assert environment == {"BIOSENSOR_GATEWAY_SETTINGS": str(settings)}
+    assert ("--settings" in words) is not virtual
+    assert ("--simulate" in words) is virtual

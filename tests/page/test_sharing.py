@@ -18,12 +18,13 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
+import biosensor_gateway.page
+from biosensor_gateway.page.server import listening_at
 from biosensor_gateway.page.share import CERTIFICATE_FILE, own_certificate
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Answer, Programs, Server
 
 ADDRESS = re.compile(r"https://([\d.]+):(\d+)(/door\?token=\S+)")
-
 expect.set_options(1000 * DEADLINE_S)
 OpenWindow = Callable[..., Page]
 
@@ -223,3 +224,23 @@ def test_what_cannot_be_shared_is_said(programs: Programs) -> None:
     assert "--share-port" in said
     Server(programs)
     assert "page --end" in refused("--share")
+
+
+# Connections to the page send what they have, and do not wait for the browser.
+@pytest.mark.nightly
+def test_an_accepted_connection_sends_at_once() -> None:
+    with (
+        listening_at("127.0.0.1", 0) as listening,
+        socket.create_connection(listening.getsockname()),
+    ):
+        accepted, _ = listening.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_no_server_of_the_page_listens_by_other_means() -> None:
+    sources = Path(biosensor_gateway.page.__file__).parent.rglob("*.py")
+    found = [
+        each.name for each in sources if re.search(r"create_server|\.bind\(", each.read_text())
+    ]
+    assert found == ["server.py"]

@@ -1,29 +1,50 @@
-"""A BIDS dataset has every sample of a recording, bit for bit and at its time."""
+"""BIDS datasets: every sample bit for bit, by kind of signal, study by study."""
 
 from __future__ import annotations
 
+import csv
+import gzip
+import hashlib
 import json
+import struct
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from edfio import read_bdf
+from hypothesis import given
+from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.bids.dataset import BidsDataset
 from biosensor_gateway.recording.export.bids.file_names import labels
+from biosensor_gateway.recording.export.bids.study import ADDED, Study
 from biosensor_gateway.recording.export.exporter import Clock, Order
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.participants import entities_of
+from biosensor_gateway.recording.export.grid import place
+from biosensor_gateway.recording.export.outcome import Outcome, Written
+from biosensor_gateway.recording.export.several import recordings_in
+from biosensor_gateway.recording.export.timing import find_timing
+from biosensor_gateway.recording.participants import Whose, entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.settings.names import label
 from tests.recording_export.bids_shapes import (
+    BEGIN_S,
+    EEG_VALUES,
+    EMG_VALUES,
+    GAZE_VALUES,
     SHAPES,
+    eeg,
     h10,
     marker,
+    muscles_and_eyes,
     numbers,
     ours,
     stream,
@@ -32,6 +53,8 @@ from tests.recording_export.bids_shapes import (
 from tests.recording_export.bids_tables import find, read
 from tests.recording_export.conftest import Exporting
 from tests.xdf import xdf_file as made
+
+# A BIDS dataset has every sample of a recording, bit for bit and at its time.
 
 
 def _dataset(exported: Exporting, content: bytes, **wish: str) -> Path:
@@ -297,3 +320,432 @@ def test_a_label_is_letters_and_digits_and_nobody_elses() -> None:
 def test_only_names_in_the_manner_of_bids_say_something() -> None:
     assert entities_of("my_study-2") == {}
     assert entities_of("sub-1_run-x_task-a") == {"sub": "1", "task": "a"}
+
+
+# EEG in a BIDS dataset: every bit, gaps as events and runs, every marker in one of the runs.
+def _folder(exported: Exporting, content: bytes) -> Path:
+    (written,) = exported(content, "bids").written
+    return written.path / "sub-unknown" / "eeg"
+
+
+def _samples(path: Path) -> np.ndarray:
+    header = path.with_suffix(".vhdr").read_text("utf-8")
+    kind = np.dtype("<i2" if "BinaryFormat=INT_16" in header else "<f4")
+    return np.frombuffer(path.read_bytes(), kind).reshape(-1, 2)
+
+
+def _events(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
+
+
+def test_samples_are_the_recorded_ones_and_gaps_are_events_or_runs(exported: Exporting) -> None:
+    folder = _folder(exported, eeg())
+    first, second = sorted(folder.glob("*_eeg.eeg"))
+    assert ("run-01_" in first.name, "run-02_" in second.name) == (True, True)
+    rows = _samples(first)
+    assert rows[:2000].tobytes() == EEG_VALUES[:2000].tobytes()
+    assert np.isnan(rows[2000:2500]).all()
+    assert rows[2500:].tobytes() == EEG_VALUES[2000:4000].tobytes()
+    assert _samples(second).tobytes() == EEG_VALUES[4000:].tobytes()
+    sidecar = json.loads(next(folder.glob("*run-01_eeg.json")).read_text())
+    assert sidecar["SamplingFrequency"] == pytest.approx(250.0)
+    assert (sidecar["RecordingType"], sidecar["EEGChannelCount"]) == ("discontinuous", 2)
+
+
+def test_every_marker_is_in_one_run(exported: Exporting) -> None:
+    folder = _folder(exported, eeg())
+    found = [_events(each) for each in sorted(folder.glob("*_events.tsv"))]
+    assert [[row["trial_type"] for row in rows] for rows in found] == [
+        ["before", "a", "BAD_gap", "b, c", "between"],
+        ["after"],
+    ]
+    assert [float(row["onset"]) for row in found[0]] == [-5.0, 1.0, 8.0, 9.0, 30.0]
+    assert float(found[0][2]["duration"]) == 2.0
+    assert float(found[1][0]["onset"]) == pytest.approx(60.0 - 46.0)
+    # BrainVision has no place for what came where no sample is.
+    markers = next(folder.glob("*run-01_eeg.vmrk")).read_text("utf-8")
+    assert "Mk2=Comment,a,251,1,0" in markers
+    assert "Comment,BAD_gap,2001,500,0" in markers
+
+
+def test_integers_stay_integers_until_a_row_has_to_be_empty(exported: Exporting) -> None:
+    folder = _folder(exported, eeg("int16"))
+    first, second = sorted(folder.glob("*_eeg.eeg"))
+    whole = EEG_VALUES.astype(np.int16)
+    assert _samples(second).tobytes() == whole[4000:].tobytes()
+    rows = _samples(first)
+    assert rows.dtype == np.float32
+    assert np.delete(rows, slice(2000, 2500), axis=0).astype(np.int16).tolist() == (
+        whole[:4000].tolist()
+    )
+
+
+def test_bursts_become_one_run_of_the_real_rate(exported: Exporting) -> None:
+    real = BEGIN_S + np.arange(3000) / 249.0
+    stamps = np.repeat(real[49::50], 50)
+    values = EEG_VALUES[:3000]
+    content = made.xdf(stream(1, "burst", values, stamps, rate=250.0, kind="EEG"))
+    folder = _folder(exported, content)
+    (only,) = folder.glob("*_eeg.eeg")
+    assert _samples(only).tobytes() == values.tobytes()
+    sidecar = json.loads(only.with_suffix(".json").read_text())
+    assert sidecar["SamplingFrequency"] == pytest.approx(249.0, rel=1e-3)
+
+
+def test_doubles_are_rounded_and_that_is_said(exported: Exporting) -> None:
+    values = np.random.default_rng(1).normal(0, 30, (1000, 2))
+    stamps = times(1000, 250.0)
+    content = made.xdf(stream(1, "amp", values, stamps, rate=250.0, kind="EEG", fmt="double64"))
+    (written,) = exported(content, "bids").written
+    (only,) = written.path.rglob("*_eeg.eeg")
+    assert _samples(only).tobytes() == values.astype(np.float32).tobytes()
+    assert any("double64" in note for note in written.notes)
+
+
+# EMG and gaze in a BIDS dataset: where each is, what its channels are called, what is said.
+@pytest.fixture
+def written(exported: Exporting) -> Written:
+    (found,) = exported(muscles_and_eyes(), "bids").written
+    return found
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
+
+
+def _gaze(root: Path, recording: str) -> tuple[dict[str, object], np.ndarray]:
+    (path,) = root.rglob(f"*_recording-{recording}_physio.json")
+    content = json.loads(path.read_text("utf-8"))
+    table = gzip.decompress(path.with_suffix(".tsv.gz").read_bytes()).decode()
+    rows = [[float(cell) for cell in line.split("\t")] for line in table.splitlines()]
+    return content, np.array(rows)
+
+
+def test_emg_is_a_bdf_file_with_its_gap_as_an_event(written: Written) -> None:
+    (path,) = written.path.rglob("emg/*_recording-shimmeremg_emg.bdf")
+    signals = read_bdf(path).signals
+    step = 2 * float(np.abs(EMG_VALUES).max()) / (1 << 24)
+    for column, signal in enumerate(signals):
+        data = signal.data
+        assert np.abs(data[:3000] - EMG_VALUES[:3000, column]).max() <= 2 * step
+        assert np.abs(data[4024:7024] - EMG_VALUES[3000:, column]).max() <= 2 * step
+        np.testing.assert_allclose(data[3000:4024], signal.physical_min, atol=2 * step)
+    (events,) = written.path.rglob("emg/*_recording-shimmeremg_events.tsv")
+    told = {row["trial_type"]: row for row in _rows(events)}
+    assert float(told["BAD_gap"]["onset"]) == pytest.approx(3000 / 512, abs=1e-6)
+    assert float(told["BAD_gap"]["duration"]) == pytest.approx(2.0)
+    assert float(told["go"]["onset"]) == pytest.approx(1.0)
+    assert set(told) == {"BAD_gap", "go", "stop"}
+
+
+def test_channels_and_sidecar_of_emg_agree_with_its_file(written: Written) -> None:
+    (path,) = written.path.rglob("emg/*_recording-shimmeremg_channels.tsv")
+    rows = _rows(path)
+    assert [(row["name"], row["type"], row["units"]) for row in rows] == [
+        ("EMG1", "EMG", "mV"),
+        ("EMG2", "EMG", "mV"),
+    ]
+    (sidecar,) = written.path.rglob("emg/*_recording-shimmeremg_emg.json")
+    content = json.loads(sidecar.read_text("utf-8"))
+    assert (content["EMGChannelCount"], content["RecordingType"]) == (2, "discontinuous")
+    assert (content["Samples"], content["EmptyRows"], content["Gaps"]) == (6000, 1024, 1)
+
+
+def test_emg_of_a_bursty_sender_is_one_run_of_its_rate(written: Written) -> None:
+    (path,) = written.path.rglob("emg/*_recording-armband_emg.bdf")
+    (first, *_) = read_bdf(path).signals
+    assert first.sampling_frequency == pytest.approx(500.0, rel=1e-3)
+    assert any("armband: even times" in note for note in written.notes)
+
+
+def test_a_value_that_is_none_is_an_event_of_emg(exported: Exporting) -> None:
+    values = EMG_VALUES.copy()
+    values[100:200, 1] = np.nan
+    content = made.xdf(stream(1, "arm", values, times(6000, 500.0), rate=500.0, kind="EMG"))
+    (found,) = exported(content, "bids").written
+    (events,) = found.path.rglob("emg/*_events.tsv")
+    (row,) = _rows(events)
+    assert (row["trial_type"], row["note"]) == ("BAD_value", "no value: 2")
+    assert float(row["onset"]) == pytest.approx(0.2, abs=1e-3)
+    assert float(row["duration"]) == pytest.approx(0.2, abs=1e-3)
+
+
+def test_each_eye_has_a_table_with_x_and_y_first(written: Written) -> None:
+    left, rows = _gaze(written.path, "trackereye1")
+    assert left["PhysioType"] == "eyetrack"
+    assert left["RecordedEye"] == "left"
+    assert left["Columns"] == [
+        "timestamp",
+        "x_coordinate",
+        "y_coordinate",
+        "pupil_size",
+        "confidence",
+    ]
+    assert rows[:, 1:].astype(np.float32).tolist() == GAZE_VALUES[:, [0, 1, 2, 6]].tolist()
+    right, rows = _gaze(written.path, "trackereye2")
+    assert (right["RecordedEye"], left["x_coordinate"]) == (
+        "right",
+        {"Units": "px", "Description": "left_gaze_x of tracker"},
+    )
+    assert rows[:, 1:].astype(np.float32).tolist() == GAZE_VALUES[:, [3, 4, 5]].tolist()
+
+
+def test_an_eye_that_nothing_names_is_said(written: Written) -> None:
+    (path,) = written.path.rglob("*_recording-glasseseye1_physio.json")
+    assert json.loads(path.read_text("utf-8"))["RecordedEye"] == "cyclopean"
+    assert any(note.startswith("glasses: no header says which eye") for note in written.notes)
+
+
+def test_gaze_without_x_and_y_is_a_table_as_any_other(exported: Exporting) -> None:
+    content = made.xdf(stream(1, "odd", GAZE_VALUES, times(600, 60.0), rate=60.0, kind="Gaze"))
+    (found,) = exported(content, "bids").written
+    (path,) = found.path.rglob("*_recording-odd_physio.json")
+    assert json.loads(path.read_text("utf-8"))["PhysioType"] == "generic"
+    assert any("no channel is known as x and y" in note for note in found.notes)
+
+
+# Rows for samples whose times are what they are.
+def _header(rate: float, *, drops: bool = True) -> RecordedHeader:
+    return RecordedHeader(
+        name="a",
+        content_type="ECG",
+        source_id="",
+        hostname="",
+        channel_count=1,
+        format=ChannelFormat.FLOAT32,
+        rate=rate,
+        created_at=0.0,
+        labels=("1",),
+        units=("",),
+        can_drop_samples=drops,
+        identity=None,
+        data_name="",
+        refused="",
+    )
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=60), st.integers(-60, 60))
+def test_every_sample_has_a_row_of_its_own_in_the_order_of_the_file(
+    places: list[float], after: int
+) -> None:
+    rows = place(np.array(places), after)
+    assert rows[0] > after
+    assert (np.diff(rows) > 0).all()
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=60), st.floats(-0.49, 0.49))
+def test_what_has_its_own_row_is_in_it(steps: list[int], phase: float) -> None:
+    true = np.cumsum(steps)
+    assert place(true + phase, 0).tolist() == true.tolist()
+
+
+@given(st.lists(st.integers(0, 7), min_size=1, max_size=5))
+def test_no_other_rows_are_nearer_to_all_together(places: list[int]) -> None:
+    found = place(np.array(places, float), -100)
+    cost = np.abs(found - places).sum()
+    others = combinations(range(-5, 13), len(places))
+    assert cost == min(sum(map(abs, np.subtract(each, places))) for each in others)
+
+
+@pytest.mark.parametrize("late", [-7.0, 7.0])
+def test_one_wrong_stamp_moves_no_other_sample(late: float) -> None:
+    places = np.arange(100.0)
+    places[50] += late
+    assert place(places, -1).tolist() == list(range(100))
+
+
+def test_the_rate_is_that_between_gaps() -> None:
+    times = np.arange(5000) / 129.87
+    times[2000:] += 3.3333
+    noisy = times + np.random.default_rng(1).normal(0, 1e-4, len(times))
+    timing = find_timing(np.array_split(noisy, 77), _header(130.0))
+    assert timing is not None
+    assert timing.rate_hz == pytest.approx(129.87, rel=1e-6)
+    assert (timing.gaps, timing.longest_gap_s) == (1, pytest.approx(3.3333 + 1 / 129.87, abs=1e-3))
+    (part,) = timing.parts
+    assert part.count == 5000
+    assert part.start_s == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_rate_is_not_that_of_stamps_which_all_come_at_once() -> None:
+    times = np.arange(20000) / 249.95
+    times[5000:8000] = times[8000] - np.arange(3000, 0, -1) * 1e-6
+    timing = find_timing(np.array_split(times, 11), _header(250.0))
+    assert timing is not None
+    assert timing.rate_hz == pytest.approx(249.95, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "times", [np.zeros(500), np.array([1.0, 1.001]), np.array([3.0]), np.arange(40) * 1e-6]
+)
+def test_what_tells_no_rate_has_the_nominal_one(times: np.ndarray) -> None:
+    timing = find_timing([times], _header(50.0))
+    assert timing is not None
+    assert timing.rate_hz == 50.0
+
+
+def test_no_sample_has_no_timing() -> None:
+    assert find_timing([], _header(50.0)) is None
+
+
+# Recordings of a study become one data set, which is never overwritten.
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "dataset"
+
+
+def _recording(folder: Path, person: str, name: str = "", count: int = 0) -> Path:
+    path = folder / (name or f"sub-{person}_task-walk_run-001_beh.xdf")
+    path.parent.mkdir(exist_ok=True, parents=True)
+    path.write_bytes(made.xdf(h10(1 + count, person)))
+    return path
+
+
+def _add(root: Path, recording: Path, whose: Whose | None = None) -> Outcome | None:
+    def export_to(place: Path) -> Outcome:
+        task = Task(("bids",), Wish(), output=place, whose=whose)
+        return export(recording, task, lambda _name, _s: lambda _done: None)
+
+    return Study(root).add(recording, export_to)
+
+
+def _people(root: Path) -> dict[str, dict[str, str]]:
+    with (root / "participants.tsv").open(newline="") as file:
+        return {each["participant_id"]: each for each in csv.DictReader(file, delimiter="\t")}
+
+
+def _files(root: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(root.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_thirty_recordings_become_one_dataset(tmp_path: Path, root: Path) -> None:
+    people = [f"P{number:02}" for number in range(1, 31)]
+    for person in people:
+        assert _add(root, _recording(tmp_path, person)) is not None
+    assert list(_people(root)) == [f"sub-{person}" for person in people]
+    assert sorted(each.name for each in root.glob("sub-*")) == list(_people(root))
+    assert [each.name for each in root.rglob("dataset_description.json")] == [
+        "dataset_description.json"
+    ]
+    assert [each.name for each in tmp_path.iterdir() if each.suffix == ".part"] == []
+
+
+def test_what_was_added_is_not_added_again(tmp_path: Path, root: Path) -> None:
+    recording = _recording(tmp_path, "P01")
+    _add(root, recording)
+    before = _files(root)
+    assert _add(root, recording) is None
+    assert _files(root) == before
+
+
+def test_an_interrupted_addition_goes_on(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = _recording(tmp_path, "P01"), _recording(tmp_path, "P02")
+    _add(root, first)
+    expected = tmp_path / "expected"
+    for each in (first, second):
+        _add(expected, each)
+    real, moved = Path.replace, 0
+
+    def replace(path: Path, target: Path) -> Path:
+        nonlocal moved
+        moved += 1
+        if moved > 2:
+            raise OSError(28, "No space left on device")
+        return real(path, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", replace)
+        with pytest.raises(RecordingError, match="No space left on device"):
+            _add(root, second)
+    assert _add(root, second) is not None
+    left = {name for name in _files(root) if name != "dataset_description.json"}
+    assert left == {name for name in _files(expected) if name != "dataset_description.json"}
+
+
+def test_files_of_another_recording_are_not_overwritten(tmp_path: Path, root: Path) -> None:
+    _add(root, _recording(tmp_path, "P01"))
+    before = _files(root)
+    # Of the same name and person, recorded on another day.
+    other = _recording(tmp_path / "other", "P01")
+    other.write_bytes(other.read_bytes().replace(struct.pack("<f", 1.0), struct.pack("<f", 2.0)))
+    with pytest.raises(RecordingError, match=r"is in the data set already, of another recording"):
+        _add(root, other)
+    assert _files(root) == before
+
+
+def test_two_people_of_one_label_are_not_mixed(tmp_path: Path, root: Path) -> None:
+    _add(root, _recording(tmp_path, "P-01", "one_task-walk.xdf"))
+    with pytest.raises(RecordingError, match=r"'P-01' in the data set and 'P01' in this"):
+        _add(root, _recording(tmp_path, "P01", "two_task-talk.xdf"))
+
+
+def test_what_a_person_adds_to_the_table_stays(tmp_path: Path, root: Path) -> None:
+    _add(root, _recording(tmp_path, "P01"))
+    table = root / "participants.tsv"
+    table.write_text("participant_id\tage\trecorded_as\nsub-P01\t34\tP01\nsub-P09\t29\tn/a\n")
+    (root / "README.md").write_text("Our study.\n")
+    _add(root, _recording(tmp_path, "P02"))
+    people = _people(root)
+    assert [people[each]["age"] for each in people] == ["34", "29", "n/a"]
+    assert people["sub-P02"]["recorded_as"] == "P02"
+    assert (root / "README.md").read_text() == "Our study.\n"
+
+
+def test_a_folder_of_something_else_is_no_study(tmp_path: Path, root: Path) -> None:
+    root.mkdir()
+    (root / "notes.txt").write_text("mine\n")
+    with pytest.raises(ConfigError, match="is no BIDS data set"):
+        Study(root)
+    assert not (root / ADDED).exists()
+
+
+def test_recordings_of_folders_are_found_salvaged_ones_in_place_of_broken(tmp_path: Path) -> None:
+    paths = [_recording(tmp_path / "a", f"P{number:02}") for number in (2, 1)]
+    broken = paths[0]
+    salvaged = broken.with_name(f"{broken.stem}_salvaged.xdf")
+    salvaged.write_bytes(broken.read_bytes())
+    (tmp_path / "a" / "notes.txt").touch()
+    assert recordings_in([tmp_path]) == ([paths[1], salvaged], [broken])
+    assert recordings_in([broken, tmp_path]) == ([broken, paths[1], salvaged], [broken])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="there is no recording"):
+        recordings_in([tmp_path / "empty"])
+
+
+def test_nobodys_data_is_added_under_a_name_that_is_a_guess(tmp_path: Path, root: Path) -> None:
+    recording = _recording(tmp_path, "P01", "sub-P09_task-walk_run-001_beh.xdf")
+    with pytest.raises(RecordingError, match=r"P09.*P01.*--whose"):
+        _add(root, recording)
+    assert not root.exists()
+    assert _add(root, recording, Whose.SENSORS) is not None
+    assert list(_people(root)) == ["sub-P01"]
+
+
+def test_what_is_not_whole_is_said_each_time(tmp_path: Path, root: Path) -> None:
+    recording = _recording(tmp_path, "P01")
+    recording.write_bytes(recording.read_bytes()[:-40])
+    for _ in range(2):
+        outcome = _add(root, recording)
+        assert outcome is not None
+        assert not outcome.is_whole
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_a_table_that_is_no_text_is_not_written_over(
+    encoding: str, tmp_path: Path, root: Path
+) -> None:
+    _add(root, _recording(tmp_path, "P01"))
+    table = root / "participants.tsv"
+    table.write_text("participant_id\tname\nsub-P01\tM\u00fcller\n", encoding)
+    before = _files(root)
+    with pytest.raises(RecordingError, match=r"participants\.tsv cannot be read.*UTF-8"):
+        _add(root, _recording(tmp_path, "P02"))
+    assert _files(root) == before

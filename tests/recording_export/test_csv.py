@@ -1,4 +1,4 @@
-"""Tables of comma-separated values: every sample once, and as it was."""
+"""Tables and texts: every sample once, and numbers that are read back as the same."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import csv
 import gzip
 import io
 import json
+import math
 import tempfile
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -20,10 +22,14 @@ from hypothesis.extra import numpy as arrays
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.numbers import numbers, rows_of_numbers
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.recording_export.bids_shapes import SHAPES
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, UNIX_NS, ecg_values, study
 from tests.xdf import xdf_file as made
+
+# Tables of comma-separated values: every sample once, and as it was.
 
 _TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=8)
 
@@ -196,3 +202,125 @@ def test_a_channel_that_is_called_like_a_column_of_times_gets_another_name(
     head, row = _rows((folder / "a.csv").read_bytes())
     assert head == ["lsl_time", "seconds", "seconds_2", "lsl_time_2"]
     assert row == ["5.0", "0.0", "1.0", "2.0"]
+
+
+# Texts for Kubios and Ledalab.
+def test_intervals_are_a_line_each(exported: Exporting) -> None:
+    (written,) = exported(study(), "kubios").written
+    intervals = (written.path / "P1-polar_h10-U1-ibi.txt").read_bytes()
+    assert intervals == b"0.8\n" * 19
+    assert "P1-polar_h10-U1-ibi: 1 samples are no interval and left out" in written.notes
+
+
+def test_an_ecg_is_cut_at_its_gaps(exported: Exporting) -> None:
+    (written,) = exported(study(), "kubios").written
+    parts = [np.loadtxt(written.path / f"P1-polar_h10-U1-ecg_run{n}.txt") for n in (1, 2)]
+    assert [len(each) for each in parts] == [1300, 1300]
+    found = np.concatenate(parts).astype(np.float32)
+    assert found.tolist() == ecg_values(2600)[:, 0].tolist()
+    (rate,) = [each for each in written.notes if "tell Kubios" in each]
+    assert "130 Hz" in rate
+    assert "microvolts" in rate
+
+
+def test_missing_beats_are_said(exported: Exporting) -> None:
+    stamps = [*(BEGIN_S + 0.8 * n for n in range(10)), *(BEGIN_S + 60 + 0.8 * n for n in range(9))]
+    header = made.stream_header(1, "beats", kind="RR", desc=_unit("ms"))
+    content = made.xdf(header, made.samples(1, "float32", [[800]] * 19, stamps))
+    (written,) = exported(content, "kubios").written
+    assert any("beats of 52 s in all are missing" in each for each in written.notes)
+    assert (written.path / "beats.txt").read_bytes() == b"800.0\n" * 19
+
+
+def test_conductance_has_its_markers(exported: Exporting) -> None:
+    (written,) = exported(study(), "ledalab").written
+    rows = np.loadtxt(written.path / "P2-empatica_e4-U1-gsr.txt")
+    assert rows.shape == (79, 3)
+    assert rows[rows[:, 2] > 0][:, [0, 2]].tolist() == [[1003.0, 1], [1012.0, 2]]
+    codes = (written.path / "markers.csv").read_text()
+    assert codes == '"code","marker"\n1,"go"\n2,"say ""no"",\nthen stop"\n'
+    assert "P2-empatica_e4-U1-gsr: 1 samples have no value and are left out" in written.notes
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "expected"),
+    [("kOhm", 250.0, 4.0), ("MOhm", 0.25, 4.0), ("uS", 4.0, 4.0), ("nS", 4000.0, 4.0)],
+)
+def test_skin_in_another_unit_is_turned_into_microsiemens(
+    unit: str, value: float, expected: float, exported: Exporting
+) -> None:
+    header = made.stream_header(1, "skin", kind="GSR", rate=4.0, desc=_unit(unit))
+    stamps = [BEGIN_S + n / 4 for n in range(40)]
+    content = made.xdf(header, made.samples(1, "float32", [[value]] * 39 + [[0.0]], stamps))
+    (written,) = exported(content, "ledalab").written
+    rows = np.loadtxt(written.path / "skin.txt")
+    assert rows[:39, 1] == pytest.approx(expected)
+    # A resistance of nothing is no value.
+    assert len(rows) == (39 if "Ohm" in unit else 40)
+    assert any("turned" in each for each in written.notes) == (unit != "uS")
+
+
+def test_why_nothing_can_be_read_is_said(exported: Exporting) -> None:
+    broken = made.stream_header(1, "skin", kind="GSR", rate=4.0).replace(b">4.0<", b">4,0<")
+    content = made.xdf(broken, made.samples(1, "float32", [[1.0]], [BEGIN_S]))
+    with pytest.raises(RecordingError, match=r"nominal rate.*salvage") as caught:
+        exported(content, "csv")
+    assert caught.value.reason is RecordingReason.EMPTY
+
+
+@pytest.mark.parametrize("name", ["kubios", "ledalab", "edf"])
+def test_a_format_without_anything_for_it_is_one_sentence(name: str, exported: Exporting) -> None:
+    with pytest.raises(RecordingError, match="nothing was written") as caught:
+        exported(study(), name, wish=Wish(streams=["*markers"]))
+    assert caught.value.reason is RecordingReason.EMPTY
+    assert "\n" not in str(caught.value)
+
+
+def _unit(unit: str) -> ET.Element:
+    desc = ET.Element("desc")
+    channel = ET.SubElement(ET.SubElement(desc, "channels"), "channel")
+    ET.SubElement(channel, "label").text = "RR"
+    ET.SubElement(channel, "unit").text = unit
+    return desc
+
+
+# Text of numbers: the shortest that is read back as the same number.
+FORMATS = ("<f4", "<f8", "<i8", "<i4", "<i2", "i1")
+
+
+@given(st.sampled_from(FORMATS), st.data())
+def test_every_number_is_read_back_as_it_was(dtype: str, data: st.DataObject) -> None:
+    shape = st.tuples(st.integers(1, 5), st.integers(1, 4))
+    values = data.draw(arrays.arrays(dtype, shape))
+    times = data.draw(arrays.arrays("<f8", len(values), elements=st.floats(0, 1e12)))
+    lines = rows_of_numbers(times, values).decode().splitlines()
+    rows = [line.split(",") for line in lines]
+    read = np.dtype(dtype).type
+    again = [[read(text) for text in row[1:]] for row in rows]
+    np.testing.assert_array_equal(np.array(again, dtype), values)
+    assert [float(row[0]) for row in rows] == times.tolist()
+    assert [text.decode() for text in numbers(values)] == [text for row in rows for text in row[1:]]
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_a_short_decimal_stays_short(value: float) -> None:
+    (text,) = numbers(np.array([value], np.float32))
+    assert np.float32(text.decode()) == np.float32(value)
+    if value == 0 or 1e-12 < abs(value) < 1e12:
+        assert _digits(text.decode()) <= _digits(str(np.float32(value)))
+
+
+def _digits(text: str) -> int:
+    return len(Decimal(text).normalize().as_tuple().digits)
+
+
+def test_what_is_no_number_can_be_told_apart() -> None:
+    values = np.array([[math.nan, math.inf, -math.inf, -0.0]], np.float32)
+    assert rows_of_numbers(np.array([0.5]), values) == b"0.5,NaN,inf,-inf,-0.0\n"
+
+
+def test_integers_of_64_bits_lose_nothing() -> None:
+    values = np.array([[2**63 - 1, -(2**63)]])
+    assert rows_of_numbers(np.array([1.0]), values) == (
+        b"1.0,9223372036854775807,-9223372036854775808\n"
+    )

@@ -1,7 +1,8 @@
-"""What holds for every format: names, refusals, damages, what is left behind."""
+"""What holds for every format: names, refusals, damages, participants, the README of an export."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -14,13 +15,23 @@ from types import SimpleNamespace
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Chosen, Wish
 from biosensor_gateway.recording.export import exporting
-from biosensor_gateway.recording.export.exporter import Clock, Order, Progress
+from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, Times
+from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.export.printing import as_json, sentences
+from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from tests.recording_export.bids_shapes import SHAPES, h10, ours, times
+from tests.recording_export.bids_tables import read
 from tests.recording_export.conftest import Exporting
+from tests.recording_export.study import study
 from tests.xdf import xdf_file as made
+
+# What holds for every format: names, refusals, damages, what is left behind.
 
 WHOLE = b"".join(made.two_streams())
 
@@ -172,3 +183,92 @@ def test_who_may_not_read_the_recording_may_not_read_the_tables(
         os.umask(mask)
     files = [outcome.written[0].path / "numbers.csv", outcome.written[1].path]
     assert [stat.S_IMODE(each.stat().st_mode) for each in files] == [0o600, 0o600]
+
+
+# An export says whose data it writes where the recording's name and its sensors differ.
+def exported(folder: Path, content: bytes, participant: str, *formats: str,
+             wish: Wish = Wish(), whose: Whose | None = None) -> Outcome:  # fmt: skip  # noqa: B008
+    path = folder / f"sub-{participant}_ses-S001_task-walk_run-001_beh.xdf"
+    path.write_bytes(content)
+    task = Task(formats or ("bids",), wish, whose=whose)
+    return export(path, task, lambda _name, _s: lambda _done: None)
+
+
+def people(outcome: Outcome) -> list[str]:
+    return sorted(each.name for each in outcome.written[0].path.glob("sub-*"))
+
+
+def test_the_sensors_are_believed_and_the_other_name_is_said(tmp_path: Path) -> None:
+    outcome = exported(tmp_path, SHAPES["two persons"], "P03")
+    assert people(outcome) == ["sub-p01", "sub-p02"]
+    assert (outcome.is_whole, outcome.is_certain) == (True, False)
+    said = "\n".join(sentences(outcome))
+    assert "the file is called P03, but its sensors are worn by p01 and p02" in said
+    assert "--whose sensors" in said
+    assert json.loads(as_json(outcome))["mismatch"]["others"] == ["p01", "p02"]
+
+
+def test_whoever_says_that_the_sensors_are_right_is_believed(tmp_path: Path) -> None:
+    outcome = exported(tmp_path, SHAPES["two persons"], "P03", whose=Whose.SENSORS)
+    assert people(outcome) == ["sub-p01", "sub-p02"]
+    assert outcome.is_certain
+
+
+def test_the_name_may_be_right(tmp_path: Path) -> None:
+    agent = DeviceIdentity("gateway", "lab-pc")
+    texts = [[json.dumps({"event": "off_body", "participant": "p1"})]]
+    events = ours(9, agent, "events", texts, times(1, 1.0), fmt="string", kind="Markers")
+    content = made.xdf(h10(1, "p1"), events)
+    outcome = exported(tmp_path, content, "P03", "bids", "csv-long", whose=Whose.NAME)
+    assert people(outcome) == ["sub-P03"]
+    assert outcome.is_certain
+    dataset, table = (each.path for each in outcome.written)
+    assert read(dataset, "sub-P03_ses-S001_task-walk_run-001_events").of("trial_type") == [
+        "off_body"
+    ]
+    assert '"P03"' in table.read_text()
+    assert '"p1",' not in table.read_text()
+
+
+@pytest.mark.parametrize("participant", ["p01", "P01", "group1"])
+def test_what_agrees_is_not_spoken_of(participant: str, tmp_path: Path) -> None:
+    shape = "two persons" if participant.startswith("group") else "one person"
+    assert exported(tmp_path, SHAPES[shape], participant).is_certain
+
+
+def test_only_what_is_written_counts(tmp_path: Path) -> None:
+    wish = Wish(participant="p01")
+    assert exported(tmp_path, SHAPES["two persons"], "p01", wish=wish).is_certain
+
+
+# README.txt says what an export holds: files, people, units, and what is amiss.
+FOLDERS = ("csv", "csv.gz", "edf", "kubios", "ledalab", "mcap")
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_each_file_or_topic_is_named_with_what_it_is(name: str, exported: Exporting) -> None:
+    (written,) = exported(study(), name).written
+    text = (written.path / "README.txt").read_text("utf-8")
+    listed = text.partition("HOW TO READ IT")[0]
+    if name == "mcap":
+        assert "/P1/biosensors/polar_h10/ecg_stamped" in listed
+    else:
+        data = [each.name for each in written.path.iterdir() if each.name.startswith("P")]
+        assert data
+        assert [each for each in data if each not in listed] == []
+    person = "P2" if name == "ledalab" else "P1"
+    assert f"of {person}, measured by" in " ".join(listed.split())
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_all_that_is_said_of_the_export_is_in_it(name: str, exported: Exporting) -> None:
+    (written,) = exported(study(), name, times=Times.EVEN).written
+    text = " ".join((written.path / "README.txt").read_text("utf-8").split())
+    for note in written.notes:
+        assert " ".join(note.split()) in text
+
+
+def test_the_begin_is_told_on_the_clock_of_the_times(exported: Exporting) -> None:
+    (written,) = exported(study(), "csv", clock=Clock.WALL).written
+    text = (written.path / "README.txt").read_text("utf-8")
+    assert "begins at 1790000000.250000, which is 2026-09-21T14:13:20.250000+00:00" in text

@@ -1,4 +1,4 @@
-"""Times as recorded, which is the default, and even ones; what becomes of gaps with each."""
+"""The times of an export: as recorded or even, on which clock, in which runs."""
 
 from __future__ import annotations
 
@@ -11,18 +11,27 @@ import pytest
 from edfio import read_bdf
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.export.exporter import Times
+from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.export import kubios, runs
+from biosensor_gateway.recording.export.edf import exporter as edf_exporter
+from biosensor_gateway.recording.export.exporter import Missing, Times
 from biosensor_gateway.recording.export.outcome import Outcome, Written
+from biosensor_gateway.recording.replay import words
+from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.sender_clock import EXTRAPOLATED_S, SenderClock
 from tests.recording_export.bids_shapes import EEG_VALUES, eeg
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, ecg_values, study
 from tests.xdf import xdf_file as made
 
+# Times as recorded, which is the default, and even ones; what becomes of gaps with each.
+
 ECG = "P1-polar_h10-U1-ecg"
 RATE = 130.0
 # The ECG of the study stops for 5 s behind 1300 samples.
 BEFORE, MISSING = 1300, 650
-
 FORMATS = ("csv", "csv-long", "edf", "kubios", "ledalab", "bids", "mcap")
 
 
@@ -201,3 +210,239 @@ def test_eeg_goes_on_behind_a_gap_of_28_s(exported: Exporting) -> None:
     assert [float(each["duration"]) for each in gaps] == pytest.approx([2.0, 28.0])
     sidecar = json.loads(file.with_suffix(".json").read_text())
     assert sidecar["RecordingType"] == "discontinuous"
+
+
+# Stamps on no LSL clock: said by every format, and moved nowhere.
+UNIX_S = 1.7e9
+OFFSET_S, DRIFT = 40.0, 1e-5
+COUNT = 50
+
+
+def _offsets(number: int) -> bytes:
+    """What the recorder measured of a clock that drifts."""
+    return b"".join(
+        made.clock_offset(number, BEGIN_S + each, OFFSET_S + DRIFT * each)
+        for each in range(0, 60, 5)
+    )
+
+
+def _stream(number: int, name: str, first_s: float, kind: str = "EEG") -> bytes:
+    stamps = first_s + np.arange(COUNT) / 10
+    header = made.stream_header(number, name, kind=kind, rate=10.0)
+    values = [[float(each)] for each in range(COUNT)]
+    return header + made.samples(number, "float32", values, stamps.tolist()) + _offsets(number)
+
+
+BOTH = made.xdf(_stream(1, "lsl", BEGIN_S), _stream(2, "unix", UNIX_S))
+ALONE = made.xdf(_stream(2, "unix", UNIX_S))
+
+
+def test_every_format_is_told_and_bids_leaves_it_out(exported: Exporting) -> None:
+    outcome = exported(BOTH, "csv", "edf", "bids")
+    (note,) = outcome.clock_notes
+    assert note.startswith("unix: its stamps are 169999")
+    assert "unix time" in note
+    missing = {
+        each.format: [note for note in each.notes if isinstance(note, Missing)]
+        for each in outcome.written
+    }
+    assert {name: len(notes) for name, notes in missing.items()} == {"csv": 0, "edf": 0, "bids": 1}
+    assert not outcome.is_whole
+    assert exported(BOTH, "csv-long", wish=Wish(("lsl",))).clock_notes == ()
+
+
+def test_alone_it_is_written_on_its_own_clock(exported: Exporting) -> None:
+    (bids,) = exported(ALONE, "bids").written
+    assert bids.is_whole
+    assert list(bids.path.rglob("*_eeg.eeg"))
+
+
+def test_a_stream_that_no_bag_can_hold_is_missing(exported: Exporting) -> None:
+    late = made.xdf(_stream(1, "lsl", BEGIN_S), _stream(2, "late", 9.9e9))
+    (bag,) = exported(late, "mcap").written
+    assert [note for note in bag.notes if isinstance(note, Missing)] == [
+        "50 samples of late are not in it: their stamp is no time of day"
+    ]
+    assert not bag.is_whole
+
+
+def test_no_drift_is_taken_to_go_on_for_ever() -> None:
+    clock = SenderClock([(BEGIN_S + each, OFFSET_S + DRIFT * each) for each in range(0, 60, 5)])
+    last_s = BEGIN_S + 55
+    stamps = np.array([0.0, BEGIN_S, last_s + 500, last_s + 5000, UNIX_S])
+    added = clock.to_recorder(stamps) - stamps
+    reach = EXTRAPOLATED_S * DRIFT
+    assert added[1:3] == pytest.approx([OFFSET_S, OFFSET_S + 555 * DRIFT], abs=1e-6)
+    assert np.abs(added[[0, 3, 4]] - OFFSET_S).max() <= reach + 60 * DRIFT + 1e-6
+    np.testing.assert_allclose(clock.to_sender(clock.to_recorder(stamps)), stamps, atol=1e-6)
+
+
+def test_a_replay_plays_the_others_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "both.xdf"
+    path.write_bytes(BOTH)
+    with open_contents(path) as contents:
+        assert contents.end_s - contents.begin_s < 10
+        player = Player(choose(contents, Wish()), Order(), "hash")
+        assert [each.header.name for each in player.streams] == ["lsl"]
+        assert player.progress().length_s < 10
+        (sentence,) = words.left_out(player)
+        assert sentence.startswith("warning: unix is not played, for its stamps are")
+        alone = Player(choose(contents, Wish(streams=("unix",))), Order(), "hash")
+        assert [each.header.name for each in alone.streams] == ["unix"]
+        assert alone.progress().length_s == pytest.approx(4.9, abs=0.1)
+
+
+def test_streams_on_one_clock_stay_together(tmp_path: Path) -> None:
+    path = tmp_path / "good.xdf"
+    path.write_bytes(made.xdf(_stream(1, "a", BEGIN_S), _stream(2, "b", BEGIN_S + 20)))
+    with open_contents(path) as contents:
+        chosen = choose(contents, Wish())
+        assert on_one_clock(chosen) == (chosen, ())
+
+
+# Runs of a stream do not depend on where its batches begin, and their files never clash.
+RUN_HZ, RUN_LENGTH, CHUNK = 100.0, 60, 10
+GAP_S = 5.0
+
+
+def _with_runs(
+    number: int, name: str, stamps: np.ndarray, first: float, kind: str = "ECG"
+) -> bytes:
+    """One whose values are counted from `first`, in chunks."""
+    values = (first + np.arange(len(stamps), dtype=np.float32))[:, np.newaxis]
+    chunks = [
+        made.samples(
+            number, "float32", values[at : at + CHUNK].tolist(), list(stamps[at : at + CHUNK])
+        )
+        for at in range(0, len(values), CHUNK)
+    ]
+    header = made.stream_header(number, name, kind=kind, rate=RUN_HZ, source_id=f"{name}{number}")
+    return header + b"".join(chunks)
+
+
+def _stamps(gap_at: int | None = None, step_s: float = GAP_S) -> np.ndarray:
+    stamps = BEGIN_S + np.arange(RUN_LENGTH) / RUN_HZ
+    if gap_at is not None:
+        stamps[gap_at:] += step_s
+    return stamps
+
+
+def _kubios(outcome: Outcome) -> dict[str, list[float]]:
+    (written,) = (each for each in outcome.written if each.format == "kubios")
+    return {
+        path.name: [float(each) for each in path.read_text().split()]
+        for path in written.path.iterdir()
+        if path.name != "README.txt"
+    }
+
+
+def _edf(outcome: Outcome) -> dict[str, list[float]]:
+    (written,) = (each for each in outcome.written if each.format == "edf")
+    return {
+        path.name: np.round(read_bdf(path).signals[0].data).tolist()
+        for path in written.path.iterdir()
+        if path.name != "README.txt"
+    }
+
+
+@pytest.mark.parametrize("step_s", [GAP_S, -GAP_S])
+@pytest.mark.parametrize("gap_at", [1, 9, 10, 19, 20, 21, 40, 59])
+def test_a_gap_may_be_at_the_begin_of_a_batch(
+    gap_at: int, step_s: float, exported: Exporting
+) -> None:
+    content = made.xdf(_with_runs(1, "a", _stamps(gap_at, step_s), 0))
+    values = np.arange(RUN_LENGTH, dtype=float).tolist()
+    parts = {"a_run1": values[:gap_at], "a_run2": values[gap_at:]}
+    outcome = exported(content, "edf", "kubios", batch=2 * CHUNK)
+    assert _kubios(outcome) == {f"{name}.txt": told for name, told in parts.items()}
+    # A record may be filled up behind the last sample.
+    written = {name: told[: len(parts[Path(name).stem])] for name, told in _edf(outcome).items()}
+    assert written == {f"{name}.bdf": told for name, told in parts.items()}
+
+
+def test_the_samples_of_two_streams_of_one_name_stay_apart(exported: Exporting) -> None:
+    content = made.xdf(
+        _with_runs(1, "ECG", _stamps(20), 0),
+        _with_runs(2, "ECG", _stamps(), 1000),
+        _with_runs(3, "ecg_RUN1", _stamps(), 2000),
+        _with_runs(4, "ECG_2", _stamps(30), 3000),
+    )
+    values = np.arange(RUN_LENGTH, dtype=float)
+    expected = {
+        "ECG_run1": values[:20],
+        "ECG_run2": values[20:],
+        "ECG_2": values + 1000,
+        "ecg_RUN1_2": values + 2000,
+        "ECG_2_2_run1": values[:30] + 3000,
+        "ECG_2_2_run2": values[30:] + 3000,
+    }
+    outcome = exported(content, "edf", "kubios")
+    assert _kubios(outcome) == {f"{name}.txt": told.tolist() for name, told in expected.items()}
+    assert {Path(each).stem for each in _edf(outcome)} == expected.keys()
+
+
+@pytest.mark.parametrize("name", ["edf", "kubios"])
+def test_why_nothing_was_written_is_said(
+    name: str, exported: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (runs, edf_exporter, kubios):
+        monkeypatch.setattr(module, "MOST_RUNS", 1)
+    stamps = _stamps(20)
+    stamps[40:] += GAP_S
+    with pytest.raises(RecordingError) as caught:
+        exported(made.xdf(_with_runs(1, "a", stamps, 0)), name)
+    assert caught.value.reason is RecordingReason.EMPTY
+    assert str(caught.value).endswith("; a: left out, for it has more than 1 gaps")
+
+
+def test_a_stream_that_is_left_out_makes_it_not_whole(
+    exported: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (runs, edf_exporter):
+        monkeypatch.setattr(module, "MOST_RUNS", 1)
+    stamps = _stamps(20)
+    stamps[40:] += GAP_S
+    content = made.xdf(_with_runs(1, "a", stamps, 0), _with_runs(2, "b", _stamps(), 0))
+    outcome = exported(content, "edf")
+    assert not outcome.is_whole
+    assert _edf(outcome).keys() == {"b.bdf"}
+
+
+BURST, BURSTS, LOST_BURST = 73, 60, 40
+
+
+def _in_bursts(*, is_lost: bool) -> bytes:
+    """What a sender stamps when a packet comes; one of them may have been lost."""
+    measured = BEGIN_S + np.arange(BURST * BURSTS) / REAL_HZ
+    stamps = np.repeat(measured[BURST - 1 :: BURST], BURST)
+    if is_lost:
+        stamps = np.delete(stamps, slice(LOST_BURST * BURST, (LOST_BURST + 1) * BURST))
+    values = np.arange(len(stamps), dtype=np.float32)[:, np.newaxis]
+    return made.xdf(
+        made.stream_header(1, "strap", kind="ECG", rate=130.0),
+        made.samples(1, "float32", values.tolist(), stamps.tolist()),
+    )
+
+
+def test_what_is_stamped_in_bursts_is_one_run_at_its_real_rate(exported: Exporting) -> None:
+    outcome = exported(_in_bursts(is_lost=False), "edf", "kubios", "bids")
+    values = np.arange(BURST * BURSTS, dtype=float).tolist()
+    assert _kubios(outcome) == {"strap.txt": values}
+    (told,) = (note for each in outcome.written for note in each.notes if "tell Kubios" in note)
+    assert "129.8 Hz" in told
+    (edf,) = (each.path for each in outcome.written if each.format == "edf")
+    (signal,) = read_bdf(edf / "strap.bdf").signals
+    assert signal.sampling_frequency == pytest.approx(REAL_HZ, rel=1e-3)
+    (bids,) = (each.path for each in outcome.written if each.format == "bids")
+    (sidecar,) = bids.rglob("*_physio.json")
+    content = json.loads(sidecar.read_text())
+    assert content["SamplingFrequency"] == pytest.approx(REAL_HZ, rel=1e-3)
+    assert content["Gaps"] == 0
+
+
+def test_a_burst_that_was_lost_ends_a_run(exported: Exporting) -> None:
+    outcome = exported(_in_bursts(is_lost=True), "edf", "kubios")
+    assert {name: len(told) for name, told in _kubios(outcome).items()} == {
+        "strap_run1.txt": LOST_BURST * BURST,
+        "strap_run2.txt": (BURSTS - LOST_BURST - 1) * BURST,
+    }

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,7 +21,9 @@ from biosensor_gateway.recording.recorder.request import (
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
+from tests.recording_here.test_growth import HEAD, TWO, data
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
 
@@ -86,3 +90,82 @@ def test_without_a_word_of_a_person_it_is_red(tmp_path: Path) -> None:
     texts = [each.text for each in verdict.findings if each.code == "away"]
     assert texts == [f"{AWAY}nothing of it was recorded"]
     assert verdict.colour is Colour.RED
+
+
+# What is said of a recording whose sensors are paused or away.
+STARTED = 1000.0
+
+
+def device(source: str, **changes: Any) -> dict[str, Any]:
+    return {
+        "sensor": "zephyr", "unit": source, "participant": "P03", "label": "", "state": "streaming",
+        "paused": False, "error": None, "since": None,
+        "streams": {source: {"silent": False}}, **changes,
+    }  # fmt: skip
+
+
+class Running:
+    """A recording that goes on, of streams ``one`` and ``two``, of which the first stops."""
+
+    def __init__(self, folder: Path) -> None:
+        file = folder / "a.xdf"
+        first = [101.0 + k / 10 for k in range(10)]
+        seconds = [data(2, *(each + second for each in first)) for second in range(30)]
+        file.write_bytes(HEAD + TWO + data(1, *first) + b"".join(seconds))
+        self._recording = LocalRecorder(folder)
+        self._recorder = RecorderFolder(folder)
+        self._recorder.path.mkdir()
+        self._recorder.save(SavedRecording(str(file), (), STARTED))
+
+    def findings(self, devices: list[dict[str, Any]] | None) -> list[tuple[Level, str, str]]:
+        standing = self._recording.status(devices)
+        assert standing is not None
+        found = [each for each in standing.problems if each.code not in ("no-offsets", "still")]
+        return [(each.level, each.code, each.text) for each in found]
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Generator[Running]:
+    made = Running(tmp_path)
+    lock = RecorderFolder(tmp_path).try_lock()
+    assert lock is not None
+    yield made
+    lock.release()
+
+
+def test_a_pause_is_amber_with_its_sentence_and_its_streams_are_not_red(running: Running) -> None:
+    devices = [device("one-id", paused=True, since=STARTED + 5), device("two-id")]
+    ((level, code, text),) = running.findings(devices)
+    assert (level, code) == (Level.WARNING, "away")
+    assert "P03's" in text and "is paused since" in text
+
+
+def test_who_was_away_before_it_began_is_amber(running: Running) -> None:
+    away = device("one-id", state="discovering", since=STARTED - 5)
+    ((level, code, _),) = running.findings([away, device("two-id")])
+    assert (level, code) == (Level.WARNING, "away")
+
+
+def test_who_is_lost_meanwhile_is_red(running: Running) -> None:
+    away = device("one-id", state="connecting", since=STARTED + 5)
+    found = running.findings([away, device("two-id")])
+    assert [each[:2] for each in found] == [(Level.ERROR, "away"), (Level.ERROR, "stopped")]
+
+
+def test_who_streams_and_came_too_late_is_red(running: Running) -> None:
+    devices = [device("one-id", paused=True), device("two-id"), device("late")]
+    found = running.findings(devices)
+    assert found[0][:2] == (Level.ERROR, "left-out")
+    assert "stop it and record again" in found[0][2]
+
+
+def test_without_their_agent_nothing_is_green(running: Running, tmp_path: Path) -> None:
+    sources = ("one-id", "two-id")
+    RecorderFolder(tmp_path).save(SavedRecording(str(tmp_path / "a.xdf"), sources, STARTED))
+    assert (Level.ERROR, "no-agent") in [each[:2] for each in running.findings(None)]
+
+
+def test_streams_of_others_alone_need_no_agent(running: Running) -> None:
+    # As at a computer that only records.
+    found = [*running.findings(None), *running.findings([])]
+    assert "no-agent" not in [code for _, code, _ in found]

@@ -1,19 +1,39 @@
-"""What is said of files in which one thing is wrong."""
+"""What is said of files in which one thing is wrong, missing or known beforehand."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
-from biosensor_common.spec import DeviceIdentity
+from biosensor_common.lsl_header import describe
+from biosensor_common.naming import NODE, lsl_name, source_id
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.stream_header import CoreFields, foreign_header
+from biosensor_gateway.demo.virtual_devices import simulated_settings
+from biosensor_gateway.devices.registry import declaration, sensor, sensor_names
+from biosensor_gateway.features.headers import stream_info
+from biosensor_gateway.features.outputs import features_of
+from biosensor_gateway.features.sources import judge as judge_source
+from biosensor_gateway.recording.xdf.counters import Reading, refusals
+from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
 from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.events import EventKind
+from biosensor_gateway.streaming.outlets import Outlet
+from lsl_to_ros.reports.clock_pairs import EVENTS
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, only, text_of
 from tests.xdf.own_streams import own_header
+from tests.xdf.test_participants import heartbeat, judged, strap
+
+# What is said of files in which one thing is wrong.
 
 RATE = 100.0
 
@@ -293,3 +313,330 @@ def test_channels_without_values() -> None:
     assert codes(report) == {("no-values", "a"), ("nan", "a")}
     assert text_of(report, "nan", "a").endswith("2 25%")
     assert only(report).figures.nan_shares == (1.0, 0.25, 0.0)
+
+
+# A sensor that was paused or not connected is named in the verdict.
+STREAMING = {"polar_h10__A1": "streaming"}
+
+
+def event(kind: str, at: float) -> dict[str, object]:
+    return {"event": kind, "sensor": "polar_h10", "unit": "A1", "participant": "P01",
+            "lsl_time": at}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", [("paused", "paused"), ("discovering", "not connected")])
+def test_who_was_away_the_whole_time_is_named(how: tuple[str, str]) -> None:
+    state, word = how
+    report = judged("P01", strap("P01"), events=[heartbeat(polar_h10__A1=state)])
+    assert codes(report, Level.WARNING) == {("away", "")}
+    assert text_of(report, "away") == f"polar_h10/A1 of P01 was {word} the whole time"
+
+
+@pytest.mark.parametrize(
+    ("kinds", "said"),
+    [
+        (("paused", "resumed"), "paused from 5.0 s to 8.0 s"),
+        (("paused", "disconnected"), "paused from 5.0 s to the end"),
+        (("disconnected", "connected"), "not connected from 5.0 s to 8.0 s"),
+    ],
+)
+def test_from_when_to_when(kinds: tuple[str, str], said: str) -> None:
+    changes = [event(kinds[0], 1005.0), event(kinds[1], 1008.0)]
+    events: list[object] = [heartbeat(**STREAMING), *changes]
+    report = judged("P01", strap("P01"), events=events)
+    assert text_of(report, "away") == f"polar_h10/A1 of P01 was {said}"
+
+
+def test_of_one_that_comes_and_goes_the_rest_is_counted() -> None:
+    events: list[object] = [heartbeat(**STREAMING)]
+    for k in range(5):
+        events += [event("disconnected", 1002.0 + 4 * k), event("connected", 1003.0 + 4 * k)]
+    text = text_of(judged("P01", strap("P01"), events=events), "away")
+    assert text.count("not connected") == 3
+    assert text.endswith(" and 2 times more")
+
+
+def test_nothing_is_said_of_one_that_streamed() -> None:
+    events: list[object] = [heartbeat(**STREAMING), event("connected", 1003.0)]
+    assert judged("P01", strap("P01"), events=events).is_good
+    assert not codes(judged("P01", strap("P01"), events=events), Level.WARNING)
+
+
+def test_one_of_which_nothing_came_is_red(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.xdf.test_participants.STAMPS", [])
+    other = DeviceIdentity("zephyr", "B", "P01")
+    report = judged("P01", strap("P01"), other, events=[heartbeat(polar_h10__A1="paused")])
+    assert codes(report, Level.ERROR) == {("away", "")}
+    assert text_of(report, "away").endswith("the whole time, and nothing of it was recorded")
+
+
+# What the agent said of late, refused and jumping data stands in the verdict.
+LATE = "2 samples had waited with others"
+
+
+def test_a_silence_is_told_with_its_longest() -> None:
+    silent = event(EventKind.STREAMS_SILENT, 1008.0)
+    events: list[object] = [
+        heartbeat(**STREAMING),
+        silent | {"seconds": 5.2, "streams": ["acc", "ecg"]},
+        silent | {"seconds": 9.8, "streams": ["ecg"], "lsl_time": 1012.0},
+    ]
+    report = judged("P01", strap("P01"), events=events)
+    assert codes(report, Level.WARNING) == {("silent", "")}
+    text = text_of(report, "silent")
+    assert text.startswith("polar_h10/A1 of P01 ")
+    assert "2 times, for ecg 9.8 s until 12.0 s" in text
+
+
+@pytest.mark.parametrize(("seconds", "is_told"), [(-6.87, True), (None, False)])
+def test_a_jump_is_told_unless_nothing_was_stamped_before_it(
+    seconds: float | None, is_told: bool
+) -> None:
+    jump = event(EventKind.CLOCK_REANCHORED, 1008.0)
+    events: list[object] = [
+        heartbeat(**STREAMING),
+        jump | ({} if seconds is None else {"seconds": seconds}),
+    ]
+    report = judged("P01", strap("P01"), events=events)
+    assert codes(report, Level.WARNING) == ({("clock-jumped", "")} if is_told else set())
+    if is_told:
+        text = text_of(report, "clock-jumped")
+        assert "polar_h10/A1 of P01 jumped by -6.870 s at 8.0 s" in text
+
+
+def test_nothing_is_said_of_a_sensor_that_is_not_in_the_file() -> None:
+    other = event(EventKind.CLOCK_REANCHORED, 1008.0) | {"sensor": "zephyr", "seconds": 2.0}
+    report = judged("P01", strap("P01"), events=[heartbeat(**STREAMING), other])
+    assert not codes(report, Level.WARNING)
+
+
+FULL = "connected, but the device refuses hr (/Meas/HR is refused (507): it has no room)"
+
+
+@pytest.mark.parametrize(
+    ("problems", "said"),
+    [
+        ({"what": FULL}, FULL),
+        ({"what": "3 bytes could not be read", "last": 1009.0}, "3 bytes could not be read"),
+        # It was before the recording, and is told for some seconds.
+        ({"what": "3 bytes could not be read", "last": 990.0}, None),
+        ("no problem", None),
+    ],
+)
+def test_what_a_device_refuses_is_told_of_the_device(problems: object, said: str | None) -> None:
+    told = heartbeat(**STREAMING) | {"problems": {"polar_h10/A1": [problems]}}
+    later = told | {"lsl_time": 1010.0}
+    report = judged("P01", strap("P01"), events=[told, later])
+    assert codes(report, Level.WARNING) == ({("refused", "")} if said else set())
+    if said:
+        assert text_of(report, "refused") == f"polar_h10/A1 of P01: {said}"
+
+
+def reading(at: float, *sentences: str) -> Reading:
+    return Reading(0, 0, at, told_at=at, refused=sentences)
+
+
+@pytest.mark.parametrize(
+    ("readings", "told"),
+    [
+        ([reading(0.0), reading(1.0, LATE)], [LATE]),
+        # Of one kind the newest.
+        ([reading(0.0), reading(1.0, LATE), reading(2.0, "5" + LATE[1:])], ["5" + LATE[1:]]),
+        # It was before, and is shown for ten seconds.
+        ([reading(0.0, LATE), reading(9.0, LATE), reading(11.0)], []),
+        # What stays is of now.
+        ([reading(0.0, LATE), reading(11.0, LATE)], [LATE]),
+    ],
+)
+def test_which_sentences_are_of_the_recording(readings: list[Reading], told: list[str]) -> None:
+    assert refusals(readings) == told
+
+
+# Which streams are expected, and what is said of those that are not there.
+FILE = x.xdf(
+    *x.regular(1, "a", [1000 + k / 10 for k in range(300)], 10.0),
+    x.stream_header(2, "empty"),
+    x.offsets(2, (1005, 1010)),
+    x.footer(2, 0),
+)
+
+
+@pytest.mark.parametrize("name", ["a", "a-id"])
+def test_a_stream_is_expected_by_name_or_source_id(name: str) -> None:
+    assert check(FILE, *by_name([name])).is_good
+
+
+def test_a_missing_stream_is_an_error() -> None:
+    assert codes(check(FILE, *by_name(["a", "b"])), Level.ERROR) == {("missing", "b")}
+
+
+def test_a_stream_that_is_asked_for_must_have_samples() -> None:
+    assert check(FILE).is_good
+    report = check(FILE, *by_name(["empty"]))
+    assert codes(report, Level.ERROR) == {("expected-empty", "empty")}
+
+
+def test_every_stream_of_every_enabled_device_is_expected() -> None:
+    devices = [
+        DeviceSettings(sensor="zephyr", unit="1", participant="p01", label="left"),
+        DeviceSettings(sensor="polar_h10", unit="2", enabled=False),
+    ]
+    identity = DeviceIdentity("zephyr", "1", "p01", "left")
+    names = {f"p01-zephyr__left-1-{each.data_name}" for each in declaration("zephyr").streams}
+    expected = by_devices(devices)
+    assert {each.name for each in expected} == names
+    assert {each.source_id for each in expected} == {
+        f"p01@zephyr.left-{each.data_name}" for each in declaration("zephyr").streams
+    }
+    report = check(FILE, *expected)
+    assert codes(report, Level.ERROR) == {("missing", name) for name in names}
+    # What is expected is what the agent really names its outlet.
+    outlet = Outlet(declaration("zephyr").stream("ecg"), identity, DeviceInfo())
+    assert (outlet.name, outlet.source_id) in {(each.name, each.source_id) for each in expected}
+
+
+def test_a_stream_of_a_sensor_may_be_empty() -> None:
+    (expected,) = (
+        e
+        for e in by_devices([DeviceSettings(sensor="zephyr", unit="1")])
+        if e.source_id == "zephyr-1-st"
+    )
+    header = x.stream_header(2, "empty", source_id="zephyr-1-st")
+    content = FILE.replace(x.stream_header(2, "empty"), header)
+    assert content != FILE
+    assert check(content, expected).is_good
+
+
+def test_all_sensors_can_be_expected() -> None:
+    with simulated_settings(["all"]) as settings:
+        expected = {device.sensor: by_devices([device]) for device in settings.devices}
+    assert set(expected) == {name for name in sensor_names() if sensor(name).virtual}
+    assert all(expected.values())
+
+
+# What tells of a device was measured before the recording, perhaps long before.
+STRAP = DeviceIdentity("polar_h10", "A1B2")
+BEGIN_S = 5000.0
+ECG = CoreFields("ecg", "ECG", "id", "host", 1, 130.0, ChannelFormat.FLOAT32)
+
+
+def _recording(told_s: float, name: str = "bat") -> bytes:
+    heart = [BEGIN_S + k for k in range(20)]
+    offsets = (BEGIN_S, BEGIN_S + 10, BEGIN_S + 20)
+    return x.xdf(
+        own_header(1, STRAP, "hr") + x.samples(1, "float32", [[60.0]] * 20, [*heart]),
+        own_header(2, STRAP, name) + x.samples(2, "float32", [[90.0]], [told_s]),
+        *(
+            x.offsets(number, offsets) + x.footer(number, count)
+            for number, count in ((1, 20), (2, 1))
+        ),
+    )
+
+
+@pytest.mark.parametrize("name", ["bat", "quality"])
+@pytest.mark.parametrize("before_s", [10.0, 100.0, 4000.0])
+def test_what_a_device_told_before_is_no_error_and_no_begin(before_s: float, name: str) -> None:
+    report = check(_recording(BEGIN_S - before_s, name))
+    assert codes(report, Level.ERROR) == codes(report, Level.WARNING) == set()
+    assert (report.extent.begin, report.extent.end) == (BEGIN_S, BEGIN_S + 19)
+
+
+def test_one_of_after_it_is_on_another_clock() -> None:
+    report = check(_recording(BEGIN_S + 100.0))
+    assert {code for code, _ in codes(report, Level.ERROR)} == {"wrong-clock"}
+
+
+def test_nothing_but_states_is_a_recording_too() -> None:
+    content = own_header(1, STRAP, "bat") + x.samples(1, "float32", [[90.0]], [BEGIN_S])
+    report = check(x.xdf(content, x.offsets(1, (BEGIN_S + 60, BEGIN_S + 70)), x.footer(1, 1)))
+    assert (report.extent.begin, report.extent.end) == (BEGIN_S, BEGIN_S)
+
+
+@pytest.mark.parametrize(("length_s", "level"), [(20, Level.NOTE), (400, Level.WARNING)])
+def test_a_feature_that_looks_back_further_than_the_recording_is_no_fault(
+    length_s: int, level: Level
+) -> None:
+    """The header says how far back; what only qualifies a value may be told by nobody."""
+    feature = next(each for each in features_of("ECG", "ecg", "mV") if each.name == "hrv_live")
+    source = judge_source("ecg", "id", foreign_header(ECG, ("1",), ("mV",)))
+    assert source is not None
+    source = replace(source, identity=STRAP)
+    root = ET.fromstring(stream_info(source, feature).as_xml())
+    labels = [each.label for each in feature.stream.channels]
+    stamps = [BEGIN_S + k for k in range(length_s)]
+    row = [1.0 if "covered" in label else float("nan") for label in labels]
+    header = x.chunk(2, b"\x01\0\0\0" + ET.tostring(root))
+    content = x.xdf(
+        header,
+        x.samples(1, "float32", [row] * length_s, stamps),
+        x.offsets(1, (BEGIN_S, BEGIN_S + 10, BEGIN_S + 20)) + x.footer(1, length_s),
+    )
+    found = [each for each in check(content).findings if each.code == "no-values"]
+    assert {each.level for each in found if "RMSSD_300s" in each.text} == {level}
+    assert {each.level for each in found if "motion_300s" in each.text} == {Level.NOTE}
+
+
+# What is said of streams that ``ros_to_lsl`` made, by what it found out of the robot's clock.
+STAMPS = [1000.0 + k / 50 for k in range(500)]
+HOST = "lab"
+
+
+def robot(clock: str, edge_s: float | None, stamped_by: str = "header") -> tuple[bytes, ...]:
+    desc = ET.Element("desc")
+    ET.SubElement(ET.SubElement(desc, "synchronization"), "can_drop_samples").text = "true"
+    ros = ET.SubElement(desc, "ros")
+    told = {"topic": "/pose", "stamp_source": stamped_by, "clock": clock}
+    if edge_s is not None:
+        told["clock_edge_s"] = f"{edge_s:.6f}"
+    for name, text in told.items():
+        ET.SubElement(ros, name).text = text
+    return x.regular(1, "pose", STAMPS, 50.0, desc=desc, host=HOST)
+
+
+def events(**clocks: Any) -> tuple[bytes, ...]:
+    """One heartbeat of a node on the same computer, and what nobody can read."""
+    identity = DeviceIdentity(NODE, f"{HOST}_ros_to_lsl")
+    header = x.stream_header(
+        2,
+        lsl_name(identity, EVENTS.data_name),
+        kind=EVENTS.content_type.value,
+        fmt="string",
+        source_id=source_id(identity, EVENTS.data_name),
+        desc=describe(EVENTS, identity, DeviceInfo(model="ros_to_lsl")),
+        host=HOST,
+    )
+    told = {"event": "heartbeat", "topics": {"/pose": {"clocks": clocks}, "/other": {}}}
+    texts = [json.dumps(told), "{", "[1]", '{"topics": {"/pose": {"clocks": {"header": 1}}}}']
+    values = x.samples(2, "string", [[each] for each in texts], [1001.0, 1002.0, 1003.0, 1004.0])
+    return header, values, x.offsets(2, (1001.0, 1004.0)) + x.footer(2, len(texts))
+
+
+@pytest.mark.parametrize(("clock", "edge_s"), [("synchronised", 0.0195), ("unknown", None)])
+def test_a_clock_that_is_right_is_no_finding(clock: str, edge_s: float | None) -> None:
+    assert not check(x.xdf(*robot(clock, edge_s))).findings
+
+
+DOUBTS = [
+    ("behind", 0.5, "may be behind by up to 0.500 s"),
+    ("synchronised", 0.021, "may be behind by up to 0.021 s"),
+    ("unsynchronised", None, "is not known to be right"),
+    ("wrong", 0.5, "is wrong: about 0.500 s behind"),
+    ("wrong", -0.005, "is 0.005 s ahead, at least"),
+]
+
+
+@pytest.mark.parametrize(("clock", "edge_s", "words"), DOUBTS)
+def test_a_clock_that_may_be_off_is_a_warning(clock: str, edge_s: float | None, words: str) -> None:
+    report = check(x.xdf(*robot(clock, edge_s, "arrival")))
+    assert codes(report, Level.WARNING) == {("robot-clock", "pose")}
+    text = text_of(report, "robot-clock", "pose")
+    assert words in text
+    assert "time of its arrival" in text
+
+
+def test_what_is_found_later_stands_in_the_nodes_events() -> None:
+    late = {"header": {"state": "behind", "edge_s": 0.25}}
+    report = check(x.xdf(*robot("synchronised", 0.001), *events(**late)))
+    assert "up to 0.250 s" in text_of(report, "robot-clock", "pose")
+    right = {"header": {"state": "synchronised", "edge_s": 0.001}}
+    assert not check(x.xdf(*robot("synchronised", 0.001), *events(**right))).findings

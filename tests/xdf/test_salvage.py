@@ -1,4 +1,4 @@
-"""What is written of cut and damaged recordings, and what is said to be lost."""
+"""What is written of cut and damaged recordings, of headers too, and what is said to be missing."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import gzip
 import math
 import struct
 import tracemalloc
+from collections.abc import Callable
 from itertools import accumulate, pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,11 +20,13 @@ from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
-from tests.xdf import xdf_file as x
+from tests.xdf import xdf_file as made
 from tests.xdf.checking import load_by_pyxdf
 from tests.xdf.salvaging import Rows, rows, salvaged
 
-PARTS = x.two_streams()
+# What is written of cut and damaged recordings, and what is said to be lost.
+
+PARTS = made.two_streams()
 WHOLE = b"".join(PARTS)
 ENDS = list(accumulate(len(part) for part in PARTS))
 NUMBERS: Rows = [(10 + k / 4, (k // 4, k // 4)) for k in range(160)]
@@ -70,7 +73,9 @@ def test_a_whole_recording_is_left_alone(tmp_path: Path) -> None:
 
 def test_a_stream_that_labrecorder_never_closes_is_no_damage(tmp_path: Path) -> None:
     path = tmp_path / "study.xdf"
-    path.write_bytes(b"".join([*PARTS[:-2], x.stream_header(3, "big", fmt="int64"), *PARTS[-2:]]))
+    path.write_bytes(
+        b"".join([*PARTS[:-2], made.stream_header(3, "big", fmt="int64"), *PARTS[-2:]])
+    )
     assert salvage(path, salvaged_path(path)).written is None
 
 
@@ -140,17 +145,17 @@ def test_whatever_is_replaced_the_result_is_whole(start: int, gone: int, garbage
 
 def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) -> None:
     stamps = [None, 21.5, None, None]
-    head = x.stream_header(1, "a", rate=2.0, created_at=5.0)
-    lost = x.samples(1, "float32", [[0]] * 4, [12.0, None, None, None])
+    head = made.stream_header(1, "a", rate=2.0, created_at=5.0)
+    lost = made.samples(1, "float32", [[0]] * 4, [12.0, None, None, None])
     parts = [
-        x.samples(1, "float32", [[k] for k in range(4)], [10.0, None, None, None]),
+        made.samples(1, "float32", [[k] for k in range(4)], [10.0, None, None, None]),
         b"\xee" * len(lost),
         # Two chunks without a stamp, and one that has its first late.
-        x.samples(1, "float32", [[8], [9]], [None, None]),
-        x.samples(1, "float32", [[10]], [None]),
-        x.samples(1, "float32", [[k] for k in range(11, 15)], stamps),
+        made.samples(1, "float32", [[8], [9]], [None, None]),
+        made.samples(1, "float32", [[10]], [None]),
+        made.samples(1, "float32", [[k] for k in range(11, 15)], stamps),
     ]
-    outcome, file, content = salvaged(x.xdf(head, *parts), tmp_path)
+    outcome, file, content = salvaged(made.xdf(head, *parts), tmp_path)
     assert content.count(parts[-1]) == content.count(parts[-2]) == 1
     # The sample at 21.5 s is the fifth behind the damage.
     before = [(10 + k / 2, (k,)) for k in range(4)]
@@ -162,15 +167,15 @@ def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) ->
 
 
 def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
-    lost = x.samples(2, "string", [["gone"]], [11.0])
+    lost = made.samples(2, "string", [["gone"]], [11.0])
     parts = [
-        x.stream_header(1, "a", rate=2.0, created_at=5.0),
-        x.stream_header(2, "b", fmt="string", created_at=5.0),
-        x.samples(1, "float32", [[0], [1]], [10.0, None]),
+        made.stream_header(1, "a", rate=2.0, created_at=5.0),
+        made.stream_header(2, "b", fmt="string", created_at=5.0),
+        made.samples(1, "float32", [[0], [1]], [10.0, None]),
         b"\xee" * len(lost),
-        x.samples(1, "float32", [[2], [3]], [None, 11.52]),
+        made.samples(1, "float32", [[2], [3]], [None, 11.52]),
     ]
-    outcome, file, content = salvaged(x.xdf(*parts), tmp_path)
+    outcome, file, content = salvaged(made.xdf(*parts), tmp_path)
     assert [stamp for stamp, _ in rows(file)["a"]] == [10.0, 10.5, 11.0, 11.52]
     assert parts[-1] in content
     assert printing.table(outcome) == [("a", "4", "not known"), ("b", "0", "not known")]
@@ -178,12 +183,12 @@ def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
 
 def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
     parts = [
-        x.stream_header(1, "a", rate=2.0, created_at=5.0),
-        x.samples(1, "float32", [[0]], [10.0]),
+        made.stream_header(1, "a", rate=2.0, created_at=5.0),
+        made.samples(1, "float32", [[0]], [10.0]),
         b"\xee" * 50,
-        x.samples(1, "float32", [[1], [2]], [None, None]),
+        made.samples(1, "float32", [[1], [2]], [None, None]),
     ]
-    outcome, file, _ = salvaged(x.xdf(*parts), tmp_path)
+    outcome, file, _ = salvaged(made.xdf(*parts), tmp_path)
     assert len(rows(file)["a"]) == 3
     assert "a: 2 samples behind a damage have no stamp" in "\n".join(printing.after_table(outcome))
 
@@ -275,8 +280,8 @@ def test_a_large_file_needs_little_memory(tmp_path: Path) -> None:
     path = tmp_path / "study.xdf"
     stamps = [10 + k / 1000 for k in range(5000)]
     with path.open("wb") as file:
-        file.write(x.xdf(x.stream_header(1, "a", rate=1000.0)))
-        block = x.samples(1, "float32", [[1.0]] * 5000, stamps)
+        file.write(made.xdf(made.stream_header(1, "a", rate=1000.0)))
+        block = made.samples(1, "float32", [[1.0]] * 5000, stamps)
         for _ in range(300):
             file.write(block)
         file.write(block[:-1])
@@ -300,12 +305,12 @@ def test_a_last_sample_of_another_time_is_cut_off(chunk: int, tmp_path: Path) ->
     stamps = [5000.0 + each / 130 for each in range(300)] + [805030.5]
     values = [[float(each)] for each in range(301)]
     parts = [
-        x.samples(1, "float32", values[at : at + chunk], stamps[at : at + chunk])
+        made.samples(1, "float32", values[at : at + chunk], stamps[at : at + chunk])
         for at in range(0, 301, chunk)
     ]
-    header = x.stream_header(1, "Polar", kind="ECG", rate=130.0)
+    header = made.stream_header(1, "Polar", kind="ECG", rate=130.0)
     path = tmp_path / "garbage.xdf"
-    path.write_bytes(x.xdf(header, *parts, x.footer(1, 300)))
+    path.write_bytes(made.xdf(header, *parts, made.footer(1, 300)))
     assert judge(read_recording(path)).can_be_salvaged
     written = tmp_path / "fixed.xdf"
     outcome = salvage(path, written)
@@ -320,12 +325,116 @@ def test_a_last_sample_of_another_time_is_cut_off(chunk: int, tmp_path: Path) ->
 def test_a_good_last_sample_behind_a_wrong_stamp_stays(tmp_path: Path) -> None:
     stamps = [5000.0 + each / 130 for each in range(300)]
     stamps[-2] = 805030.5
-    header = x.stream_header(1, "Polar", kind="ECG", rate=130.0)
-    rows = x.samples(1, "float32", [[float(each)] for each in range(300)], stamps)
+    header = made.stream_header(1, "Polar", kind="ECG", rate=130.0)
+    rows = made.samples(1, "float32", [[float(each)] for each in range(300)], stamps)
     path, written = tmp_path / "garbage.xdf", tmp_path / "fixed.xdf"
     # It lacks its footer.
-    path.write_bytes(x.xdf(header, rows))
+    path.write_bytes(made.xdf(header, rows))
     salvage(path, written)
     (stream,) = read_recording(written).streams
     assert stream.stamps.tolist() == stamps
     assert salvage(written, tmp_path / "again.xdf").survey.is_whole
+
+
+# Headers of a wrong form are fixed, and lost ones are taken from another recording.
+RATE, COUNT = 130.0, 50
+VALUES = [[0.5 * number] for number in range(COUNT)]
+STAMPS = [100.0 + number / RATE for number in range(COUNT)]
+BODY = made.samples(1, "float32", VALUES, STAMPS) + made.footer(1, COUNT)
+GOOD = made.stream_header(1, "Belt", rate=RATE)
+
+
+def _broken(change: Callable[[str], str]) -> bytes:
+    xml = GOOD[GOOD.index(b"<info>") :].decode()
+    changed = change(xml).encode("utf-8", "surrogateescape")
+    return made.xdf(made.chunk(2, struct.pack("<I", 1) + changed), BODY)
+
+
+def _replaced(old: str, new: str) -> Callable[[str], str]:
+    def change(xml: str) -> str:
+        assert old in xml
+        return xml.replace(old, new)
+
+    return change
+
+
+WRONG: dict[str, tuple[Callable[[str], str], str]] = {
+    "a C string's end": (lambda xml: f"{xml}\0", "control characters"),
+    "control characters": (_replaced("Belt", "Belt\x01"), "control characters"),
+    "a comma": (_replaced("130.0", "130,0000"), "nominal_srate '130,0000'"),
+    "the name of an enum": (_replaced("float32", "cf_float32"), "channel_format 'cf_float32'"),
+    "blanks around the format": (_replaced("float32", " float32 "), "channel_format"),
+    "a bare &": (_replaced("<hostname>host", "<hostname>R&D"), "a bare &"),
+    "a document type": (lambda xml: f"<!DOCTYPE info>{xml}", "a document type"),
+    "capitals": (_replaced("float32", "Float32"), "channel_format"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_header_of_a_wrong_form_costs_no_sample(name: str, tmp_path: Path) -> None:
+    change, told = WRONG[name]
+    outcome, file, _ = salvaged(_broken(change), tmp_path)
+    assert rows(file)["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
+    (sentence,) = (each for each in printing.after_table(outcome) if "was fixed" in each)
+    assert told in sentence
+    assert not outcome.lost_bytes
+
+
+def test_a_stream_without_a_rate_is_irregular_then(tmp_path: Path) -> None:
+    content = _broken(_replaced("<nominal_srate>130.0</nominal_srate>", ""))
+    outcome, file, _ = salvaged(content, tmp_path)
+    (stream,) = read_recording(file).streams
+    assert (stream.header.rate, stream.sample_count) == (0.0, COUNT)
+    assert any("no nominal_srate" in each for each in printing.after_table(outcome))
+
+
+def _with_header() -> bytes:
+    """A recording whose header cannot be read any more, but for its number and name."""
+    content = bytearray(made.xdf(GOOD, BODY))
+    at = content.index(b"</info>", content.index(b"Belt"))
+    content[at : at + 7] = b"\xff" * 7
+    return bytes(content)
+
+
+def test_a_lost_header_is_that_of_another_recording(tmp_path: Path) -> None:
+    path, other = tmp_path / "study.xdf", tmp_path / "other.xdf"
+    path.write_bytes(_with_header())
+    # Numbers differ from one recording to the next.
+    other.write_bytes(
+        made.xdf(
+            made.stream_header(1, "Strap", channels=3, rate=50.0),
+            made.stream_header(7, "Belt", rate=RATE),
+            made.samples(7, "float32", VALUES[:1], STAMPS[:1]),
+        )
+    )
+    with pytest.raises(RecordingError) as caught:
+        salvage(path, tmp_path / "without.xdf")
+    assert caught.value.reason is RecordingReason.EMPTY
+    outcome = salvage(path, tmp_path / "with.xdf", other)
+    assert rows(tmp_path / "with.xdf")["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
+    assert any("that of the other recording" in each for each in printing.after_table(outcome))
+
+
+@pytest.mark.parametrize(
+    ("begin", "said"),
+    [
+        (b"", "it is empty"),
+        (b"\0" * 500, "nothing but zeros"),
+        (b"0       X X X X", "an EDF file"),
+        (b"\xffBIOSEMI", "a BDF file"),
+        (b"\n<!DOCTYPE html><html>", "a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\noid", "a pointer of Git LFS"),
+        (b"#ROSBAG V2.0\n", "a bag of ROS 1"),
+        (b"\x89MCAP0\r\n", "a bag of ROS 2"),
+        (b"something else", "does not begin with 'XDF:'"),
+    ],
+)
+def test_a_file_that_is_none_is_said_to_be_what_it_is(
+    begin: bytes, said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(begin)
+    with pytest.raises(RecordingError, match="is no XDF recording") as caught:
+        read_recording(path)
+    assert caught.value.reason is RecordingReason.NOT_XDF
+    assert said in str(caught.value)
