@@ -22,7 +22,7 @@ _MOVING = (
 SPEC = SensorSpec(
     name="bluetooth_health",
     title="Bluetooth health or sports device",
-    # Who made it is known once it is connected.
+    # The manufacturer is known after connecting.
     manufacturer="",
     model="",
     streams=(

@@ -1,4 +1,4 @@
-"""A virtual device with all the services: an oximeter on a finger, and a bicycle."""
+"""A virtual device with all supported services, from an oximeter to a bicycle."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ _NO_NUMBER = 0x07FF
 _STATUS_AND_AMPLITUDE = 0x18
 _UNCONNECTED_TO_USER = 1 << 11
 _TENTHS = 0xF000
-"""Exponent -1, above a mantissa of 12 bits."""
+"""Exponent -1, placed above a 12-bit mantissa."""
 
 
 def _tenths(value: float) -> int:
-    """Return a decimal number of 16 bits with one place."""
+    """Return a 16-bit decimal number with one decimal place."""
     return _TENTHS | round(10 * value) & 0x0FFF
 
 
@@ -64,32 +64,32 @@ def _oximeter(spo2: float, pulse: float, amplitude: float, *, worn: bool) -> byt
 
 
 def _thermometer(celsius: float) -> bytes:
-    """Return a temperature with two places."""
+    """Return a temperature with two decimal places."""
     mantissa = round(100 * celsius) & 0xFFFFFF
     return struct.pack("<BI", 0, mantissa | (-2 & 0xFF) << 24)
 
 
 def _foot_pod(metres_per_second: float, strides_per_minute: int) -> bytes:
-    """Return speed and cadence of a runner."""
+    """Return a runner's speed and cadence."""
     return struct.pack("<BHB", 4, round(256 * metres_per_second), strides_per_minute)
 
 
 def _bicycle(wheel_turns: int, wheel_s: float, crank_turns: int, crank_s: float) -> bytes:
-    """Return counted turns, and when the last ones were."""
+    """Return counted revolutions, and the times of the last ones."""
     times = [round(1024 * each) & 0xFFFF for each in (wheel_s, crank_s)]
     counts = wheel_turns & 0xFFFFFFFF, times[0], crank_turns & 0xFFFF, times[1]
     return struct.pack("<BIHHH", 3, *counts)
 
 
 def _power_meter(watts: int) -> bytes:
-    """Return a power and nothing else."""
+    """Return a measurement with power only."""
     return struct.pack("<Hh", 0, watts)
 
 
 EXPECTED = replace(
     ANY_STRAP,
     without_contact=("spo2",),
-    # Speed and cadence are reckoned from counted turns.
+    # The agent calculates speed and cadence from counted revolutions.
     by_agent=frozenset({"quality", "cycling"}),
     impossible={**ANY_STRAP.impossible, FaultKind.REPEAT: NO_INTERVALS},
     unstamped_s={"spo2": 0.0, "temp": 0.0, "running": 0.0, "power": 0.0},
@@ -97,7 +97,7 @@ EXPECTED = replace(
 
 
 class _Value(NamedTuple):
-    """What is sent, and the sample that it holds; None of what has none, or none of its own."""
+    """A value to send, and the sample in it; None if it has no sample of its own."""
 
     data_name: str
     data: bytes
@@ -105,16 +105,16 @@ class _Value(NamedTuple):
 
 
 class SimulatedHealthDevice(StrapDevice):
-    """A device with all the services, which sends each of them once a second.
+    """A device with all supported services, which notifies each once a second.
 
     Parameters
     ----------
     world, radio
-        Where it lives, and the air that it is heard on.
+        Simulated world and radio.
     address, name
         As advertised.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     **specimen
         As for every virtual device: see `Specimen`.
     """
@@ -145,7 +145,7 @@ class SimulatedHealthDevice(StrapDevice):
             self.specimen,
             identity=Identity("Virtual Health", "Health Device", "0001", firmware="1.0"),
         )
-        # It is no strap.
+        # This device is not a heart-rate strap.
         self._strap.services.remove(self._strap.heart_rate.service)
         self._characteristics = {name: self._add(*each) for name, each in _SERVICES.items()}
         self._strap.deny_by_turns(list(self._characteristics.values()))
@@ -153,7 +153,7 @@ class SimulatedHealthDevice(StrapDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._address}
 
     def _add(
@@ -172,7 +172,7 @@ class SimulatedHealthDevice(StrapDevice):
         for second in count(1):
             measured_s = await self._strap.oscillator.reach(second)
             for value in self._values(second, measured_s):
-                # Each waits for the radio by itself.
+                # Each value has its own radio delay.
                 self._strap.run(self._send(value, measured_s))
 
     def _values(self, second: int, measured_s: float) -> Iterator[_Value]:

@@ -13,7 +13,7 @@ _PPI = (
     *channels(Unit.SECONDS, "error", plausible=plausible.BEAT_UNCERTAINTY_S),
 )
 _PPG = channels(Unit.COUNTS, "LED1", "LED2", "LED3", "ambient")
-# The vendor calls its own contact bit very unreliable: nothing may act on it, so it has no role.
+# The vendor calls its contact bit very unreliable, so it has no role and nothing depends on it.
 _QUALITY = channels(Unit.BOOLEAN, "skin_contact", "moving")
 
 SPEC = SensorSpec(

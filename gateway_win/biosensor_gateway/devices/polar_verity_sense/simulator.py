@@ -1,4 +1,4 @@
-"""A virtual Polar Verity Sense, or another optical sensor of the family."""
+"""A virtual Polar Verity Sense, or a related optical sensor."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from biosensor_gateway.simulation.virtual_device import Filled
 
 EXPECTED = replace(
     STRAP,
-    # Its channel has no role, for real ones are not to be believed; the virtual one is.
+    # Its contact channel has no role, because real devices are unreliable; this one is reliable.
     contact=Contact("quality", 0),
     without_contact=("hr", "ppi"),
-    # Of a batch of intervals, the last was over at some time in the second before it was sent.
+    # The last interval of a batch ended at some time in the second before sending.
     unstamped_s={"hr": 0.0, "ppi": 0.8},
 )
 
-# Settings, rates and ranges: the product pages in ``documentation/products`` of Polar's public SDK
-# repository, and its ``KnownIssues.md``. What a count is in each range: of a Verity Sense at 8 g
-# from the start reply in Polar's specification, else in proportion to the range.
+# Settings, rates and ranges are from the product pages in ``documentation/products`` of Polar's
+# public SDK repository, and its ``KnownIssues.md``. The size of a count is from the start reply in
+# Polar's specification for a Verity Sense at 8 g, else proportional to the range.
 _OTHER_LOCATION = 0
 _RATE, _BITS, _RANGE, _CHANNELS = (
     Setting.SAMPLE_RATE,
@@ -79,7 +79,7 @@ VERITY_SENSE = Product(
     start_parameters={},
     acc_format=ACC_COMPRESSED_COUNTS,
     units_per_range=_UNITS_PER_RANGE,
-    # A reference sample of four channels fills a smaller packet.
+    # A smaller packet would only fit the reference sample of four channels.
     minimum_mtu=64,
 )
 OLD_VERITY_SENSE = replace(
@@ -88,7 +88,7 @@ OLD_VERITY_SENSE = replace(
     settings={**VERITY_SENSE.settings, Measurement.PPG: _light(135)},
     true_rates={Measurement.PPG: {135: 55}},
 )
-"""It says 135 Hz, and sends 55."""
+"""It reports 135 Hz but sends 55 Hz."""
 OH1 = replace(
     VERITY_SENSE,
     advertised="Polar OH1",
@@ -102,7 +102,7 @@ OH1 = replace(
     sdk_settings={},
     true_rates={Measurement.PPG: {130: 135}},
 )
-"""It says 130 Hz, and sends 135."""
+"""It reports 130 Hz but sends 135 Hz."""
 POLAR_360 = replace(
     VERITY_SENSE,
     advertised="Polar 360",
@@ -119,14 +119,14 @@ POLAR_360 = replace(
     },
     ppg_format=PPG_OF_TWO_DIODES,
 )
-"""Without its thermometer; in which format it sends acceleration no document says."""
+"""Without its thermometer; its acceleration format is undocumented."""
 
 
 class SimulatedPolarVeritySense(SimulatedPolarH10):
-    """An optical sensor: light, intervals between pulse waves, and what moves it.
+    """An optical sensor: light, pulse intervals and movement.
 
-    Its heart rate comes every second, every 5 s while intervals are measured, and not at all
-    in the SDK mode. It always says whether it feels the skin, and says so rightly.
+    Its heart rate is sent every second, every 5 s while intervals are measured, and not at all in
+    SDK mode. It always reports the skin contact correctly.
     """
 
     sensor = "polar_verity_sense"

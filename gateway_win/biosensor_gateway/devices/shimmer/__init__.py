@@ -53,6 +53,6 @@ SENSOR = Sensor(
         "imu": "biosensor_gateway.devices.shimmer.simulator:SimulatedImuUnit",
         "3r": "biosensor_gateway.devices.shimmer.simulator:SimulatedShimmer3R",
     },
-    # Of a name that does not tell the board, one with skin conductance is meant.
+    # If a name does not identify the board, the GSR+ sensor gets the device.
     precedence=-1,
 )

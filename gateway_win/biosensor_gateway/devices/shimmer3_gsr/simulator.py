@@ -34,23 +34,23 @@ EXPECTED = Expected(
     # The heart rate is computed from the pulse wave.
     by_agent=frozenset({"hr", "quality"}),
     impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
-    # The battery: what it measures is set before it is asked for.
+    # Only the battery can be denied: measurements are set up before they are requested.
     deniable=1,
     gaps={
-        # Firmware stops streaming with the end of the link.
+        # The firmware stops streaming when the link is lost.
         FaultKind.DROP: Gap.STOPPED,
         FaultKind.REFUSE: Gap.STOPPED,
         FaultKind.LATE: Gap.STOPPED,
         FaultKind.RESTART: Gap.STOPPED,
-        # Its radio link stayed: it stops only when the host closes the port, in silence.
+        # The radio link stays, so it only stops, silently, when the host closes the port.
         FaultKind.STALL: Gap.UNKNOWN,
-        # It answers and sends nothing: whether it measures, nobody knows.
+        # It answers but sends no data, so whether it measures is unknown.
         FaultKind.FORGET: Gap.UNKNOWN,
-        # It is started again meanwhile, and nobody can read since when it measures.
+        # It is restarted meanwhile, and since when it measures is unknown.
         FaultKind.UNREADABLE: Gap.UNKNOWN,
     },
-    # A quarter of a second may be on its way when the link breaks: in its radio, and in the
-    # host's system, from which a busy host has not yet taken it.
+    # When the link breaks, a quarter of a second of data may be in its radio and in the buffers of
+    # a busy host's system.
     loss_tolerance=LossTolerance(over_break=32),
 )
 
@@ -58,20 +58,20 @@ BATTERY, PPG, GSR = 0x03, 0x12, 0x1C
 _LN_ACCEL = (0x00, 0x01, 0x02)
 _FULL_SCALE_MV = 3000.0
 _PULSE_LEVEL_MV, _PULSE_SWING_MV = 1500.0, 400.0
-# A probe that sees no finger, and one without power.
+# Voltages of a probe without a finger, and of one without power.
 _DARK_MV, _UNPOWERED_MV = 900.0, 6.0
 _ACCEL_OFFSET, _ACCEL_COUNTS_PER_MS2, _GRAVITY_MS2 = 2253, 92, 9.80665
-# From the axes of the case to those of the chip.
+# Converts the axes of the case to those of the chip.
 _MOUNTING = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]], np.float64)
 
 # A GSR+ board has a non-inverting amplifier with 0.5 V across the skin, ``V = 0.5 V * (1 + Rf *
-# G)``, and 12 bits of 3 V.
+# G)``, and a 12-bit ADC for 3 V.
 AUTO_RANGE = 4
 _FEEDBACK_KOHM = (40.2, 287.0, 1000.0, 3300.0)
 _OPEN_COUNTS = 682.5
-"""Reading at 0.5 V."""
+"""ADC counts at 0.5 V."""
 _FULL_SCALE_COUNTS = 4095
-# Reading above which the next smaller, below which the next larger resistor is taken.
+# Counts above which the next smaller, or below which the next larger resistor is used.
 _SWITCH_UP = (_FULL_SCALE_COUNTS + 1, 3960, 3700, 3930)
 _SWITCH_DOWN = (1120, 1490, 1630, -1)
 _HOLD_TICKS = 2621
@@ -80,20 +80,20 @@ _FIXED_KOHM = ((8.0, 63.0), (63.0, 220.0), (220.0, 680.0), (680.0, 4700.0))
 
 
 def counts_in(gsr_range: int, microsiemens: float) -> int:
-    """Return the converter's reading of a conductance with one of the resistors, 0 to 3."""
+    """Return the ADC counts of a conductance with one of the resistors, 0 to 3."""
     gain = 1 + microsiemens * _FEEDBACK_KOHM[gsr_range] / 1000
     return min(int(_OPEN_COUNTS * gain), _FULL_SCALE_COUNTS)
 
 
 def conductance_us(raw: int, setting: int) -> float:
-    """Return the conductance that a raw word stands for [uS]; NaN for open electrodes.
+    """Return the conductance of a raw word [uS]; NaN for open electrodes.
 
     Parameters
     ----------
     raw
-        Resistor in the upper two bits, reading in the lower twelve.
+        Resistor in the upper two bits, ADC counts in the lower twelve.
     setting
-        0 to 3 for a fixed resistor, which outweighs the word's bits; 4 for auto-range.
+        0 to 3 for a fixed resistor, which overrides the word's bits; 4 for auto-range.
     """
     gsr_range, counts = raw >> 14 if setting == AUTO_RANGE else setting, raw & 0xFFF
     if counts <= (683 if gsr_range == 3 else 682):
@@ -106,12 +106,12 @@ def conductance_us(raw: int, setting: int) -> float:
 
 
 class GsrAmplifier:
-    """The amplifier over time.
+    """The amplifier and its range over time.
 
     Parameters
     ----------
     setting
-        0 to 3 for a fixed resistor, 4 for auto-range, which begins with the smallest.
+        0 to 3 for a fixed resistor, 4 for auto-range, which starts with the smallest.
     divider
         Ticks between two samples.
     """
@@ -138,7 +138,7 @@ class GsrAmplifier:
         return self._last_good
 
     def _switch(self, counts: int) -> None:
-        """Take another resistor; the amplifier settles while the last value is repeated."""
+        """Switch the resistor if needed; the last value is repeated while the amplifier settles."""
         step = (counts < _SWITCH_DOWN[self._range]) - (counts > _SWITCH_UP[self._range])
         if step:
             self._range += step
@@ -146,22 +146,22 @@ class GsrAmplifier:
 
 
 def ppg_mv(counts: int) -> float:
-    """Return the voltage of the pulse probe that a reading stands for [mV]."""
+    """Return the voltage of the pulse probe [mV] from ADC counts."""
     return counts * _FULL_SCALE_MV / _FULL_SCALE_COUNTS
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a block is measured under.
+    """The conditions of a block's measurement.
 
     Attributes
     ----------
     worn
-        Electrodes and probe are on the skin.
+        Whether electrodes and probe are on the skin.
     probe_powered
-        The expansion power is on.
+        Whether the expansion power is on.
     battery_counts
-        Reading of the battery's voltage.
+        Battery voltage in ADC counts.
     """
 
     worn: bool
@@ -175,13 +175,13 @@ class GsrMeter:
     Parameters
     ----------
     channels
-        Ids in packet order.
+        Channel ids in packet order.
     setting
-        Of the range: 0 to 3 for a fixed resistor, 4 for auto-range.
+        Range setting: 0 to 3 for a fixed resistor, 4 for auto-range.
     divider
         Ticks between two samples.
     conditions
-        Asked once a block.
+        Called once per block.
     """
 
     def __init__(
@@ -199,7 +199,7 @@ class GsrMeter:
         self._amplifier = GsrAmplifier(setting, divider)
 
     def measure(self, t: Floats) -> Block:
-        """Return what is measured at these times of the wearer [s]."""
+        """Return the measurements at these times of the wearer [s]."""
         rows = _readings(self._channels, self._wearer, t, self._conditions(), self._amplifier)
         values: dict[str, Sequence[tuple[float, ...]]] = {}
         if GSR in self._channels:
@@ -226,19 +226,19 @@ def _readings(
     conditions: Conditions,
     amplifier: GsrAmplifier,
 ) -> list[tuple[int, ...]]:
-    """Return the readings of a block, for each sample a count for each channel.
+    """Return the counts of a block, one per channel for each sample.
 
-    Sensors of which the wearer has no model (gyroscope, magnetometer, pressure, ExG,
-    free inputs) read 0.
+    Sensors without a model in the wearer (gyroscope, magnetometer, pressure, ExG, free inputs)
+    read 0.
 
     Parameters
     ----------
     channels
-        Ids in packet order.
+        Channel ids in packet order.
     t
-        When the samples are taken, in the wearer's time [s].
+        Times of the samples in the wearer's time [s].
     amplifier
-        The one of all blocks of a stream: it remembers its range.
+        Amplifier of the stream, which keeps its range between blocks.
     """
     columns: Mapping[int, Callable[[], list[int]]] = {
         BATTERY: lambda: [conditions.battery_counts] * t.size,
@@ -278,12 +278,12 @@ def _acceleration(wearer: Wearer, t: Floats) -> list[list[int]]:
 
 
 class SimulatedShimmer3(SimulatedShimmer):
-    """The device.
+    """A virtual Shimmer3 GSR+.
 
-    Its `truth` holds ``gsr`` [uS], NaN while the electrodes are open; ``ppg`` [mV];
-    ``bat`` [percent] of each answer about the battery; and ``quality`` at each change,
-    with NaN for the pulse, which only a host looks for. The heart rate is the wearer's.
-    Parameters are those of `SimulatedShimmer`.
+    Its `truth` contains ``gsr`` [uS], NaN while the electrodes are open; ``ppg`` [mV]; ``bat``
+    [percent] of each answer about the battery; and ``quality`` at each change, with NaN for the
+    pulse, which only a host detects. The heart rate is the wearer's. The parameters are those of
+    `SimulatedShimmer`.
     """
 
     sensor = "shimmer3_gsr"

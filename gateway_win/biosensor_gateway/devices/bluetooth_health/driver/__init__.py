@@ -1,4 +1,4 @@
-"""The conversation with any device that has one of the services."""
+"""Driver for any device with one of the supported services."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class HealthDeviceSettings(DeviceSettings):
 
 
 class HealthEmitter:
-    """Turns values into samples; one instance a device, over all its connections.
+    """Converts values to samples; one instance per device, over all its connections.
 
-    These services stamp nothing, or by a clock that somebody set by hand: times are those of
-    arrival.
+    These services have no timestamps, or timestamps of a manually set clock, so samples get their
+    arrival time.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class HealthEmitter:
         self._samples = {row.characteristic: row.sample(self._wheel_m) for row in ROWS}
 
     def take(self, row: Row, data: bytes, arrival_s: float) -> None:
-        """Emit what a value holds; one that is cut short is counted and dropped."""
+        """Emit the samples of a value; a truncated one is counted and dropped."""
         found = row.parse(data)
         if found is None:
             self._sink.dropped_bytes += len(data)
@@ -93,7 +93,7 @@ class HealthEmitter:
 class HealthDeviceDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # Some say nothing until somebody measures; a link that is lost is noticed by itself.
+    # Some devices send nothing until a measurement is made; a lost link is detected separately.
     silence_limit_s = 3600.0
 
     def __init__(self, link: BleLink, emitter: HealthEmitter) -> None:
@@ -124,7 +124,7 @@ class HealthDeviceDriver:
         return Connected(info, refused=refused, denied=denied, due=due)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Subscribe once more to everything: what comes rarely may be missing, too."""
+        """Subscribe to everything again, because rare data may be missing, too."""
         del streams
         for row in ROWS:
             if self._link.has(row.characteristic):
@@ -133,7 +133,7 @@ class HealthDeviceDriver:
                 await self._subscribe(row)
 
     async def stream(self) -> None:
-        """Emit what the device sends, which the link has kept so far."""
+        """Emit what the device sends, starting with what the link has buffered."""
         if self._seen is not None:
             advertisement, seen_s = self._seen
             self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
@@ -142,7 +142,7 @@ class HealthDeviceDriver:
             tasks.create_task(self._read_forever())
 
     async def close(self) -> None:
-        """Unsubscribe, for a moment, and disconnect."""
+        """Try to unsubscribe within a short time, and disconnect."""
         with suppress(GatewayError, TimeoutError):
             async with asyncio.timeout(GOODBYE_LIMIT_S):
                 for row in ROWS:
@@ -168,7 +168,7 @@ class HealthDeviceDriver:
         return ProtocolError(ProtocolReason.UNSUPPORTED, message)
 
     def _refusal(self, errors: Mapping[Row, AttError | None]) -> ProtocolError:
-        """Return why nothing at all can be had of it."""
+        """Return the error if every characteristic is refused."""
         found = [error for error in errors.values() if error is not None]
         if any(error.wants_pairing or error.code == UNLIKELY_ERROR for error in found):
             message = f"{self._link.what} answers only when paired; set pair = true for it"
@@ -191,7 +191,7 @@ def identify(seen: Advertisement) -> str | None:
     return None if _title(seen) is None else seen.address
 
 
-# One that another driver knows better is left to that one.
+# A device that a specific driver recognises is left to that driver.
 recognise = by_advertisement("bluetooth_health", identify)
 
 
@@ -205,7 +205,7 @@ def _any(seen: Advertisement) -> str:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HealthDeviceDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(HealthDeviceSettings, settings)
     emitter = HealthEmitter(sink, own.wheel_mm / 1000)
     kind = _any if own.device else identify

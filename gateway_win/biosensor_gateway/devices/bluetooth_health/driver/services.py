@@ -1,4 +1,4 @@
-"""The services that are read: a new one is a row here, and its streams in the declaration."""
+"""The supported services: a new one needs a row here, and its streams in the declaration."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import NamedTuple
 
 Values = Mapping[str, float]
 Sampling = Callable[[Values, float], list[float] | None]
-"""Makes a sample of fields and their LSL time of arrival; None where there is none."""
+"""Creates a sample from fields and their LSL time of arrival; None without a sample."""
 Making = Callable[[float], Sampling]
-"""Begins again, as for each connection; takes the circumference of the wheel in m."""
+"""Creates a `Sampling` for each connection; takes the circumference of the wheel in m."""
 _FAHRENHEIT = 1
 _TICKS_PER_S = 1024
 # Sensor unconnected to user, displaced, disconnected.
 _OFF = 1 << 11 | 1 << 13 | 1 << 15
 
 STANDSTILL_S = 3.0
-"""Who turns more slowly than once in this time stands still."""
+"""A rotation that takes longer counts as standstill."""
 _TIME_TURNS = 1 << 16
 
 
 class _Event(NamedTuple):
-    """A count, and when it was reached: in ticks, and when it was first heard of on LSL's clock."""
+    """A count with the time of its event in ticks, and the LSL time when it was first received."""
 
     turns: float
     ticks: float
@@ -30,15 +30,15 @@ class _Event(NamedTuple):
 
 
 class Revolutions:
-    """Counts made rates.
+    """Converts counts of revolutions to rates.
 
     Parameters
     ----------
     bits
-        At which the count rolls over; 0 where it does not, as of a wheel, which may turn
-        backwards [1]_. A rate is negative then, as it is when a device counts again.
+        Width of the count, at which it overflows; 0 for none, as for a wheel, which may turn
+        backwards [1]_. The rate is negative then, and also when a device restarts its count.
     ticks_per_s
-        Of the time, which has 16 bits.
+        Resolution of the event time, which has 16 bits.
 
     .. [1] Bluetooth SIG, Cycling Speed and Cadence Service 1.0, 3.1.1.
     """
@@ -50,14 +50,14 @@ class Revolutions:
         self._turned_s = -math.inf
 
     def rate(self, count: float | None, ticks: float | None, arrival_s: float) -> float:
-        """Return turns per second since the last one; NaN while that is not known.
+        """Return revolutions per second since the last event; NaN while unknown.
 
         Parameters
         ----------
         count, ticks
-            As the device sends them; None where it does not.
+            As sent by the device; None if missing.
         arrival_s
-            LSL clock.
+            LSL time.
         """
         if count is None or ticks is None:
             return math.nan
@@ -76,16 +76,16 @@ class Revolutions:
         return 0.0 if arrival_s - self._turned_s > STANDSTILL_S else math.nan
 
     def _elapsed_s(self, last: _Event, now: _Event) -> float:
-        """Return the time between two events: how often ticks rolled over, the arrivals tell."""
+        """Return the time between two events; arrivals show how often the ticks overflowed."""
         rest_s = (now.ticks - last.ticks) % _TIME_TURNS / self._ticks_per_s
         period_s = _TIME_TURNS / self._ticks_per_s
         periods = max(0, round((now.heard_s - last.heard_s - rest_s) / period_s))
         return rest_s + periods * period_s
 
 
-# A value begins with flags that say which fields follow, in an order that never changes. The
-# layouts are those of the Bluetooth SIG's GATT Specification Supplement, its decimal numbers those
-# of IEEE 11073-20601.
+# A value begins with flags that show which fields follow, in a fixed order. The layouts are those
+# of the Bluetooth SIG's GATT Specification Supplement, with decimal numbers as in IEEE
+# 11073-20601.
 ALWAYS = 0
 _INTEGERS = {
     "u8": (1, False),
@@ -95,7 +95,7 @@ _INTEGERS = {
     "u32": (4, False),
 }
 _SFLOAT_LIMIT, _FLOAT_LIMIT = 0x7FE, 0x7FFFFE
-"""From so large a mantissa on, its negative as well, a decimal number is none."""
+"""Mantissas from this absolute value on are special values instead of numbers."""
 
 
 class Field(NamedTuple):
@@ -106,9 +106,9 @@ class Field(NamedTuple):
     kind
         ``u8``, ``u16``, ``s16``, ``u24``, ``u32``, ``sfloat`` or ``float``.
     flag
-        Bit of the flags that says that it is there; `ALWAYS`.
+        Bit of the flags that shows its presence, or `ALWAYS`.
     scale
-        Physical unit of one count.
+        Size of one count in the physical unit.
     """
 
     name: str
@@ -118,29 +118,29 @@ class Field(NamedTuple):
 
 
 def sfloat(data: bytes) -> float:
-    """Read a decimal number of 16 bits: 4 of exponent, 12 of mantissa; NaN where it is none."""
+    """Parse a 16-bit decimal number: 4 bits exponent, 12 bits mantissa; NaN if special."""
     return _decimal(int.from_bytes(data, "little"), 12, 4, _SFLOAT_LIMIT)
 
 
 def long_float(data: bytes) -> float:
-    """Read a decimal number of 32 bits: 8 of exponent, 24 of mantissa; NaN where it is none."""
+    """Parse a 32-bit decimal number: 8 bits exponent, 24 bits mantissa; NaN if special."""
     return _decimal(int.from_bytes(data, "little"), 24, 8, _FLOAT_LIMIT)
 
 
 def _read(data: bytes, flag_bytes: int, fields: tuple[Field, ...]) -> Mapping[str, float] | None:
-    """Read a value; None if it is cut short.
+    """Parse a value; None if it is truncated.
 
     Parameters
     ----------
     flag_bytes
-        How many bytes the flags have.
+        Size of the flags.
     fields
-        In their order; what comes behind the last one is passed over.
+        In order; bytes after the last one are ignored.
 
     Returns
     -------
     mapping of str to float, or None
-        By name, ``flags`` among them; of fields that are not there, nothing.
+        Fields by name, including ``flags``, without missing fields.
     """
     if len(data) < flag_bytes:
         return None
@@ -173,7 +173,7 @@ def _number(kind: str, data: bytes) -> float:
 def _decimal(number: int, mantissa_bits: int, exponent_bits: int, limit: int) -> float:
     mantissa = _signed(number & (1 << mantissa_bits) - 1, mantissa_bits)
     exponent = _signed(number >> mantissa_bits, exponent_bits)
-    # Of the largest, each has a meaning of its own: infinity, no number, not at this resolution.
+    # The largest values have special meanings: infinity, not a number, not at this resolution.
     if abs(mantissa) >= limit:
         return math.nan
     return mantissa / 10**-exponent if exponent < 0 else float(mantissa * 10**exponent)
@@ -184,24 +184,24 @@ def _signed(number: int, bits: int) -> int:
 
 
 class Row(NamedTuple):
-    """A characteristic that a device sends by itself.
+    """A characteristic that a device notifies.
 
     Attributes
     ----------
     title
-        What a device with it is.
+        Title of a device with it.
     service, characteristic
-        Assigned numbers, as UUIDs of 128 bits.
+        Assigned numbers as 128-bit UUIDs.
     flag_bytes, fields
         Layout; see :func:`.layouts.read`.
     stream
         Data name.
     sample
-        Makes what makes the samples.
+        Creates the function that creates samples.
     contact
-        Tells from the fields whether it is worn; None if they do not say.
+        Returns from the fields whether it is worn; None if unknown.
     due_s
-        Longest absence while it is connected; 0 where it comes when somebody measures.
+        Maximum gap while connected; 0 if it is only sent during a measurement.
     """
 
     title: str
@@ -215,7 +215,7 @@ class Row(NamedTuple):
     due_s: float = 0.0
 
     def parse(self, data: bytes) -> Values | None:
-        """Read a value; None if it is cut short."""
+        """Parse a value; None if it is truncated."""
         return _read(data, self.flag_bytes, self.fields)
 
 
@@ -224,7 +224,7 @@ def _uuid(number: int) -> str:
 
 
 def _plain(*names: str) -> Making:
-    """Take fields as they are; without any there is no sample."""
+    """Use fields unchanged as a sample; none if they are missing."""
 
     def take(found: Values, _: float) -> list[float] | None:
         sample = [found.get(name, math.nan) for name in names]
@@ -255,7 +255,7 @@ def _worn(found: Values) -> bool | None:
 
 
 def _turning(wheel_m: float) -> Sampling:
-    """Follow wheel and crank, whose turns are counted."""
+    """Calculate the rates of wheel and crank from counted revolutions."""
     wheel = Revolutions(0, _TICKS_PER_S)
     crank = Revolutions(16, _TICKS_PER_S)
 
@@ -271,7 +271,7 @@ def _turning(wheel_m: float) -> Sampling:
 
 
 SPOT_CHECK = _uuid(0x2A5E)
-"""Of a pulse oximeter, by indication when a measurement is over; nothing reads it."""
+"""Result of a pulse oximeter's single measurement, sent as an indication; not supported."""
 
 _OXIMETER = (
     Field("SpO2", "sfloat"),

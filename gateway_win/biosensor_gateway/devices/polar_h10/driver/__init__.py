@@ -1,4 +1,4 @@
-"""The conversation with a Polar H10, and with others that have its PMD service."""
+"""Driver for the Polar H10, and its parts for other devices with the PMD service."""
 
 from __future__ import annotations
 
@@ -45,29 +45,30 @@ from biosensor_gateway.transports.nearby import Advertisement
 
 ASK_AGAIN_FIRST_S = 1.0
 ASK_AGAIN_CAP_S = 30.0
-"""What the device refuses is asked for again, less and less often."""
+"""Longest interval of retries, with increasing delay, for what the device refuses."""
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
 
 async def _as_it_is(_control: ControlPoint, _offered: frozenset[int]) -> None:
-    """Take the device in the mode that it is in."""
+    """Leave the device in its current mode."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is asked of a device at each connection.
+    """What to start on a device at each connection.
 
     Attributes
     ----------
     wanted
-        Measurements to run if the device offers them, given what it says of itself.
+        Returns the measurements to run, given the device information; unavailable ones are
+        skipped.
     prepare
-        Called before they are started, with what the device offers.
+        Called before the start with the measurements that the device offers.
     farewell
-        Commands at the end, when the measurements are stopped.
+        Commands to send at the end, after stopping the measurements.
     has_heart_rate
-        Whether its heart rate comes in this mode.
+        Whether the device sends its heart rate in this mode.
     """
 
     wanted: Callable[[DeviceInfo], Sequence[Wanted]]
@@ -77,7 +78,7 @@ class Plan:
 
 
 class PolarSession:
-    """Everything that lasts as long as one link."""
+    """One connection to a device with a PMD service."""
 
     def __init__(self, link: BleLink, emitter: PolarEmitter, plan: Plan) -> None:
         self._link = link
@@ -88,17 +89,17 @@ class PolarSession:
         self._measurements = Measurements(self._control, emitter)
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
-        """Connect, start everything, and return what the device says of itself.
+        """Connect, start everything, and return the device information.
 
         Parameters
         ----------
         pair
-            Pair as soon as the link stands.
+            Pair as soon as the link is established.
 
         Raises
         ------
         TransportError, ProtocolError
-            The device cannot be used now.
+            If the device cannot be used now.
         """
         await self._control.connect()
         self._control.dialogue.begin()
@@ -121,11 +122,11 @@ class PolarSession:
 
     @property
     def is_unanswered(self) -> bool:
-        """Whether it subscribed to the control point or sent a command, and none came through."""
+        """Whether a subscription or command was sent but none has been answered."""
         return self._control.knocking
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes.
+        """Emit data received since connecting.
 
         Raises
         ------
@@ -147,14 +148,14 @@ class PolarSession:
 
     @property
     def denied(self) -> Mapping[str, str]:
-        """By data name, why the device refuses to measure."""
+        """Why the device refuses to measure, by data name."""
         refusals = self._measurements.refusals
         names = self._emitter.data_names
         return {names[each]: refusal.why for each, refusal in refusals.items()}
 
     @property
     def rates(self) -> Mapping[str, float]:
-        """Nominal rates in Hz by data name, of what runs and of what was refused."""
+        """Nominal rates in Hz of running and refused measurements, by data name."""
         refused = {
             self._emitter.data_names[each]: refusal.rate_hz
             for each, refusal in self._measurements.refusals.items()
@@ -164,19 +165,19 @@ class PolarSession:
 
     @property
     def due(self) -> Mapping[str, float]:
-        """Longest absences of what comes all the time without a rate."""
+        """Maximum gaps of irregular streams that are sent continuously."""
         has_it = self._plan.has_heart_rate and self._link.has(HEART_RATE_MEASUREMENT)
         return DUE if has_it else {}
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start again what is behind streams that are silent.
+        """Restart the measurements of silent streams.
 
         Raises
         ------
         TransportError
-            ``LOST``, or ``SILENT`` of the heart rate.
+            ``LOST``, or ``SILENT`` for the heart rate.
         AttError
-            The device refuses to send its heart rate.
+            If the device refuses to send its heart rate.
         """
         names = {name: measurement for measurement, name in self._emitter.data_names.items()}
         silent = {names[each] for each in streams & names.keys()}
@@ -185,9 +186,9 @@ class PolarSession:
             await self._strap.subscribe_again()
 
     async def close(self) -> None:
-        """Stop everything, for a moment, and disconnect; never raises.
+        """Try to stop everything within a short time, and disconnect; never raises.
 
-        A device that is left measuring does so until its battery is flat.
+        Otherwise the device would measure until its battery is empty.
         """
         await self._control.close(self._say_goodbye)
 
@@ -217,7 +218,7 @@ class PolarSession:
             await self._measurements.ask_again()
             delay_s = min(2 * delay_s, ASK_AGAIN_CAP_S)
             if self.rates != promised:
-                # The streams have been declared with other rates.
+                # The streams were declared with different rates.
                 message = (
                     f"{self._link.what}: it measures now, and is connected again for its rates"
                 )
@@ -225,7 +226,7 @@ class PolarSession:
 
     async def _receive(self) -> Sequence[Notification]:
         notification = await self._link.next()
-        # Now, not when it is emitted: the measurement may be started again meanwhile.
+        # Checked on arrival, because the measurement may be restarted before the data are emitted.
         is_foreign = notification.uuid == DATA and self._emitter.is_foreign(notification.data)
         return () if is_foreign else (notification,)
 
@@ -236,7 +237,7 @@ class PolarSession:
             elif notification.uuid != CONTROL_POINT:
                 self._strap.take(notification)
             elif isinstance(stopped := parse_indication(notification.data), Stopped):
-                # If it is not for good, the watchdog gets it going again.
+                # If this is temporary, the watchdog restarts it.
                 _log.warning("the device stopped measuring", device=self._link.what,
                              measurements=stopped.measurements)  # fmt: skip
 
@@ -244,7 +245,7 @@ class PolarSession:
 ECG_RATE_HZ = 130
 PATIENCE_S = 5.0
 FULL_FRAME = 110
-"""Samples of three axes that differ by little, at most, with the MTU of Polar's devices."""
+"""Maximum number of compressed three-axis samples in a frame with the MTU of Polar devices."""
 _ADVICE = "put it on with wet electrodes, and close the apps that use it"
 
 MANUFACTURER_ID = 0x006B
@@ -280,14 +281,15 @@ class PolarDriver:
     Parameters
     ----------
     meet
-        Makes the session; a second time where the device demands to be paired.
+        Creates the session; called again if the device requires pairing.
     silent
-        Data names of the streams that the settings switch off.
+        Data names of streams that the settings switch off.
     fallback_rates
-        By data name the rates in Hz of streams that this device may lack, for their headers.
+        Rates in Hz, by data name, for the headers of streams that the device may not have.
     """
 
-    # A heart rate comes every second, every 5 s from an optical sensor that looks for intervals.
+    # The heart rate is sent every second, or every 5 s by an optical sensor that measures
+    # intervals.
     silence_limit_s = 15.0
 
     def __init__(
@@ -315,7 +317,7 @@ class PolarDriver:
             _log.info("pairing, because the device does not answer unpaired", cause=str(error))
         else:
             return self._connected(info)
-        # The attempt may have cost the connection, and BlueZ has tried to pair by itself.
+        # The attempt may have broken the connection, and BlueZ may have tried to pair by itself.
         await self._session.close()
         self._pairing.note_demand()
         self._session = self._meet()
@@ -326,7 +328,7 @@ class PolarDriver:
         return self._connected(info)
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes; see the protocol class."""
+        """Emit data received since connecting; see the protocol class."""
         await self._session.stream()
 
     async def close(self) -> None:
@@ -334,7 +336,7 @@ class PolarDriver:
         await self._session.close()
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start silent measurements again, and subscribe to the heart rate once more."""
+        """Restart silent measurements, and subscribe to the heart rate again."""
         await self._session.enable_again(streams)
 
     def _helps(self, error: GatewayError) -> bool:
@@ -345,7 +347,7 @@ class PolarDriver:
         names = frozenset(self._emitter.data_names.values())
         refused = names - self._session.running - denied.keys()
         rates = self._session.rates
-        # A frame of a slow measurement takes its time to fill.
+        # The frames of slow measurements take long to fill.
         patience_s = max([PATIENCE_S, *(2 * FULL_FRAME / rate for rate in rates.values())])
         return Connected(
             info,
@@ -359,7 +361,7 @@ class PolarDriver:
 
 
 def _pairing_failure(error: GatewayError, *, still_demands: bool) -> GatewayError:
-    """Return what to raise when even a paired connection fails."""
+    """Return the error to raise when even a paired connection fails."""
     denied = isinstance(error, TransportError) and error.reason is TransportReason.DENIED
     if not denied and not still_demands:
         return error
@@ -382,7 +384,7 @@ def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarH10Settings, settings)
     emitter = PolarEmitter(sink)
     choice = Choice(identify, "Polar H10", own.device, _ADVICE)
@@ -399,9 +401,9 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
 
 
 def identify(seen: Advertisement, models: Collection[str] = _MODELS) -> str | None:
-    """Return the id printed on a sensor of these models, None for anything else.
+    """Return the id printed on a sensor of these models; None for other devices.
 
-    Its name is ``Polar <model> <id>``, which comes in the scan response only.
+    It is part of the name ``Polar <model> <id>``, which is only in the scan response.
     """
     words = seen.name.split()
     if len(words) < 3 or words[0] != "Polar" or " ".join(words[1:-1]) not in models:

@@ -1,4 +1,4 @@
-"""The control point of one connection, and the measurements that run by its commands."""
+"""The control point of one connection, and the measurements that it controls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _RESTART_ADVICE = "take it off for a minute"
 
 
 def _unnoted(_reply: Reply) -> None:
-    """Change nothing because of a reply."""
+    """Do nothing with a reply."""
 
 
 class ControlPoint(BleSession[Notification, bytes]):
@@ -40,7 +40,7 @@ class ControlPoint(BleSession[Notification, bytes]):
     Parameters
     ----------
     receive
-        Waits for what the device sends, by its replies and by itself.
+        Waits for replies and data from the device.
     """
 
     def __init__(
@@ -52,55 +52,55 @@ class ControlPoint(BleSession[Notification, bytes]):
 
     @property
     def knocking(self) -> bool:
-        """Whether something was written, a subscription or a command, and no command came through.
+        """Whether a subscription or command was sent but no command was answered.
 
-        A device that demands to be paired may refuse the one or the other.
+        A device that requires pairing may refuse either.
         """
         return self._knocking and not self._open
 
     async def open(self) -> frozenset[int]:
-        """Subscribe to replies and data; return which measurements the device offers.
+        """Subscribe to replies and data; return the measurements that the device offers.
 
         Raises
         ------
         TransportError
             ``LOST`` or ``SILENT``.
         AttError
-            The device refuses; it may want to be paired.
+            If the device refuses, possibly because it requires pairing.
         """
-        # Before the subscription: BlueZ passes a value that is read on as a notification, too.
+        # Before subscribing, because BlueZ also passes on values read as notifications.
         features = parse_features(await self.link.read(CONTROL_POINT))
         self._knocking = True
-        # Before the first command, which is refused or never answered otherwise.
+        # Before the first command, otherwise it is refused or never answered.
         await self.link.subscribe(CONTROL_POINT)
         await self.link.subscribe(DATA)
         return features
 
     async def request(self, command: bytes, note: Callable[[Reply], None] = _unnoted) -> Reply:
-        """Send a command and return its reply, whatever its status, with all parameters.
+        """Send a command and return its complete reply, whatever its status.
 
         Parameters
         ----------
         note
-            Gets the reply before anybody gets what the device sends behind it.
+            Called with the reply before later data are processed.
 
         Raises
         ------
         TransportError
             ``LOST`` or ``SILENT``.
         AttError
-            The device refuses to take the command.
+            If the device does not accept the command.
         ProtocolError
             ``NO_REPLY``.
         """
         return await self.ask(command, _ReplyTo(command, note).take, REPLY_TIMEOUT_S)
 
     async def send(self, command: bytes) -> None:
-        """Send a command and wait for no reply; raises as `open` does."""
+        """Send a command without waiting for a reply; raises like `open`."""
         await self.link.write(CONTROL_POINT, command)
 
     async def unsubscribe(self) -> None:
-        """Listen no more; raises as `open` does."""
+        """Unsubscribe; raises like `open`."""
         await self.link.unsubscribe(DATA)
         await self.link.unsubscribe(CONTROL_POINT)
 
@@ -147,10 +147,10 @@ class Wanted:
     Attributes
     ----------
     settings
-        Preferred value of each setting, the sample rate at least; empty for a
-        measurement without settings.
+        Preferred value of each setting, at least the sample rate; empty for a measurement without
+        settings.
     true_rates
-        By the sample rate that the firmware says, the one at which it really sends.
+        Real sample rates by those that the firmware reports.
     """
 
     measurement: Measurement
@@ -165,7 +165,7 @@ class _Running:
 
     @property
     def rate_hz(self) -> int | None:
-        """None where samples come when they happen."""
+        """The sample rate; None for irregular samples."""
         asked = self.wanted.settings.get(Setting.SAMPLE_RATE)
         said = self.settings.get(Setting.SAMPLE_RATE, asked)
         return None if said is None else self.wanted.true_rates.get(said, said)
@@ -178,9 +178,9 @@ class Refusal:
     Attributes
     ----------
     why
-        What it answers, and what to do about it; a clause.
+        Its answer and what to do; a clause.
     rate_hz
-        That it would have; None where samples come when they happen.
+        Rate that it would have; None for irregular samples.
     """
 
     wanted: Wanted
@@ -194,7 +194,7 @@ class Measurements:
     Attributes
     ----------
     refusals
-        By measurement, those that were asked for and do not run.
+        Requested measurements that were refused.
     """
 
     def __init__(self, control: ControlPoint, emitter: PolarEmitter) -> None:
@@ -204,7 +204,7 @@ class Measurements:
         self._running: dict[int, _Running] = {}
 
     async def start(self, wanted: Sequence[Wanted]) -> None:
-        """Start measurements that the device offers, and note those that it refuses.
+        """Start the available measurements, and note refusals.
 
         Raises
         ------
@@ -217,7 +217,7 @@ class Measurements:
             await self._start(each)
 
     async def ask_again(self) -> None:
-        """Try to start what was refused.
+        """Retry refused measurements.
 
         Raises
         ------
@@ -228,14 +228,14 @@ class Measurements:
             await self.start([each.wanted for each in self.refusals.values()])
 
     def runs(self, measurement: int) -> bool:
-        """Whether a measurement is one that we started."""
+        """Whether a measurement was started on this connection."""
         return measurement in self._running
 
     async def restart(self, measurements: Collection[int]) -> None:
-        """Stop measurements from which nothing comes, and start them.
+        """Stop and start measurements that send nothing.
 
-        Where nothing comes of any that has a rate, those without one are started again, too: of
-        these nobody can tell whether the device forgot them.
+        If all regular ones are silent, the irregular ones are restarted, too, because the device
+        may have forgotten them unnoticed.
 
         Raises
         ------
@@ -281,7 +281,7 @@ class Measurements:
 
         reply = await self._control.request(command, note)
         if reply.status == Status.ALREADY_IN_STATE:
-            # A host that died left it running, with settings of its own.
+            # A previous host left it running with different settings.
             await self._control.request(control_point.stop(measurement))
             reply = await self._control.request(command, note)
         return reply

@@ -1,4 +1,4 @@
-"""Turns the frames of the PMD service into samples of the declared streams."""
+"""Converts the frames of the PMD service to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from biosensor_gateway.system.device_log import DeviceLog
 
 _NS = 1_000_000_000
 RATE_TOLERANCE = 0.1
-"""Nominal rates hold to 2 % only; what is lost is lost in whole frames."""
+"""Nominal rates are only accurate to 2 %; losses are always whole frames."""
 LEARNING_STEPS = 3
-"""So many frames in a row that agree on another rate than the device said are right."""
+"""Number of consecutive frames that must agree on a rate other than the reported one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A frame's place on the device's clock.
+    """A frame's times on the device's clock.
 
     Attributes
     ----------
     times_ns
         Device clock of each sample, ascending.
     lost
-        Samples missing before the frame.
+        Number of samples missing before the frame.
     steps_back
-        The device's clock did not advance since the frame before.
+        Whether the device's clock did not advance since the previous frame.
     """
 
     times_ns: list[int]
@@ -48,19 +48,19 @@ class Placed:
 
 
 class FrameTimeline:
-    """Frames of one measurement in one layout, followed over restarts and connections.
+    """Assigns times to the frames of one measurement and layout, over all connections.
 
-    A frame is stamped at its last sample. Its samples lie evenly behind the last one
-    of the frame before; in the first frame, or after a gap, they are as far apart as
-    they were so far, which at first is the nominal distance.
+    A frame has the timestamp of its last sample. Its samples are evenly spaced since the last
+    sample of the previous frame. In the first frame, or after a gap, the previous sample period is
+    used, which is initially nominal.
 
     Parameters
     ----------
     nominal_hz
-        Sampling rate that the device was asked for.
+        Requested sample rate.
     is_doubted
-        Firmware is known that sends at another rate than it says: what the first frames seem
-        to miss is not counted before they agree on the rate.
+        Set if some firmware reports a wrong rate: then apparent losses in the first frames are not
+        counted until these agree on the rate.
     """
 
     def __init__(self, nominal_hz: float, *, is_doubted: bool = False) -> None:
@@ -75,27 +75,27 @@ class FrameTimeline:
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate by the device's clock, as far as it was measured."""
+        """Sample rate on the device's clock, as measured so far."""
         return _NS / self._period_ns
 
     def restart(self, nominal_hz: float) -> None:
-        """Begin again, as when the measurement was stopped and started."""
+        """Restart after the measurement was stopped and started."""
         self._previous_ns = None
         if nominal_hz != self._nominal_hz:
             self._nominal_hz, self._nominal_ns = nominal_hz, _NS / nominal_hz
             self._measured_ns = self._measured_samples = 0
 
     def place(self, timestamp_ns: int, count: int, arrival_s: float) -> Placed:
-        """Place the next frame.
+        """Assign times to the next frame.
 
         Parameters
         ----------
         timestamp_ns
-            The frame's stamp.
+            The frame's timestamp.
         count
-            Its samples, at least one.
+            Number of its samples, at least one.
         arrival_s
-            Host's clock when it arrived, to tell a gap from a clock that was set.
+            Arrival time, to distinguish a gap from a clock that was set.
         """
         previous_ns, self._previous_ns = self._previous_ns, timestamp_ns
         steps_back = previous_ns is not None and timestamp_ns <= previous_ns
@@ -128,7 +128,7 @@ class FrameTimeline:
         return self._is_doubted and not self._measured_samples
 
     def _learn(self, span_ns: int, count: int, lost: int) -> None:
-        """Note a frame that does not follow at the nominal rate."""
+        """Process a frame that does not match the nominal rate."""
         if self._another.add(span_ns / count, lost) >= LEARNING_STEPS:
             self._measured_ns, self._measured_samples = span_ns, count
             self._another = _AnotherRate()
@@ -144,7 +144,7 @@ class FrameTimeline:
 
 
 class _AnotherRate:
-    """Frames in a row that agree on a rate which is not the nominal one."""
+    """Consecutive frames that agree on a rate other than the nominal one."""
 
     def __init__(self) -> None:
         self._period_ns = 0.0
@@ -152,7 +152,7 @@ class _AnotherRate:
         self._lost = 0
 
     def add(self, period_ns: float, lost: int) -> int:
-        """Note the distance of samples; return how many frames agree on it so far."""
+        """Add a sample period; return the number of frames that agree on it so far."""
         if abs(period_ns - self._period_ns) > RATE_TOLERANCE * abs(self._period_ns):
             self._period_ns, self._steps = period_ns, 0
         self._steps += 1
@@ -160,7 +160,7 @@ class _AnotherRate:
         return self._steps
 
     def refute(self) -> int:
-        """Return what was lost after all: the nominal rate is right."""
+        """Return the number of samples lost, because the nominal rate is right after all."""
         lost, self._lost, self._steps, self._period_ns = self._lost, 0, 0, 0.0
         return lost
 
@@ -169,15 +169,15 @@ DATA_NAMES: Mapping[Measurement, str] = {
     Measurement.ECG: "ecg",
     Measurement.ACCELERATION: "acc",
 }
-"""Streams of the strap by measurement."""
+"""Data names of the strap's streams by measurement."""
 LATE_S = 5.0
-"""A frame whose stamp is older than the newest by more was stamped by a clock that was set."""
+"""A frame older than the newest one by more than this has a timestamp of a clock that was set."""
 _SEEN_KEPT = 64
 _MEASUREMENTS = frozenset(Measurement)
 
 
 class _SeenFrame(NamedTuple):
-    """What tells a frame from others."""
+    """The properties that identify a frame."""
 
     series: tuple[int, int]
     timestamp_ns: int
@@ -185,7 +185,7 @@ class _SeenFrame(NamedTuple):
 
 
 class _SeenFrames:
-    """Finds frames that came twice or behind later ones, as reported in polar-ble-sdk #387."""
+    """Detects repeated frames and frames out of order, as reported in polar-ble-sdk #387."""
 
     def __init__(self) -> None:
         self._newest_ns: dict[tuple[int, int], int] = {}
@@ -194,12 +194,12 @@ class _SeenFrames:
         self._was_late = False
 
     def reason(self, frame: _SeenFrame) -> str:
-        """Return why a frame must be left out, as a clause; empty if it must not."""
+        """Return why a frame must be left out, as a clause; empty if it is fine."""
         behind_ns = self._newest_ns.get(frame.series, -1) - frame.timestamp_ns
         if behind_ns >= 0:
             if frame in self._seen:
                 return "they came twice"
-            # Two late ones in a row are of a clock that was set back.
+            # Two late frames in a row mean that the clock was set back.
             if 0 < behind_ns < LATE_S * _NS and not self._was_late:
                 self._was_late = True
                 return "they came behind later ones, and are counted as lost"
@@ -211,25 +211,25 @@ class _SeenFrames:
 
 
 class PolarEmitter:
-    """Turns frames into samples; one instance a device, over all its connections.
+    """Converts frames to samples; one instance per device, over all its connections.
 
     Parameters
     ----------
     data_names
-        By measurement, the streams of the declaration; frames of others are passed over.
+        Data names of the declared streams by measurement; frames of others are ignored.
     strap
-        Takes what the device has in common with every heart-rate strap; one by default.
+        Emitter for what all heart-rate straps have; created by default.
     doubted
-        Measurements whose rate firmware is known to say wrong.
+        Measurements for which some firmware reports a wrong rate.
 
     Attributes
     ----------
     log
-        Also for what is to be said once, and not at every connection.
+        Log of the device; its once-only messages appear once, not once per connection.
     clock_runs
-        Whether a stamp of this connection was told to the device's clock.
+        Whether the device's clock has a timestamp of this connection.
     on_intervals
-        Takes intervals between pulse waves, and when they arrived.
+        Called with pulse intervals and their arrival time.
     """
 
     def __init__(
@@ -256,7 +256,7 @@ class PolarEmitter:
 
     @property
     def rates(self) -> Mapping[str, float]:
-        """Nominal rate in Hz of every stream that was ever started, by data name."""
+        """Nominal rates in Hz of all streams started so far, by data name."""
         return {self.data_names[measurement]: rate for measurement, rate in self._rates.items()}
 
     def reconnected(self) -> None:
@@ -273,9 +273,9 @@ class PolarEmitter:
         Parameters
         ----------
         rate_hz
-            Nominal rate; None where samples come when they happen.
+            Nominal rate; None for irregular samples.
         factor
-            Physical units a count, for compressed frames.
+            Physical units per count, for compressed frames.
         """
         self._running.add(measurement)
         self._factors[measurement] = factor
@@ -287,25 +287,25 @@ class PolarEmitter:
                 timeline.restart(rate_hz)
 
     def agreed(self, measurement: Measurement) -> None:
-        """Note that the device measures what it refused, and that may be long in coming."""
+        """Note that the device now measures what it refused; the first data may take long."""
         if measurement in self.data_names:
             self._sink.heard(self.data_names[measurement])
 
     def is_foreign(self, data: bytes) -> bool:
-        """Whether a frame is of a measurement that we have not started on this connection.
+        """Whether a frame belongs to a measurement not started on this connection.
 
-        A host before us did, with settings that nobody knows.
+        It was started by a previous host with unknown settings.
         """
         measurement = measurement_of(data)
         return measurement not in self._running and measurement in _MEASUREMENTS
 
     def frame(self, data: bytes, arrival_s: float) -> None:
-        """Emit what a frame holds; a frame that makes no sense is counted and dropped.
+        """Emit the samples of a frame; an invalid frame is counted and dropped.
 
         Parameters
         ----------
         arrival_s
-            LSL clock when it arrived.
+            LSL time of arrival.
         """
         frame = parse_frame(data, self._factors)
         match frame:

@@ -1,4 +1,4 @@
-"""A virtual Polar H10, or another product of its family."""
+"""A virtual Polar H10 or related product."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ EXPECTED = replace(
         Untidiness.STRAY: "a frame of another measurement is one of garbage",
     },
     bundles_s=8.0,
-    # It is switched off.
+    # The device is off during the gap.
     gaps={FaultKind.RESTART: Gap.STOPPED},
-    # Each connection begins a new series, which is placed by time.
+    # Each connection starts a new series, whose start is only known by time.
     loss_tolerance=LossTolerance(over_break=2),
 )
 
 _LOW_BATTERY_PERCENT = 10
-# Characteristics of the file transfer service that old firmware has and PMD came beside.
+# Characteristics of the file transfer service, which existed before PMD.
 _FILE_TRANSFER_UUIDS = (
     "FB005C51-02E7-F387-1CAD-8ACD2D8DF0C8",
     "FB005C52-02E7-F387-1CAD-8ACD2D8DF0C8",
@@ -62,12 +62,12 @@ _BROADCAST = 0x20
 
 
 def manufacturer_data(*, battery_low: bool, contact: bool, counter: int, bpm: int) -> bytes:
-    """Return the payload behind the company id.
+    """Return the payload after the company id.
 
     Parameters
     ----------
     counter
-        Of payloads; shows that the sensor is alive.
+        Counter of payloads, which shows that the sensor is running.
     bpm
         Heart rate, sent as fast and as slow average.
     """
@@ -86,22 +86,22 @@ class Usual(NamedTuple):
 class SimulatedPolarH10(StrapDevice):
     """A strap with a PMD service, or another product that has one.
 
-    An H10's measurements carry R-R intervals and nothing about skin contact: without
-    contact the rate is 0, there are no intervals, and the ECG is noise.
+    An H10's measurements contain R-R intervals but no skin contact: without contact the rate is 0,
+    there are no intervals, and the ECG is noise.
 
     Parameters
     ----------
     address
-        Bluetooth address; that of `usual` by default, as the next two.
+        Bluetooth address; like the next two, from `usual` by default.
     device_id
         Eight hexadecimal digits, as printed on the module.
     quirks
         Firmware and circumstances.
     off_body_drop_s
-        So long after it left the skin it switches itself off, until it is put on again;
-        a real one does after about 45 s.
+        Time without skin contact after which it switches off, until it is put on again; about 45 s
+        for a real one.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     """
 
     sensor = "polar_h10"
@@ -109,7 +109,7 @@ class SimulatedPolarH10(StrapDevice):
         {"address": "A0:9E:1A:A1:B3:{number:02X}", "device_id": "A1B3{number:04X}"}
     )
     usual: ClassVar[Usual] = Usual(H10, "A0:9E:1A:A1:B2:C3", "A1B2C3D4")
-    """What it is if nothing else is said."""
+    """The default product."""
     expected = EXPECTED
     on_air = True
 
@@ -153,7 +153,7 @@ class SimulatedPolarH10(StrapDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._device_id}
 
     def _babble(self, packets: float) -> None:
@@ -163,7 +163,7 @@ class SimulatedPolarH10(StrapDevice):
 
     def _forget(self, _: float) -> None:
         if self._pmd is not None:
-            # Its heart rate goes on.
+            # The heart rate continues.
             self._pmd.forget()
         else:
             self._strap.forget()
@@ -184,7 +184,7 @@ class SimulatedPolarH10(StrapDevice):
         peripheral = self._strap.peripheral
         if peripheral.connected:
             return
-        # What it last showed stays when it is taken off.
+        # The last displayed rate is kept when it is taken off.
         self._shown_bpm = self._strap.pulse.bpm or self._shown_bpm
         self._payloads += 1
         payload = manufacturer_data(
@@ -221,7 +221,7 @@ def _peripheral(radio: Radio, address: str, name: str, rssi_dbm: int, quirks: Qu
 
 
 def _identity(product: Product, device_id: str) -> Identity:
-    # The texts of a real one end with a NUL.
+    # The texts of a real device end with a NUL.
     return Identity(
         manufacturer="Polar Electro Oy\0",
         model=f"{product.model}\0",

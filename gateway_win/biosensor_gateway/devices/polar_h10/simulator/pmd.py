@@ -1,6 +1,6 @@
-"""Vocabulary of Polar's measurement data (PMD) service, and its settings.
+"""Encodes the commands, settings and frames of Polar's measurement data (PMD) service.
 
-All integers are little-endian. Layouts: the Polar Measurement Data specification in
+All integers are little-endian. The layouts are from the Polar Measurement Data specification in
 Polar's public SDK repository.
 """
 
@@ -20,14 +20,14 @@ CONTROL_POINT_UUID = "FB005C81-02E7-F387-1CAD-8ACD2D8DF0C8"
 DATA_UUID = "FB005C82-02E7-F387-1CAD-8ACD2D8DF0C8"
 
 FULL_MTU = 232
-"""ATT MTU that the device is made for; a larger one does not make its frames longer."""
+"""ATT MTU for which the device is designed; a larger one does not make its frames longer."""
 ATT_HEADER_BYTES = 3
 _FEATURES_BYTES = 17
 
 
 @unique
 class Measurement(IntEnum):
-    """What can be measured, or switched like a measurement."""
+    """Measurements, and modes that are switched like measurements."""
 
     ECG = 0
     PPG = 1
@@ -58,7 +58,7 @@ class OpCode(IntEnum):
 
 @unique
 class Status(IntEnum):
-    """How a command went."""
+    """Result of a command."""
 
     SUCCESS = 0
     INVALID_OP_CODE = 1
@@ -101,11 +101,11 @@ _SIZES = {
 }
 
 Offered = Mapping[Setting, tuple[int, ...]]
-"""Values that can be chosen from, by setting."""
+"""Available values by setting."""
 
 
 def encode_settings(offered: Offered) -> bytes:
-    """Write settings as type, count and values, in the order of the mapping."""
+    """Encode settings as type, count and values, in the order of the mapping."""
     return b"".join(
         bytes((setting, len(values)))
         + b"".join(value.to_bytes(_SIZES[setting], "little") for value in values)
@@ -114,14 +114,14 @@ def encode_settings(offered: Offered) -> bytes:
 
 
 def decode_choice(data: bytes) -> dict[Setting, int]:
-    """Read the settings of a start command, of which each has exactly one value.
+    """Decode the settings of a start command, each with exactly one value.
 
     Raises
     ------
     ValueError
-        Of a setting that is unknown or repeated, or has not one value.
+        If a setting is unknown or repeated, or does not have one value.
     EOFError
-        If the last setting is cut short.
+        If the last setting is truncated.
     """
     chosen: dict[Setting, int] = {}
     while data:
@@ -137,12 +137,12 @@ def decode_choice(data: bytes) -> dict[Setting, int]:
 
 
 def encode_factor(factor: float) -> bytes:
-    """Write the setting that says how much a count is, as a start reply carries it."""
+    """Encode the setting with the size of a count, as in a reply to a start."""
     return bytes((Setting.FACTOR, 1)) + struct.pack("<f", factor)
 
 
 def encode_features(measurements: Iterable[Measurement]) -> bytes:
-    """Return what reading the control point answers, 17 bytes."""
+    """Return the control point's value, 17 bytes."""
     mask = sum(1 << measurement for measurement in set(measurements))
     return (b"\x0f" + mask.to_bytes(2, "little")).ljust(_FEATURES_BYTES, b"\0")
 
@@ -150,16 +150,16 @@ def encode_features(measurements: Iterable[Measurement]) -> bytes:
 HEADER_BYTES = 10
 _COMPRESSED = 0x80
 ACC_8_BIT, ACC_16_BIT, ACC_24_BIT = 0, 1, 2
-"""Formats of acceleration: so many bits an axis [mg]."""
+"""Formats of acceleration by bits per axis [mg]."""
 ACC_COMPRESSED_COUNTS, ACC_COMPRESSED_MG = 0x80, 0x81
-"""Compressed 16 bits: in counts to be scaled, in mg."""
+"""Compressed 16-bit formats: in counts to be scaled, and in mg."""
 PPG_OF_THREE_LEDS, PPG_OF_TWO_DIODES = 0x80, 0x8D
-"""Compressed light: three LEDs and the ambient light, or one LED seen by two diodes."""
+"""Compressed light: three LEDs and ambient light, or one LED with two photodiodes."""
 _UNKNOWN_FORMAT = 0x3F
 
-# Compressed samples are a reference sample in full, then blocks: bits of a difference, count of
-# samples, and the differences to the sample before, least significant bit first, channel by
-# channel. Each block starts at a byte's border.
+# Compressed samples consist of a complete reference sample and blocks: bits per difference, number
+# of samples, and the differences from the previous sample, least significant bit first, channel by
+# channel. Each block starts at a byte boundary.
 Integers = NDArray[np.int64]
 
 _BLOCK_SAMPLES = 12
@@ -171,11 +171,11 @@ def compress(samples: Integers, resolution: int, block_samples: int = _BLOCK_SAM
     Parameters
     ----------
     samples : ndarray of int64, shape (n, channels)
-        At least one.
+        At least one sample.
     resolution
         Bits of a sample.
     block_samples
-        So many samples share one width; at most 255.
+        Number of samples with a common width; at most 255.
     """
     reference = little_endian(samples[:1], -(-resolution // 8))
     differences = np.diff(samples, axis=0)
@@ -184,7 +184,7 @@ def compress(samples: Integers, resolution: int, block_samples: int = _BLOCK_SAM
 
 
 def block(differences: Integers, bits: int | None = None) -> bytes:
-    """Encode one block with so many bits a difference; as many as it needs by default."""
+    """Encode one block with `bits` per difference; as few as possible by default."""
     bits = _width(differences) if bits is None else bits
     unsigned = differences.reshape(-1, 1) & ((1 << bits) - 1)
     stream = (unsigned >> np.arange(bits)) & 1
@@ -193,13 +193,13 @@ def block(differences: Integers, bits: int | None = None) -> bytes:
 
 
 def little_endian(values: Integers, size: int) -> bytes:
-    """Write signed integers of so many bytes each."""
+    """Encode signed integers with `size` bytes each."""
     eight = np.ascontiguousarray(values, dtype="<i8").view(np.uint8).reshape(-1, 8)
     return eight[:, :size].tobytes()
 
 
 def _width(differences: Integers) -> int:
-    """Bits that hold every difference with its sign."""
+    """Return the number of bits needed for all differences with their signs."""
     magnitude = np.where(differences < 0, ~differences, differences)
     return int(magnitude.max(initial=0)).bit_length() + 1
 
@@ -214,9 +214,9 @@ class PulseInterval(NamedTuple):
     interval_ms, error_ms
         Length and its estimated error [ms].
     moving
-        It is unreliable because the wearer moved.
+        Whether it is unreliable because the wearer moved.
     contact
-        None if the device cannot tell.
+        Skin contact; None if the device cannot detect it.
     """
 
     bpm: int
@@ -227,17 +227,17 @@ class PulseInterval(NamedTuple):
 
 
 def header(measurement: Measurement, timestamp_ns: int, frame_format: int) -> bytes:
-    """Return the first ten bytes."""
+    """Return the header of a frame, ten bytes."""
     return struct.pack("<BQB", measurement, timestamp_ns, frame_format)
 
 
 def ecg(timestamp_ns: int, microvolts: Integers) -> bytes:
-    """ECG, format 0: 24 bits [uV], shape (n, 1)."""
+    """Return a frame of ECG, format 0: 24 bits [uV], shape (n, 1)."""
     return header(Measurement.ECG, timestamp_ns, 0) + little_endian(microvolts, 3)
 
 
 def acceleration(timestamp_ns: int, counts: Integers, frame_format: int = ACC_16_BIT) -> bytes:
-    """Acceleration in one of the formats above, shape (n, 3)."""
+    """Return a frame of acceleration in one of the formats above, shape (n, 3)."""
     head = header(Measurement.ACC, timestamp_ns, frame_format)
     if frame_format & _COMPRESSED:
         return head + compress(counts, 16)
@@ -245,9 +245,9 @@ def acceleration(timestamp_ns: int, counts: Integers, frame_format: int = ACC_16
 
 
 def ppg(timestamp_ns: int, counts: Integers, frame_format: int = PPG_OF_THREE_LEDS) -> bytes:
-    """Photoplethysmogram in one of the formats above, shape (n, 4) or (n, 2).
+    """Return a frame of light in one of the formats above, shape (n, 4) or (n, 2).
 
-    Behind the values of two diodes stand bits of status, here of a sensor that has none set.
+    After the values of two diodes follow status bits, which are all zero here.
     """
     head = header(Measurement.PPG, timestamp_ns, frame_format)
     if frame_format == PPG_OF_TWO_DIODES:
@@ -257,17 +257,17 @@ def ppg(timestamp_ns: int, counts: Integers, frame_format: int = PPG_OF_THREE_LE
 
 
 def angular_velocity(timestamp_ns: int, counts: Integers) -> bytes:
-    """Angular velocity, compressed, 16 bits, shape (n, 3)."""
+    """Return a compressed frame of angular velocity, 16 bits, shape (n, 3)."""
     return header(Measurement.GYRO, timestamp_ns, _COMPRESSED) + compress(counts, 16)
 
 
 def magnetic_field(timestamp_ns: int, counts: Integers) -> bytes:
-    """Magnetic flux density, compressed, 16 bits, shape (n, 3)."""
+    """Return a compressed frame of magnetic flux density, 16 bits, shape (n, 3)."""
     return header(Measurement.MAGNETOMETER, timestamp_ns, _COMPRESSED) + compress(counts, 16)
 
 
 def pulse_intervals(timestamp_ns: int, intervals: Sequence[PulseInterval]) -> bytes:
-    """Pulse-to-pulse intervals, format 0; the time is often 0."""
+    """Return a frame of pulse-to-pulse intervals, format 0; its time is often 0."""
     entries = (
         struct.pack("<BHHB", one.bpm, one.interval_ms, one.error_ms, _flags(one))
         for one in intervals
@@ -276,7 +276,7 @@ def pulse_intervals(timestamp_ns: int, intervals: Sequence[PulseInterval]) -> by
 
 
 def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
-    """Return so many frames that cannot be decoded, each kind in turn, at most 20 bytes long."""
+    """Yield frames that cannot be decoded, each kind in turn, at most 20 bytes long."""
     time_ns = int(rng.integers(1 << 60))
     compressed = header(Measurement.ACC, time_ns, ACC_COMPRESSED_MG)
     kinds = (
@@ -293,7 +293,7 @@ def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
 
 
 def in_unknown_format(frame: bytes) -> bytes:
-    """Return a frame whose header names a format that no document has."""
+    """Return a frame whose header has an undocumented format."""
     return frame[: HEADER_BYTES - 1] + bytes((_UNKNOWN_FORMAT,)) + frame[HEADER_BYTES:]
 
 

@@ -1,4 +1,4 @@
-"""The PMD service on the air: control point, data, and the measurements that run."""
+"""The PMD service of a virtual device: control point, data, and running measurements."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _REPLY = 0xF0
 _STOPPED_BY_DEVICE = 0x01
 _REPLY_HEADER_BYTES = 5
 _ONLINE = 0x40
-"""Mark of a running measurement in the reply to `OpCode.GET_STATUS`."""
+"""Flag of a running measurement in the reply to `OpCode.GET_STATUS`."""
 _INVALID = {
     Setting.SAMPLE_RATE: Status.INVALID_SAMPLE_RATE,
     Setting.RESOLUTION: Status.INVALID_RESOLUTION,
@@ -45,7 +45,7 @@ _INVALID = {
 
 
 class _Refusal(Exception):  # noqa: N818 - a course of the conversation, not an error
-    """A command cannot be obeyed."""
+    """A command fails with a status."""
 
     def __init__(self, status: Status) -> None:
         super().__init__(status.name)
@@ -53,27 +53,27 @@ class _Refusal(Exception):  # noqa: N818 - a course of the conversation, not an 
 
 
 class ControlPoint:
-    """One device's measurements, and the conversation that switches them.
+    """One device's measurements, and the commands that start and stop them.
 
     Parameters
     ----------
     running
-        Measurements that a former host has left on, with the first settings on offer.
+        Measurements that a previous host left running, with the first available settings.
     minimum_mtu
-        A start with a smaller ATT MTU is refused with INVALID_MTU.
+        Starts with a smaller ATT MTU are refused with INVALID_MTU.
     short_errors
-        Replies of failure end after the status, as some firmware has it.
+        Whether error replies end after the status, as in some firmware.
     announces_stops
-        A stop on command is followed by the packet that tells of a stop by the device.
+        Whether a stop on command is followed by the notice of a stop by the device.
 
     Attributes
     ----------
     running
-        Measurements that are on, with their settings.
+        Running measurements with their settings.
     refuses
-        Every command fails with INVALID_STATE.
+        Whether every command fails with INVALID_STATE.
     denied
-        Measurements of which every start fails so.
+        Measurements for which every start fails with INVALID_STATE.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class ControlPoint:
 
     @property
     def in_sdk_mode(self) -> bool:
-        """Whether the wider range of settings is on, and its own evaluation off."""
+        """Whether SDK mode is on, with more settings but without evaluation in the device."""
         return Measurement.SDK_MODE in self.running
 
     def answer(self, command: bytes, mtu: int) -> tuple[bytes, ...]:
-        """Obey or refuse one command that came over a link with this ATT MTU.
+        """Execute or refuse one command received over a link with this ATT MTU.
 
         Returns
         -------
@@ -114,7 +114,7 @@ class ControlPoint:
             return (reply[:-1] if self._short_errors else reply,)
 
     def stop(self, measurements: Iterable[Measurement]) -> bytes:
-        """Stop measurements on the device's own account; return the packet that says so."""
+        """Stop measurements as the device itself; return the notice packet."""
         stopped = [one for one in measurements if self.running.pop(one, None) is not None]
         return bytes((_STOPPED_BY_DEVICE, *stopped))
 
@@ -224,21 +224,21 @@ _Properties = Characteristic.Properties
 _PULSE_WITH_INTERVALS_S = 5
 
 POWER_ON_NS = 599_616_000_000_000_000
-"""What the device's clock shows at power-on, in ns since 2000: the year 2019."""
+"""Device clock at power-on, in ns since 2000: the year 2019."""
 _INTERVAL_PERIOD_S = 5
 _INTERVAL_BYTES = 6
 _INTERVAL_ERROR_MS = 8
 
 
 class _MeasurementStream(Protocol):
-    """A measurement that is on."""
+    """A running measurement."""
 
     async def run(self) -> None:
-        """Measure and send for ever."""
+        """Measure and send until cancelled."""
         ...
 
     def end(self) -> None:
-        """Account for what was measured and not sent, once `run` is cancelled."""
+        """Record what was measured but not sent, after `run` was cancelled."""
         ...
 
 
@@ -248,13 +248,13 @@ class _WaveformStream:
     Parameters
     ----------
     strap
-        Who measures.
+        The strap that measures.
     data
-        The characteristic that carries the pmd.
+        The characteristic for PMD data.
     waveform
-        What is measured.
+        The measured signal.
     rate_hz
-        The true rate, in the device's time.
+        The true rate in device time.
     begin_s
         Device time of the first sample [s since power-on].
     """
@@ -276,14 +276,14 @@ class _WaveformStream:
         self._next = 0
 
     async def run(self) -> None:
-        """Measure and send for ever."""
+        """Measure and send until cancelled."""
         while True:
             count = self._waveform.planned(_room(self._strap))
             await self._oscillator.reach(self._device_s(self._next + count - 1))
             await self._send(count)
 
     def end(self) -> None:
-        """Account for the frame that was begun."""
+        """Record the unfinished frame."""
         measured = int((self._oscillator.now() - self._begin_s) * self._rate_hz) + 1
         self._strap.truth.unsent(self._waveform.data_name, max(0, measured - self._next))
 
@@ -313,16 +313,16 @@ class _WaveformStream:
 
 
 class _IntervalStream:
-    """Pulse-to-pulse intervals with their errors, every five seconds, without a time.
+    """Pulse-to-pulse intervals with their errors, sent every five seconds without timestamps.
 
     Parameters
     ----------
     strap
-        Who measures.
+        The strap that measures.
     data
-        The characteristic that carries the pmd.
+        The characteristic for PMD data.
     first_s
-        Device time of the first ones [s since power-on].
+        Device time of the first intervals [s since power-on].
     """
 
     def __init__(self, strap: Strap, data: Characteristic[bytes], first_s: float) -> None:
@@ -333,13 +333,13 @@ class _IntervalStream:
         self._detector = BeatDetector(strap.wearer, strap.oscillator, strap.origin_s, now_s)
 
     async def run(self) -> None:
-        """Measure and send for ever."""
+        """Measure and send until cancelled."""
         while True:
             await self._send(await self._strap.oscillator.reach(self._next_s))
             self._next_s += _INTERVAL_PERIOD_S
 
     def end(self) -> None:
-        """Intervals since the last frame were not evaluated yet: nothing is missing."""
+        """Do nothing: later intervals were not evaluated yet, so none is missing."""
 
     async def _send(self, until_s: float) -> None:
         if not self._strap.worn:
@@ -362,7 +362,7 @@ class _IntervalStream:
 
 
 async def _send(strap: Strap, data: Characteristic[bytes], frame: bytes) -> bool:
-    """Send a frame; False if nobody can know what it holds."""
+    """Send a frame; return False if the host cannot receive or read it."""
     if strap.is_unreadable:
         await strap.send(data, pmd.in_unknown_format(frame))
         return False
@@ -374,19 +374,19 @@ def _room(strap: Strap) -> int:
 
 
 class PmdService:
-    """Adds measurement data to a strap.
+    """Adds the PMD service to a strap.
 
     Parameters
     ----------
     strap
-        Gets the service; must not be switched on yet.
+        Gets the service; must be off.
     product, quirks
-        What can be measured, and how.
+        Determine the measurements and their behaviour.
 
     Attributes
     ----------
     answer_delay_s
-        Every command is answered so late.
+        Delay of every answer.
     """
 
     def __init__(self, strap: Strap, product: Product, quirks: Quirks) -> None:
@@ -415,17 +415,17 @@ class PmdService:
         strap.peripheral.on_disconnected.append(self._lose_host)
 
     async def stop(self, measurements: Iterable[Measurement]) -> None:
-        """Stop measurements on the device's own account and say so."""
+        """Stop measurements as the device itself, and send the notice."""
         packet = self._control.stop(measurements)
         self._end_streams()
         await self._strap.peripheral.notify(self._control_point, packet)
 
     def deny(self) -> None:
-        """Start one of its measurements no more, another one at each time."""
+        """Refuse one of its measurements, a different one each time."""
         self._control.denied = frozenset({next(self._to_deny)})
 
     def give(self) -> None:
-        """Start each again."""
+        """Stop refusing measurements."""
         self._control.denied = frozenset()
 
     @property
@@ -438,11 +438,11 @@ class PmdService:
         self._control.refuses = refuses
 
     def babble(self, packets: float) -> None:
-        """Send so many damaged pmd."""
+        """Send damaged PMD frames."""
         self._strap.run(self._send_garbage(round(packets)))
 
     def forget(self) -> None:
-        """Stop all measurements without a word."""
+        """Stop all measurements silently."""
         self._control.running.clear()
         self._end_streams()
 
@@ -464,7 +464,7 @@ class PmdService:
     def _hear(self, _connection: Connection, command: bytes) -> None:
         if not self._strap.peripheral.subscribed(self._control_point):
             raise ATT_Error(ErrorCode.CCCD_IMPROPERLY_CONFIGURED)
-        # The indication must come after the response to this write.
+        # The indication must follow the response to this write.
         task = self._strap.run(self._answer(command))
         self._answers.add(task)
         task.add_done_callback(self._answers.discard)
@@ -504,7 +504,7 @@ class PmdService:
         return _WaveformStream(self._strap, self._data, signal, rate_hz, begin_s)
 
     def _choose_pace(self) -> None:
-        """Send heart rates as the measurements that run let the device do."""
+        """Set the heart rate interval according to the running measurements."""
         if self._control.in_sdk_mode:
             self._strap.pulse_every_s = 0
         else:

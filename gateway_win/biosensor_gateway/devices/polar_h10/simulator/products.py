@@ -1,4 +1,4 @@
-"""Products of the Polar family, with the firmware and circumstances of a virtual one."""
+"""Products of the Polar family, with firmware variants and quirks."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ _CHEST = 1
 
 @dataclass(frozen=True)
 class Product:
-    """What distinguishes one product from another.
+    """The properties of a product.
 
     Attributes
     ----------
     advertised
-        Its name on the air, before the device id.
+        Its advertised name, before the device id.
     model, firmware
-        As the Device Information service has them.
+        As in the Device Information service.
     body_location
         Value of 0x2A38.
     sends_rr
-        Whether heart rate measurements carry R-R intervals.
+        Whether heart rate measurements contain R-R intervals.
     settings
-        What can be measured, with the settings on offer in the order of the reply.
+        Measurements with their available settings, in the order of the reply.
     start_parameters
-        What the reply to a start carries behind its status, where that is no unit.
+        Parameters of the reply to a start, if these are not a unit.
     acc_format
         Format byte of acceleration frames.
     units
-        What one count is [g, deg/s or gauss], of measurements with a single range.
+        Size of one count [g, deg/s or gauss], for measurements with a single range.
     units_per_range
-        The same for each unit of the range that was chosen, which the reply to a start names.
+        Size of one count per unit of the chosen range, which the reply to a start contains.
     ppg_format
         Format byte of photoplethysmograms.
     minimum_mtu
-        Nothing is started over a link with a smaller ATT MTU.
+        Starts over a link with a smaller ATT MTU fail.
     sdk_settings
-        What can be measured in the SDK mode; empty = it has no such mode.
+        Measurements in SDK mode; empty if it does not have this mode.
     true_rates
-        By measurement and the rate that it says, the one at which it really sends.
+        Real sample rates, by measurement and reported rate.
     tells_contact
-        Whether heart rate measurements tell of skin contact.
+        Whether heart rate measurements contain the skin contact.
     """
 
     advertised: str
@@ -75,29 +75,29 @@ class Product:
 
     @property
     def features(self) -> frozenset[Measurement]:
-        """What the feature bits say."""
+        """The measurements in the feature bits."""
         sdk_mode = {Measurement.SDK_MODE} if self.sdk_settings else set[Measurement]()
         return frozenset(self.settings) | sdk_mode
 
     def offered(self, *, sdk_mode: bool) -> Mapping[Measurement, Offered]:
-        """Return what can be measured in a mode, with the settings on offer."""
+        """Return the measurements in a mode with their available settings."""
         return self.sdk_settings if sdk_mode else self.settings
 
     def unit(self, measurement: Measurement, chosen: Mapping[Setting, int]) -> float:
-        """Return what one count is."""
+        """Return the size of one count."""
         per_range = self.units_per_range.get(measurement)
         if per_range is None:
             return self.units.get(measurement, 1.0)
         return per_range * chosen[Setting.RANGE]
 
     def start_reply(self, measurement: Measurement, chosen: Mapping[Setting, int]) -> bytes:
-        """Return what the reply to a start carries behind its status."""
+        """Return the parameters of the reply to a start."""
         if measurement in self.units_per_range:
             return encode_factor(self.unit(measurement, chosen))
         return self.start_parameters.get(measurement, b"")
 
     def true_rate_hz(self, measurement: Measurement, said: int, *, sdk_mode: bool) -> int:
-        """Return the rate at which it sends when it was asked for one that it says."""
+        """Return the real sample rate for a reported one."""
         if sdk_mode:
             return said
         return self.true_rates.get(measurement, {}).get(said, said)
@@ -117,7 +117,7 @@ H10 = Product(
             Setting.RANGE: (2, 4, 8),
         },
     },
-    # One reserved byte, which is no setting, as a real H10 sends it.
+    # One reserved byte that is not a setting, as sent by a real H10.
     start_parameters={Measurement.ACC: b"\1"},
     acc_format=ACC_16_BIT,
     units={Measurement.ACC: 1e-3},
@@ -126,45 +126,45 @@ H10 = Product(
 
 @unique
 class Firmware(Enum):
-    """Which services the firmware has for measurement data."""
+    """The services of the firmware for measurement data."""
 
     CURRENT = "current"
     """The PMD service."""
     OLD = "old"
-    """The file transfer service alone, as an H10 before its update."""
+    """Only the file transfer service, as in an H10 before its update."""
     HEART_RATE_ONLY = "heart_rate_only"
-    """Neither, as an H9."""
+    """Neither, as in an H9."""
 
 
 @dataclass(frozen=True)
 class Quirks:
-    """Properties that firmware or circumstances give to a sensor.
+    """Properties of a sensor that depend on firmware or circumstances.
 
     Attributes
     ----------
     demands_pairing
         The control point answers ATT error 0x05 until the host has paired.
     left_streaming
-        Measurements that a former host left on; they run from the first power-on.
+        Measurements that a previous host left running; they run from the first power-on.
     keeps_streaming
-        Measurements go on when the link is lost.
+        Whether measurements continue when the link is lost.
     announces_stops
         A stop on command is followed by the packet that tells of a stop by the device.
     short_errors
-        Replies of failure end after their status.
+        Whether error replies end after the status.
     max_mtu
-        The largest ATT MTU that it grants.
+        Largest ATT MTU that it accepts.
     minimum_mtu
-        A start over a link with a smaller ATT MTU is answered with INVALID_MTU.
+        Starts over a link with a smaller ATT MTU are refused with INVALID_MTU.
     compressed_acceleration
-        Acceleration is sent compressed, in mg.
+        Whether acceleration is sent compressed, in mg.
     sampling_deviation
-        By which fraction the true sampling rates, in the device's time, are higher than
-        nominal; the data sheet allows 0.02.
+        Relative deviation of the true sample rates, in device time, from the nominal ones; the
+        data sheet allows 0.02.
     first_sample_s
-        From a start to its first sample.
+        Time from a start to its first sample.
     first_intervals_s
-        From a start to the first intervals between pulse waves; 25 s by the vendor's documents.
+        Time from a start to the first pulse intervals; 25 s according to the vendor's documents.
     """
 
     firmware: Firmware = Firmware.CURRENT

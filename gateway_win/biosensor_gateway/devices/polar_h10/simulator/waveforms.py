@@ -1,4 +1,4 @@
-"""Computes what the PMD service measures at a constant rate, from the wearer to the wire."""
+"""Computes the PMD service's regular measurements, from the wearer's signals to frames."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from biosensor_gateway.simulation.wearer import Floats, Wearer
 _ECG_LIMIT_UV = 20_000
 _OPEN_ELECTRODES_UV = 30.0
 _INT16_LIMIT = 0x7FFF
-# Mean level and height of the pulse at three LEDs, and the ambient light.
+# Mean level and pulse amplitude of three LEDs and the ambient light.
 _PPG_LEVELS = np.array([-520_000.0, -485_000.0, -477_000.0, -640_000.0])
 _PPG_PULSE = np.array([9_000.0, 7_000.0, 8_000.0, 0.0])
 _PPG_NOISE = 60.0
-# Of the limb: how it turns at rest, and the field of the earth in it.
+# Rotation of the limb at rest, and the earth's magnetic field there.
 _TURNS_DEG_S = 2.0
 _FIELD_GAUSS = np.array([0.21, -0.06, 0.43])
 _FIELD_NOISE_GAUSS = 0.004
 _MICROTESLA_PER_GAUSS = 100.0
 _COMPRESSION = 2
-"""A compressed sample takes at most half of its raw size, as a rule."""
+"""A compressed sample usually takes at most half of its raw size."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +36,18 @@ class Waveform:
     Attributes
     ----------
     data_name
-        Under which the truth has it.
+        Data name in the truth.
     rate_hz
-        Nominal.
+        Nominal rate.
     sample_bytes
-        Size on the wire, as a rule.
+        Usual size of a sample in a frame.
     unit
-        What one count is in the unit of the declaration.
+        Size of one count in the declared unit.
     counts
-        From the wearer's times [s] and whether the device is worn, shape (n, channels).
+        Returns counts, shape (n, channels), from the wearer's times [s] and whether the device is
+        worn.
     frame
-        From the time of the last sample [ns] and the counts.
+        Returns a frame from the time of the last sample [ns] and the counts.
     """
 
     data_name: str
@@ -57,13 +58,13 @@ class Waveform:
     frame: Callable[[int, Integers], bytes]
 
     def planned(self, frame_bytes: int) -> int:
-        """How many samples are meant to share a frame of at most so many bytes."""
+        """Return the intended number of samples in a frame of limited size."""
         return max(1, (frame_bytes - pmd.HEADER_BYTES) // self.sample_bytes)
 
     def split(
         self, counts: Integers, stamps_ns: list[int], frame_bytes: int
     ) -> Iterator[tuple[Integers, bytes]]:
-        """Return the samples as frames of at most so many bytes, halved where need be."""
+        """Split samples into frames of limited size, by halving them if needed."""
         frame = self.frame(stamps_ns[-1], counts)
         if len(frame) <= frame_bytes or len(counts) == 1:
             yield counts, frame
@@ -81,12 +82,12 @@ def waveform(
     *,
     compressed: bool,
 ) -> Waveform:
-    """Return how this product measures one thing.
+    """Return the waveform of a product's measurement.
 
     Parameters
     ----------
     compressed
-        Send acceleration compressed where the product would not; it must measure in mg.
+        Send acceleration compressed, even if the product does not; it must measure in mg.
     """
     rate = settings[Setting.SAMPLE_RATE]
     match measurement:

@@ -1,4 +1,4 @@
-"""The conversation with a Polar Verity Sense, OH1 or 360."""
+"""Driver for the Polar Verity Sense, OH1 and 360."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from biosensor_gateway.transports.nearby import Advertisement
 
 _ADVICE = "switch it on to its heart-rate mode, and close the apps that use it"
 MODELS = frozenset({"Sense", "Verity Sense", "OH1", "360"})
-"""As they advertise: a Verity Sense is a ``Polar Sense``."""
+"""Advertised model names; a Verity Sense advertises as ``Polar Sense``."""
 
 
 class PolarVeritySenseSettings(DeviceSettings):
@@ -103,15 +103,15 @@ _VERITY_BEGIN, _VERITY_END = (1, 1, 5), (2, 1, 0)
 
 
 def true_ppg_rates(info: DeviceInfo, *, sdk_mode: bool) -> Mapping[int, int]:
-    """Return the rates at which light is really sampled, by those that a device says [Hz].
+    """Return the real sample rates of light by the reported ones [Hz].
 
-    A Verity Sense with firmware from 1.1.5 to before 2.1.0 says 135 Hz and sends 55, an OH1
-    says 130 Hz and sends 135 [1]_. In the SDK mode rates are said right.
+    A Verity Sense with firmware from 1.1.5 to before 2.1.0 reports 135 Hz and sends 55 Hz, an OH1
+    reports 130 Hz and sends 135 Hz [1]_. In SDK mode the reported rates are right.
 
     Parameters
     ----------
     info
-        What the device says of itself.
+        The device information.
 
     References
     ----------
@@ -127,20 +127,20 @@ def true_ppg_rates(info: DeviceInfo, *, sdk_mode: bool) -> Mapping[int, int]:
 
 
 def _version(info: DeviceInfo) -> tuple[int, ...]:
-    """Return the firmware's version; nothing if it is not told, which is before all others."""
+    """Return the firmware version; empty if unknown, which compares as the oldest."""
     return tuple(int(number) for number in _VERSION_NUMBER.findall(info.firmware_version)[:3])
 
 
-# The SDK mode has more rates and ranges, and neither heart rate nor intervals.
+# SDK mode has more rates and ranges, but neither heart rate nor intervals.
 _LEAVE_SDK_MODE = stop(Measurement.SDK_MODE)
 _ENTER_SDK_MODE = start(Measurement.SDK_MODE, {})
 
 
 class _SdkMode:
-    """Brings a device into the mode that is wanted, before its measurements start.
+    """Switches SDK mode on or off before the measurements start.
 
-    A device is taken out of the mode, too: a host before us may have left it there, and then
-    no heart rate would come.
+    It is also switched off, because a previous host may have left it on, and then the device sends
+    no heart rate.
     """
 
     def __init__(self, *, is_wanted: bool, log: DeviceLog) -> None:
@@ -153,14 +153,14 @@ class _SdkMode:
         Parameters
         ----------
         offered
-            Numbers of what the device can measure, or switch like a measurement.
+            Available measurements, and modes that are switched like measurements.
 
         Raises
         ------
         TransportError
             ``LOST`` or ``SILENT``.
         AttError
-            The device refuses to take a command.
+            If the device does not accept a command.
         ProtocolError
             ``NO_REPLY``.
         """
@@ -171,7 +171,7 @@ class _SdkMode:
         command = _ENTER_SDK_MODE if self._is_wanted else _LEAVE_SDK_MODE
         reply = await control.request(command)
         if reply.status == Status.INVALID_STATE:
-            # The mode cannot change while something runs, which a host before us left on.
+            # The mode cannot be changed while a previous host's measurements are running.
             for measurement in sorted(offered & _MEASUREMENTS):
                 await control.request(stop(Measurement(measurement)))
             reply = await control.request(command)
@@ -184,7 +184,7 @@ _MEASUREMENTS = frozenset(Measurement) - {Measurement.SDK_MODE}
 
 
 def wanted_of(own: PolarVeritySenseSettings, info: DeviceInfo) -> Sequence[Wanted]:
-    """Return the measurements that the settings ask for, of a device that tells this of itself."""
+    """Return the measurements in the settings, for a device with this information."""
     rate, reach = Setting.SAMPLE_RATE, Setting.RANGE
     light = Wanted(
         Measurement.PPG,
@@ -210,7 +210,7 @@ def off_by(own: PolarVeritySenseSettings) -> frozenset[str]:
 
 
 def _asked_rates(own: PolarVeritySenseSettings) -> Mapping[str, float]:
-    """Return the rates of the settings, by data name."""
+    """Return the sample rates in the settings, by data name."""
     return {
         "ppg": own.ppg_rate_hz,
         "acc": own.acc_rate_hz,
@@ -220,7 +220,7 @@ def _asked_rates(own: PolarVeritySenseSettings) -> Mapping[str, float]:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
-    """Share emitter and choice of the device between all connections."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarVeritySenseSettings, settings)
     emitter = OpticalEmitter(sink)
     choice = Choice(identify, "Polar optical sensor", own.device, _ADVICE)
@@ -240,7 +240,7 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
 
 
 def identify(seen: Advertisement) -> str | None:
-    """Return the id printed on a Verity Sense, an OH1 or a 360, None for anything else."""
+    """Return the id printed on a Verity Sense, OH1 or 360; None for other devices."""
     return polar.identify(seen, MODELS)
 
 

@@ -1,4 +1,4 @@
-"""Turns what an optical sensor sends into samples of the declared streams."""
+"""Converts an optical sensor's data to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -24,27 +24,26 @@ DATA_NAMES: Mapping[Measurement, str] = {
     Measurement.MAGNETOMETER: "mag",
     Measurement.PULSE_INTERVALS: "ppi",
 }
-"""Streams of the declaration by measurement."""
+"""Data names of the declared streams by measurement."""
 DOUBTED = frozenset({Measurement.PPG})
-"""A Verity Sense said 135 Hz and sent 55 [1]_.
+"""Measurements with a doubtful rate: a Verity Sense reported 135 Hz and sent 55 [1]_.
 
 .. [1] Polar BLE SDK, documentation/KnownIssues.md, Polar Verity Sense, issue 1.
 """
 GATHER_S = 0.3
-"""Intervals that do not fit into one frame come in several, one right behind the other."""
+"""Intervals that do not fit into one frame come in several frames in quick succession."""
 _NS = 1e9
 _NOT_LOCATED = 0
-"""A stamp of intervals that says nothing."""
+"""Timestamp of intervals without a time."""
 
 
 class OpticalEmitter(PolarEmitter):
-    """Turns frames and heart rates into samples; one instance a device.
+    """Converts frames and heart rates to samples; one instance per device.
 
-    Intervals between pulse waves come in batches and mostly without a stamp. They are placed
-    backwards from the arrival of the batch, as those of a strap are; a batch ends when something
-    else comes. One that the device calls disturbed
-    by movement is left out, but takes its time; what the device says of skin contact leaves
-    nothing out, since its vendor does not vouch for it.
+    Pulse intervals come in batches and usually without a timestamp. Like a strap's intervals, they
+    are placed backwards from the arrival of the batch, which ends when other data arrive.
+    Intervals that the device flags as disturbed by movement are left out, but their duration
+    counts. The contact flag is ignored, because its vendor calls it unreliable.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -64,13 +63,13 @@ class OpticalEmitter(PolarEmitter):
         self._moving = nan
 
     def frame(self, data: bytes, arrival_s: float) -> None:
-        """Emit what a frame holds, and intervals that are complete; see :class:`PolarEmitter`."""
+        """Emit the samples of a frame, and complete batches; see :class:`PolarEmitter`."""
         if arrival_s - self._batch_s > GATHER_S:
             self._end_batch()
         super().frame(data, arrival_s)
 
     def _quality(self, in_contact: bool) -> Sequence[float]:
-        # A heart rate is told, before which nothing of a batch is under way any more.
+        # A heart rate arrives after all frames of a batch.
         self._end_batch()
         return [float(in_contact), self._moving]
 
@@ -83,7 +82,7 @@ class OpticalEmitter(PolarEmitter):
             self._batch += frame.intervals
             self._batch_s = arrival_s
             return  # nothing is dropped: `_batch` keeps it until it has a time
-        # These frames are seconds late, and so never told to the device's clock.
+        # These frames are seconds late, so they are not used for the device's clock.
         lengths_s = [each.interval_ms / 1000 for each in frame.intervals]
         for each, time_s in zip(frame.intervals, walk_back(stamp_ns / _NS, lengths_s), strict=True):
             if _counts(each):
@@ -101,7 +100,7 @@ class OpticalEmitter(PolarEmitter):
 
 
 class _Beats:
-    """Places intervals by their lengths alone, and knows which is which."""
+    """Places intervals by their lengths, and keeps their other data."""
 
     def __init__(self) -> None:
         self._stored = StoredBeats()
@@ -110,13 +109,13 @@ class _Beats:
     def place(
         self, intervals: Sequence[PulseInterval], arrival_s: float
     ) -> list[tuple[PulseInterval, float]]:
-        """Return what has its place now, in order, with LSL times [s]."""
+        """Add intervals; return those placed now, in order, with LSL times [s]."""
         self._waiting += intervals
         beats = [Beat(each.interval_ms / 1000) for each in intervals]
         return self._named(self._stored.place(beats, arrival_s))
 
     def restart(self) -> list[tuple[PulseInterval, float]]:
-        """Begin again; return what waited for its place."""
+        """Restart; return the intervals held back."""
         return self._named(self._stored.restart())
 
     def _named(self, placed: Sequence[PlacedBeat]) -> list[tuple[PulseInterval, float]]:

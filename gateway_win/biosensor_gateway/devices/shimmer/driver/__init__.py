@@ -1,4 +1,4 @@
-"""The driver of a Shimmer3 or Shimmer3R: its settings, and how a device is set up by them."""
+"""Driver for the Shimmer3 and Shimmer3R: settings, and setup of a device."""
 
 from __future__ import annotations
 
@@ -78,12 +78,12 @@ _CHIPS_OF_3R: Mapping[str, Typical] = {
 
 
 async def _pressure_coefficients(talk: Conversation, kind: Kind) -> PressureCoefficients | None:
-    """Return the coefficients of the device's pressure sensor; None if it does not tell.
+    """Return the coefficients of the device's pressure sensor; None if unavailable.
 
     Raises
     ------
     TransportError
-        As :meth:`Conversation.ask`.
+        As for :meth:`Conversation.ask`.
     """
     asked = [commands.GET_BMP180_COEFFICIENTS, commands.GET_BMP280_COEFFICIENTS]
     if kind.tells_pressure_chip:
@@ -91,7 +91,7 @@ async def _pressure_coefficients(talk: Conversation, kind: Kind) -> PressureCoef
     try:
         for command in asked:
             coefficients = await talk.ask(command, PressureCoefficients)
-            # One that needs no coefficients has none.
+            # A BMP581 needs no coefficients and has none.
             if coefficients.chip == PressureChip.BMP581 or are_real(coefficients):
                 return coefficients
     except ProtocolError as error:
@@ -106,23 +106,23 @@ async def _motion_calibrations(
     present: Inquiry,
     air: PressureCoefficients | None,
 ) -> list[tuple[str, Kinematic]]:
-    """Return the calibration of each motion sensor of which packets have values.
+    """Return the calibration of each motion sensor in the packets.
 
-    It is the one in the device's memory; what has none there gets the typical values of its
-    chip, which is said.
+    It comes from the device's memory; sensors without one there get typical values of their chip,
+    which is logged.
 
     Parameters
     ----------
     talk, kind, layout
     present
-        How the device is set up, with the ranges of its sensors.
+        Setup of the device, with the ranges of its sensors.
     air
-        Tells which generation of chips it is, if known.
+        Coefficients of the pressure sensor, if known, which identify the generation of chips.
 
     Raises
     ------
     TransportError
-        As :meth:`Conversation.ask`.
+        As for :meth:`Conversation.ask`.
     """
     names = motion_on(layout)
     memory = await _memory(talk) if names else b""
@@ -137,9 +137,9 @@ async def _motion_calibrations(
 def typical_calibrations(
     kind: Kind, layout: Layout, present: Inquiry, air: PressureCoefficients | None
 ) -> list[tuple[str, Kinematic]]:
-    """Return what the makers say of the chips of which packets have values, in their ranges.
+    """Return the chip makers' typical calibrations of the sensors in the packets.
 
-    Parameters are those of `_motion_calibrations`.
+    The parameters are those of `_motion_calibrations`.
     """
     chips, ranges = _chips(kind, layout, air), _ranges(kind, present)
     return [(name, chips[name].at(ranges[name])) for name in motion_on(layout)]
@@ -157,13 +157,13 @@ def _chips(kind: Kind, layout: Layout, air: PressureCoefficients | None) -> Mapp
     if kind.hardware == SHIMMER3R:
         return _CHIPS_OF_3R
     has_newer_mag = Channel.MAG_X in layout.channels and not layout.has_older_mag
-    # Both were replaced at once.
+    # The pressure sensor and the motion chips were replaced at the same time.
     has_newer_air = air is not None and air.chip == PressureChip.BMP280
     return _NEWER_CHIPS if has_newer_mag or has_newer_air else _OLDER_CHIPS
 
 
 def _ranges(kind: Kind, present: Inquiry) -> dict[str, int]:
-    """Return the settings of the ranges; the layout is that of the firmware's configuration."""
+    """Return the range settings from the configuration bytes of the firmware."""
     setup = present.setup
     gyro = setup[2] & 3
     is_3r = kind.hardware == SHIMMER3R
@@ -183,11 +183,11 @@ class Wanted(NamedTuple):
     Attributes
     ----------
     sensors
-        Names of `SENSORS`; None leaves on what is on.
+        Names of `SENSORS`; None keeps the current ones.
     divisor
-        32768 Hz divided by the sampling rate; None leaves it.
+        32768 Hz divided by the sample rate; None keeps the current one.
     bits, gain, lead_off
-        Of the ExG where `sensors` has one.
+        Settings of the ExG, if it is in `sensors`.
     """
 
     sensors: frozenset[str] | None = None
@@ -198,22 +198,22 @@ class Wanted(NamedTuple):
 
     @property
     def use(self) -> Use | None:
-        """What the ExG chips are wanted for."""
+        """Wanted use of the ExG chips."""
         return next((use for use in Use if use in (self.sensors or ())), None)
 
 
 async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> Measurement:
-    """Make the device measure as wanted, and find out how it measures; it does not start yet.
+    """Set up the device and return how it measures, without starting it.
 
-    Settings are written to the device's flash, so what is right already is left alone.
+    Settings are written to the device's flash, so correct ones are not written again.
 
     Raises
     ------
     ProtocolError
-        ``REFUSED`` if it does not take a setting; ``UNSUPPORTED`` if nothing is on that can be
-        read; or as :meth:`Conversation.ask`.
+        ``REFUSED`` if it does not accept a setting; ``UNSUPPORTED`` if no supported sensor is on;
+        or as for :meth:`Conversation.ask`.
     TransportError
-        As :meth:`Conversation.ask`.
+        As for :meth:`Conversation.ask`.
     """
     denied = await ask_for_the_state(talk, kind)
     present = await make_right(talk, partial(_changes, wanted=wanted), name)
@@ -237,7 +237,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
 async def _calibrated(
     talk: Conversation, kind: Kind, layout: Layout, present: Inquiry
 ) -> list[Signal]:
-    """Return the streams of motion and air sensors, calibrated from the device's memory."""
+    """Return the calibrated streams of motion, pressure and temperature sensors."""
     air = await _pressure_coefficients(talk, kind) if has_air(layout) else None
     motion = await _motion_calibrations(talk, kind, layout, present, air)
     signals = motion_signals(layout, motion)
@@ -248,7 +248,7 @@ async def _calibrated(
 
 
 def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
-    """Return the commands that are needed, by what they set."""
+    """Return the necessary commands by the setting that they change."""
     changes: dict[str, bytes] = {}
     if wanted.sensors is not None:
         on = [sensor(each, wanted.bits) for each in sorted(wanted.sensors)]
@@ -270,7 +270,7 @@ async def _set_exg_up(
 ) -> None:
     board = await expansion_board(talk, name)
     if board is not None and board not in EXG_BOARDS:
-        # It measures, but nothing that makes sense.
+        # It measures, but the values are meaningless.
         _log.warning("the expansion board is no ExG board", port=name, board=board)
     gain = wanted.gain or exg.DEFAULT_GAIN[use]
     rate_hz = commands.TICKS_PER_S / present.divisor
@@ -370,7 +370,7 @@ def _names(text: str) -> frozenset[str]:
 
 
 def _connected(measurement: Measurement) -> Connected:
-    """Tell of all streams at which rate they would come, and which are off."""
+    """Return the rates of all streams, and which ones are off."""
     off = WAVEFORMS - set(measurement.streams)
     if measurement.status_at is None:
         off |= {"quality"}
@@ -379,7 +379,7 @@ def _connected(measurement: Measurement) -> Connected:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
-    """Share one emitter between all connections: it follows the device's clock across them."""
+    """Share one emitter between all connections, to follow the device's clock across them."""
     own = own_settings(Shimmer3Settings, settings)
     emitter = ShimmerEmitter(sink)
 

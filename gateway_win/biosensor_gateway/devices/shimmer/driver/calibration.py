@@ -1,10 +1,10 @@
-"""Counts to units: the converter of a Shimmer3, and the calibration of its motion sensors.
+"""Converts counts to units: ADC voltages and motion sensors of a Shimmer3.
 
-The converter has 12 bits of 3 V. Motion sensors have the device's own calibration, or their chips'
-typical values. A block of the device's memory is 21 bytes: offset and sensitivity of each axis,
-three signed words each with the high byte first, and the alignment matrix in hundredths, nine
-signed bytes, row by row. A sensor's reading u becomes R^-1 K^-1 (u - b). Layout and typical values
-are those of Shimmer's firmware (log-and-stream-common, Calibration).
+The ADC has 12 bits for 3 V. Motion sensors use the device's own calibration, or typical values of
+their chips. A calibration block in the device's memory has 21 bytes: offset and sensitivity of
+each axis as three signed big-endian words each, and the alignment matrix in hundredths as nine
+signed bytes, row by row. A reading u becomes R^-1 K^-1 (u - b). Layout and typical values are from
+Shimmer's firmware (log-and-stream-common, Calibration).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _Rows = tuple[tuple[int, int, int], tuple[int, int, int], tuple[int, int, int]]
 
 
 class Block(IntEnum):
-    """Place of a sensor's block within a device's memory."""
+    """Index of a sensor's block in a device's memory."""
 
     LN_ACCEL = 0
     GYRO = 1
@@ -52,7 +52,7 @@ class Block(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Kinematic:
-    """Calibration of one sensor of three axes.
+    """Calibration of one three-axis sensor.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Kinematic:
 
     @classmethod
     def of(cls, offset: ArrayLike, sensitivity: ArrayLike, alignment: ArrayLike) -> Kinematic:
-        """Build it from b, the diagonal of K, and R."""
+        """Create it from b, the diagonal of K, and R."""
         inverse = np.linalg.inv(np.asarray(alignment, np.float64))
         return cls(np.asarray(offset, np.float64), inverse / np.asarray(sensitivity, np.float64))
 
@@ -88,15 +88,15 @@ class Kinematic:
 
 
 def stored(memory: bytes, block: Block) -> Kinematic | None:
-    """Return a sensor's calibration from a device's memory; None where there is none.
+    """Return a sensor's calibration from a device's memory; None if there is none.
 
     Parameters
     ----------
     memory
-        All blocks, as :class:`~.messages.Calibration` has them.
+        All blocks, as in :class:`~.messages.Calibration`.
     block
-        Which of them. Nothing that could not be applied counts as one: blocks that were never
-        written (all FF or 00), a sensitivity below 1, or an alignment without an inverse.
+        The sensor's block. It is invalid if it was never written (all FF or 00), or has a
+        sensitivity below 1 or an alignment without an inverse.
     """
     data = memory[block * BLOCK_BYTES : (block + 1) * BLOCK_BYTES]
     if len(data) < BLOCK_BYTES or set(data) in ({0xFF}, {0x00}):
@@ -112,17 +112,16 @@ def stored(memory: bytes, block: Block) -> Kinematic | None:
 
 @dataclass(frozen=True, slots=True)
 class Typical:
-    """What a chip's maker says, for each setting of its range.
+    """Typical calibration of a chip for each setting of its range.
 
     Attributes
     ----------
     alignment
-        How it sits in the case.
+        Orientation of the chip in the case.
     sensitivity
-        Counts per unit by the setting of the range; the first is taken for a setting that
-        the chip does not have.
+        Counts per unit by range setting; the first one is used for unknown settings.
     offset
-        In counts.
+        Offset in counts.
     """
 
     alignment: _Rows
@@ -156,7 +155,7 @@ LSM303DLHC_MAG = Typical(
     },
 )
 _LSM303AH: _Rows = ((0, -1, 0), (1, 0, 0), (0, 0, -1))
-# The chip's own order of ranges.
+# The order of ranges is the chip's own.
 LSM303AH_ACCEL = Typical(_LSM303AH, {0: 1671.0, 2: 836.0, 3: 418.0, 1: 209.0})
 LSM303AH_MAG = Typical(_LSM303AH, {0: 667.0})
 LSM6DSV_ACCEL = Typical(_TURNED, {0: 1672.0, 1: 836.0, 2: 418.0, 3: 209.0})

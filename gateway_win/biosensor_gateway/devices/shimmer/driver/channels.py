@@ -1,6 +1,6 @@
-"""The channels of a data packet, their widths, and the order that a device tells.
+"""The channels of a data packet, their widths, and their order in packets.
 
-Widths, signs and byte orders are those of Shimmer's firmware (log-and-stream-common).
+Widths, signs and byte orders are from Shimmer's firmware (log-and-stream-common).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Literal, NamedTuple
 
 
 class Channel(IntEnum):
-    """Channels that are read out; others may stand between them in a packet."""
+    """Channels in use; a packet may contain others between them."""
 
     LN_ACCEL_X, LN_ACCEL_Y, LN_ACCEL_Z = 0x00, 0x01, 0x02
     WR_ACCEL_X, WR_ACCEL_Y, WR_ACCEL_Z = 0x04, 0x05, 0x06
     MAG_X, MAG_Y, MAG_Z = 0x07, 0x08, 0x09
     GYRO_X, GYRO_Y, GYRO_Z = 0x0A, 0x0B, 0x0C
     PPG = 0x12
-    """Internal ADC A13, to which the GSR+ unit wires the optical probe."""
+    """Internal ADC A13, connected to the optical probe in a GSR+ unit."""
     TEMPERATURE, PRESSURE = 0x1A, 0x1B
     GSR = 0x1C
     EXG1_STATUS, EXG1_CH1_24, EXG1_CH2_24 = 0x1D, 0x1E, 0x1F
@@ -65,7 +65,7 @@ _FIELDS: dict[int, _Field] = {
 }
 
 
-# The older of the two magnetometer chips, and how all of a Shimmer3R's chips speak.
+# The older magnetometer chip, and all chips of a Shimmer3R, are big-endian.
 _OLDER_MAG: dict[int, _Field] = dict.fromkeys((0x07, 0x08, 0x09), _I16_BE)
 _SHIMMER3R: dict[int, _Field] = {
     **dict.fromkeys((0x0A, 0x0B, 0x0C), _I16),
@@ -74,19 +74,19 @@ _SHIMMER3R: dict[int, _Field] = {
 
 
 class Layout:
-    """Where each channel's value is within a data packet.
+    """The positions of the channels' values in a data packet.
 
     Parameters
     ----------
     channels
-        Ids in the order of an inquiry's answer.
+        Channel ids in the order of an inquiry's answer.
     is_3r
-        Whether the device is a Shimmer3R, whose chips are others.
+        Whether the device is a Shimmer3R, which has different chips.
 
     Raises
     ------
     ValueError
-        If the width of a channel is not known.
+        If the width of a channel is unknown.
     """
 
     def __init__(self, channels: Iterable[int], *, is_3r: bool = False) -> None:
@@ -99,17 +99,17 @@ class Layout:
         fields.update(_OLDER_MAG if self.has_older_mag else {})
         self._fields = [fields[channel] for channel in self.channels]
         self.size = sum(field.width for field in self._fields)
-        """Bytes of all values."""
+        """Total size of all values in bytes."""
         self._runs = list(_runs(self._fields))
 
     @property
     def has_older_mag(self) -> bool:
-        """Whether it is an LSM303DLHC, which alone sends its axes as X, Z, Y."""
+        """Whether the magnetometer is an LSM303DLHC, which sends its axes as X, Z, Y."""
         order = [each for each in self.channels if each in _OLDER_MAG]
         return order == [Channel.MAG_X, Channel.MAG_Z, Channel.MAG_Y]
 
     def index(self, channel: Channel) -> int:
-        """Position of a channel's value in what `read` returns."""
+        """Return the index of a channel's value in the result of `read`."""
         return self.channels.index(channel)
 
     def read(self, data: bytes) -> tuple[int, ...]:
@@ -118,7 +118,7 @@ class Layout:
         Parameters
         ----------
         data
-            The packet behind its timestamp, `size` bytes.
+            The packet after its timestamp, `size` bytes.
         """
         values: list[int] = []
         for start, run in self._runs:
@@ -130,7 +130,7 @@ class Layout:
 
 
 def _runs(fields: Sequence[_Field]) -> Iterator[tuple[int, struct.Struct | _Field]]:
-    """Cut a packet into what a fast reader takes at once, and values of three bytes."""
+    """Divide a packet into parts for `struct`, and three-byte values, which it cannot read."""
     start = 0
     for order, group in groupby(fields, key=lambda field: field.width < 3 and field.order):
         run = list(group)

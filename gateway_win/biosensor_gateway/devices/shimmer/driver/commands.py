@@ -1,6 +1,6 @@
-"""The commands to a Shimmer and their opcodes, and the checksum that can end its messages.
+"""The commands to a Shimmer with their opcodes, and the optional checksum of its messages.
 
-Commands have neither framing nor checksum. Only harmless opcodes are here.
+Commands have neither framing nor checksum. Only harmless opcodes are included.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from binascii import crc_hqx
 from enum import IntEnum
 
 TICKS_PER_S = 32768
-"""Frequency of the oscillator that all rates are divided from."""
+"""Frequency of the oscillator; all rates are integer divisions of it."""
 GSR_AND_PPG = 0x000104
 """Sensor mask: skin conductance and internal ADC A13."""
 AUTO_RANGE = 4
@@ -21,7 +21,7 @@ _CRC_INITIAL = 0xB0CA
 
 
 class CrcMode(IntEnum):
-    """How many bytes of the checksum end each message from the device."""
+    """Number of checksum bytes at the end of each message from the device."""
 
     OFF = 0
     LOW_BYTE = 1
@@ -29,13 +29,13 @@ class CrcMode(IntEnum):
 
 
 def crc16(message: bytes) -> int:
-    """Return the checksum of a message, without the bytes of a checksum."""
+    """Return the checksum of a message without its checksum bytes."""
     padded = message if len(message) % 2 == 0 else message + b"\0"
     return crc_hqx(padded, _CRC_INITIAL)
 
 
 def checksum(message: bytes, mode: CrcMode) -> bytes:
-    """Return the bytes that follow a message: 0, 1 or 2, the low one first."""
+    """Return the checksum bytes of a message: 0, 1 or 2, the low byte first."""
     return crc16(message).to_bytes(2, "little")[:mode]
 
 
@@ -87,35 +87,35 @@ POWER_THE_PROBE = bytes((Opcode.SET_EXPANSION_POWER, 1))
 
 
 def set_sensors(mask: int) -> bytes:
-    """Choose what is measured, by a mask of 24 bits."""
+    """Return the command that selects sensors by a 24-bit mask."""
     return bytes((Opcode.SET_SENSORS,)) + mask.to_bytes(3, "little")
 
 
 def set_sampling_rate(divisor: int) -> bytes:
-    """Measure at 32768 Hz / ``divisor``, 1 to 65535."""
+    """Return the command that sets the sample rate to 32768 Hz / ``divisor``, 1 to 65535."""
     return bytes((Opcode.SET_SAMPLING_RATE,)) + divisor.to_bytes(2, "little")
 
 
 def set_gsr_range(setting: int) -> bytes:
-    """Fix the feedback resistor, 0 to 3, or let the device choose (`AUTO_RANGE`)."""
+    """Return the command that sets the feedback resistor: 0 to 3, or `AUTO_RANGE`."""
     return bytes((Opcode.SET_GSR_RANGE, setting))
 
 
 def get_exg_registers(chip: int) -> bytes:
-    """Ask for the ten registers of an ExG chip, 0 or 1."""
+    """Return the command that reads the ten registers of an ExG chip, 0 or 1."""
     return bytes((Opcode.GET_EXG_REGISTERS, chip, 0, 10))
 
 
 def set_exg_registers(chip: int, registers: bytes) -> bytes:
-    """Set the ten registers of an ExG chip, 0 or 1."""
+    """Return the command that sets the ten registers of an ExG chip, 0 or 1."""
     return bytes((Opcode.SET_EXG_REGISTERS, chip, 0, len(registers))) + registers
 
 
 def set_crc(mode: CrcMode) -> bytes:
-    """Ask for checksums; the answer to this command carries one already."""
+    """Return the command that enables checksums; its own answer already has one."""
     return bytes((Opcode.SET_CRC, mode))
 
 
 def divisor_for(rate_hz: float) -> int:
-    """Return the divisor whose rate comes nearest to ``rate_hz``."""
+    """Return the divisor with the rate nearest to ``rate_hz``."""
     return round(TICKS_PER_S / rate_hz)

@@ -1,4 +1,4 @@
-"""One connection to a Shimmer, whatever it measures: start it, pass on what it sends."""
+"""One connection to a Shimmer of any kind: starts it and passes on its data."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.byte_links import byte_link
 
 BATTERY_PERIOD_S = 60.0
-"""The firmware itself looks once a minute."""
+"""The firmware itself measures the battery once a minute."""
 PATIENCE_S = 2.0
 
 _log = structlog.get_logger("biosensor_gateway.shimmer")
 
 
 class Prepared(NamedTuple):
-    """A device that is ready to be started.
+    """A device that is ready to start.
 
     Attributes
     ----------
     layout, divisor
-        Of its data packets, and ticks between two of them.
+        Layout of its data packets, and ticks between two packets.
     begin
-        Tells the emitter that packets of a new start follow.
+        Prepares the emitter for packets of a new start.
     connected
-        What is known of its streams.
+        Information about its streams.
     """
 
     layout: Layout
@@ -59,12 +59,12 @@ class ShimmerDriver:
     Parameters
     ----------
     port
-        What to open, and what messages call the device.
+        The port to open, which also names the device in messages.
     prepare
         Sets an identified device up.
     """
 
-    # Silent streams are noticed long before.
+    # Silent streams are detected much earlier.
     silence_limit_s = 10.0
 
     def __init__(
@@ -96,19 +96,19 @@ class ShimmerDriver:
         return replace(self._prepared.connected, info=info, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes."""
+        """Emit data received since connecting."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._talk.stream(self._hear))
             tasks.create_task(self._ask_for_the_battery())
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Start a device again that answers and sends no data; see the protocol class."""
+        """Restart a device that answers but sends no data; see the protocol class."""
         del streams
         assert self._prepared is not None
         is_there = await self._is_there()
         if not self._sink.is_waiting:
             return  # data came before the answer
-        # As far as one knows it went on measuring.
+        # The device may have continued to measure.
         self._emitter.kept_measuring_until(self._sink.clock())
         if not is_there:
             message = f"{self._port}: the device has fallen silent; it is started again"
@@ -116,7 +116,7 @@ class ShimmerDriver:
         await self._start(self._prepared)
 
     async def close(self) -> None:
-        """Stop the device, without waiting for its answer."""
+        """Stop the device without waiting for its answer."""
         self._count_dropped()
         await self._talk.close()
 

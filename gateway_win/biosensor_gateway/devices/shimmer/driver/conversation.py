@@ -1,4 +1,4 @@
-"""The conversation with a Shimmer: questions, what kind it is, and what its flash keeps."""
+"""Commands and answers of a Shimmer: its identification, state and setup."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ REPLY_TIMEOUT_S = 2.0
 ATTEMPTS = 2
 RESYNC_ATTEMPTS = 3
 SETTLE_S = 0.05
-"""What belongs together is sent in one write: so long a pause ends it."""
+"""Messages are sent in one write, so a pause of this length ends them."""
 
 _ReplyT = TypeVar("_ReplyT", bound=Reply)
 _BARRIERS: tuple[tuple[bytes, type[Reply]], ...] = (
@@ -47,13 +47,13 @@ _BARRIERS: tuple[tuple[bytes, type[Reply]], ...] = (
     (commands.GET_GSR_RANGE, GsrRange),
 )
 
-# The device behind a new link may have been left streaming, in any format.
+# The device may still be streaming from an earlier connection, in any format.
 LISTEN_S = 0.5
 QUIET_S = 0.3
 STOP_ATTEMPTS = 3
 ATTEMPT_S = 1.5
 IDLE_BYTES = 16
-"""An idle device may say this much, unasked: that it was docked."""
+"""An idle device may send this much unrequested data, for example when docked."""
 
 
 class _Discarded(NamedTuple):
@@ -63,7 +63,7 @@ class _Discarded(NamedTuple):
 
 
 async def _stop_streaming(link: ByteLink) -> float | None:
-    """Make the device behind an open link silent, and throw away what it said.
+    """Stop a streaming device on an open link, and discard what it sent.
 
     Returns
     -------
@@ -87,7 +87,7 @@ async def _stop_streaming(link: ByteLink) -> float | None:
 
 
 async def _discard(link: ByteLink, quiet_s: float, limit_s: float) -> _Discarded:
-    """Read until nothing comes for ``quiet_s``, for at most ``limit_s``."""
+    """Read until nothing arrives for ``quiet_s``, for at most ``limit_s``."""
     size, until_s = 0, None
     try:
         async with asyncio.timeout(limit_s):
@@ -111,16 +111,16 @@ async def _next(link: ByteLink, quiet_s: float) -> Received | None:
 class Conversation:
     """One connection to a Shimmer.
 
-    The device answers in order, but most answers are a bare ACK that does not say what it
-    answers. So after a command that was not answered in time, nothing is sent until a
-    question with an answer of its own kind is answered: what was owed is then behind.
+    The device answers in order, but most answers are a bare ACK, which does not identify the
+    command. So after a command without a timely answer, nothing is sent until a query with a
+    distinct answer was answered, so that no old answer is outstanding.
 
     Parameters
     ----------
     name
-        What error messages call the device.
+        Name of the device in error messages.
     link
-        Not yet open.
+        Not open yet.
     """
 
     def __init__(self, name: str, link: ByteLink) -> None:
@@ -128,18 +128,18 @@ class Conversation:
         self._link = link
         self._protocol = ShimmerProtocol()
         self._dialogue = Dialogue(self._receive, link.write)
-        # Asking once more belongs to the first time.
+        # Held for the whole exchange, including retries.
         self._turn = asyncio.Lock()
         self._has_heard_bytes = False
         self._has_heard_messages = False
 
     @property
     def dropped_bytes(self) -> int:
-        """Bytes that belonged to no valid message."""
+        """Number of bytes outside of valid messages."""
         return self._protocol.dropped_bytes
 
     async def open(self) -> float | None:
-        """Open the link, and stop a device that was left streaming.
+        """Open the link, and stop a device that is still streaming.
 
         Returns
         -------
@@ -157,14 +157,14 @@ class Conversation:
         return streamed_until_s
 
     async def ask(self, command: bytes, wanted: type[_ReplyT]) -> _ReplyT:
-        """Send a command and return its answer; `Ack` is wanted of one that sets something.
+        """Send a command and return its answer, which is `Ack` for commands that set something.
 
         Raises
         ------
         ProtocolError
             ``REFUSED``, ``NO_REPLY`` or ``GARBAGE``.
         TransportError
-            ``SILENT`` if the device never said anything; ``LOST``.
+            ``SILENT`` if the device has never sent anything; ``LOST``.
         """
         async with self._turn:
             answer = await self._exchange(command, wanted)
@@ -177,11 +177,11 @@ class Conversation:
         return answer
 
     async def tell(self, command: bytes) -> None:
-        """Send a command that sets something; raises as `ask`."""
+        """Send a command that sets something; raises like `ask`."""
         await self.ask(command, Ack)
 
     async def poll(self, command: bytes, wanted: type[_ReplyT]) -> _ReplyT | None:
-        """Ask once, of a device that is streaming; None if it does not answer or refuses."""
+        """Query a streaming device once; None if it does not answer or refuses."""
         async with self._turn:
             try:
                 return await self._exchange(command, wanted)
@@ -189,22 +189,22 @@ class Conversation:
                 return None
 
     def use_form(self, form: ReplyForm) -> None:
-        """Expect answers in the form of this kind of device."""
+        """Expect answers in the format of this kind of device."""
         self._protocol.form = form
 
     async def use_crc(self, mode: CrcMode) -> None:
-        """Switch checksums on; raises as `ask`."""
-        # The answer to the command carries one already.
+        """Enable checksums; raises like `ask`."""
+        # The answer to this command already has a checksum.
         self._protocol.crc = mode
         await self.tell(commands.set_crc(mode))
 
     async def start_streaming(self, layout: Layout, divisor: int) -> None:
-        """Start; raises as `ask`."""
+        """Start streaming; raises like `ask`."""
         self._protocol.expect_data(layout, divisor)
         await self.tell(commands.START_STREAMING)
 
     async def stream(self, listener: Callable[[Sequence[Stamped]], None]) -> None:
-        """Pass on all messages since `open`, those of a read at a time.
+        """Pass on all messages since `open`, grouped by read.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class Conversation:
         await self._link.close()
 
     async def _exchange(self, command: bytes, wanted: type[_ReplyT]) -> _ReplyT | None:
-        """Send, and wait for the answer; None if it does not come in time."""
+        """Send a command and wait for the answer; None after a timeout."""
 
         def answer(stamped: Stamped) -> _ReplyT | Nack | None:
             return stamped.message if isinstance(stamped.message, (wanted, Nack)) else None
@@ -231,17 +231,17 @@ class Conversation:
         return reply
 
     async def _resynchronise(self, unanswered: bytes) -> None:
-        """Wait until every answer that is still owed has come or cannot come any more."""
+        """Wait until no answers are outstanding."""
         self._dialogue.hear(self._noted(self._protocol.give_up()))
         barriers = [barrier for barrier in _BARRIERS if barrier[0] != unanswered]
         for question, answer in barriers[:RESYNC_ATTEMPTS]:
-            # It may still wait for arguments that got lost on the way; this becomes one.
+            # The device may still wait for lost arguments, and would take this command as one.
             self._link.write(commands.TEST_CONNECTION)
             try:
                 if await self._exchange(question, answer) is not None:
                     return
             except ProtocolError:
-                continue  # the refusal of what was asked before
+                continue  # the refusal of the previous command
         raise self._no_reply()
 
     def _refusal(self, command: bytes) -> ProtocolError:
@@ -278,7 +278,7 @@ class Conversation:
 SHIMMER3, SHIMMER3R = 3, 10
 
 _FIRST_LOG_AND_STREAM = (0, 5, 4)
-"""Before, timestamps had two bytes and turned every two seconds; so had BtStream's."""
+"""Earlier versions, and BtStream, had two-byte timestamps that overflow every two seconds."""
 _FIRST_BT_STREAM = (0, 7, 3)
 _FIRST_BATTERY = (0, 5, 9)
 _FIRST_CRC = (0, 13, 7)
@@ -290,42 +290,42 @@ _UPDATE = "install LogAndStream 0.13.7 or later with Shimmer's Consensys"
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Which Shimmer this is."""
+    """Hardware and firmware of a Shimmer."""
 
     hardware: int
     firmware: Firmware
 
     @property
     def has_status(self) -> bool:
-        """Whether it tells its status and battery: BtStream does not."""
+        """Whether it reports its status and battery; BtStream does not."""
         return self._is_log_and_stream(_FIRST_BATTERY)
 
     @property
     def has_crc(self) -> bool:
-        """Whether it can append checksums."""
+        """Whether it supports checksums."""
         return self._is_log_and_stream(_FIRST_CRC)
 
     @property
     def has_bare_status(self) -> bool:
-        """Whether it can leave out the ACK before an unasked status."""
+        """Whether it can omit the ACK before an unrequested status."""
         return self._is_log_and_stream(_FIRST_BARE_STATUS)
 
     @property
     def tells_pressure_chip(self) -> bool:
-        """Whether it says which pressure sensor it has, with its coefficients."""
+        """Whether it reports the type of its pressure sensor with the coefficients."""
         is_3r = self.hardware == SHIMMER3R
         return is_3r or self._is_log_and_stream(_FIRST_PRESSURE_CHIP)
 
     @property
     def form(self) -> ReplyForm:
-        """Sizes of its answers."""
+        """Format of its answers."""
         if self.hardware != SHIMMER3R:
             return ReplyForm()
         two_bytes = self.firmware.version >= _FIRST_3R_WITH_TWO_STATUS_BYTES
         return ReplyForm(setup_bytes=7, status_bytes=2 if two_bytes else 1, calibration_blocks=6)
 
     def layout(self, channels: Iterable[int]) -> Layout:
-        """Return the layout of its data packets, channels in the order of an inquiry."""
+        """Return the layout of its data packets from the channels of an inquiry."""
         return Layout(channels, is_3r=self.hardware == SHIMMER3R)
 
     def _is_log_and_stream(self, first: tuple[int, int, int]) -> bool:
@@ -334,14 +334,14 @@ class Kind:
 
 
 async def identify(talk: Conversation, name: str) -> Kind:
-    """Ask what the device is, and switch on what makes its messages safe.
+    """Identify the device, and enable checksums and unambiguous status messages.
 
     Raises
     ------
     ProtocolError
-        ``UNSUPPORTED``, or as :meth:`Conversation.ask`.
+        ``UNSUPPORTED``, or as for :meth:`Conversation.ask`.
     TransportError
-        As :meth:`Conversation.ask`.
+        As for :meth:`Conversation.ask`.
     """
     hardware = await talk.ask(commands.GET_HARDWARE, Hardware)
     firmware = await talk.ask(commands.GET_FIRMWARE, Firmware)
@@ -358,7 +358,7 @@ async def identify(talk: Conversation, name: str) -> Kind:
 
 
 def _unsupported(kind: Kind) -> str:
-    """Say why the driver cannot use a device, and what to do; empty if it can."""
+    """Return why a device is not supported and what to do; empty if it is."""
     firmware = kind.firmware
     first = {
         FirmwareKind.LOG_AND_STREAM.value: _FIRST_LOG_AND_STREAM,
@@ -375,17 +375,17 @@ _log = structlog.get_logger("biosensor_gateway.shimmer")
 
 
 async def ask_for_the_state(talk: Conversation, kind: Kind) -> dict[str, str]:
-    """Ask for status and battery, which whoever listens notes.
+    """Query status and battery; the listener processes the answers.
 
     Returns
     -------
     dict of str to str
-        By data name, why the device does not tell.
+        Why the device does not report them, by data name.
 
     Raises
     ------
     ProtocolError, TransportError
-        As :meth:`Conversation.ask`, but that the battery may be refused.
+        As for :meth:`Conversation.ask`, except that the battery may be refused.
     """
     if kind.has_status:
         await talk.ask(commands.GET_STATUS, Status)
@@ -399,12 +399,12 @@ async def ask_for_the_state(talk: Conversation, kind: Kind) -> dict[str, str]:
 
 
 async def expansion_board(talk: Conversation, name: str) -> int | None:
-    """Return the number of the expansion board; None if the device does not tell.
+    """Return the number of the expansion board; None if unknown.
 
     Raises
     ------
     TransportError
-        As :meth:`Conversation.ask`.
+        As for :meth:`Conversation.ask`.
     """
     try:
         card = await talk.ask(commands.GET_DAUGHTER_CARD, DaughterCard)
@@ -417,21 +417,21 @@ async def expansion_board(talk: Conversation, name: str) -> int | None:
 async def make_right(
     talk: Conversation, changes_to: Callable[[Inquiry], Mapping[str, bytes]], name: str
 ) -> Inquiry:
-    """Change what an inquiry shows to be wrong; return how the device is set up then.
+    """Change wrong settings found by an inquiry; return the new setup.
 
     Parameters
     ----------
     changes_to
-        Returns the commands that are needed, by what they set.
+        Returns the necessary commands by the setting that they change.
     name
-        What error messages call the device.
+        Name of the device in error messages.
 
     Raises
     ------
     ProtocolError
-        ``REFUSED`` if it does not take a setting, or as :meth:`Conversation.ask`.
+        ``REFUSED`` if it does not accept a setting, or as for :meth:`Conversation.ask`.
     TransportError
-        As :meth:`Conversation.ask`.
+        As for :meth:`Conversation.ask`.
     """
     present = await talk.ask(commands.INQUIRY, Inquiry)
     changes = changes_to(present)
@@ -444,12 +444,12 @@ async def make_right(
 
 
 def refuse_if_left(changes: Mapping[str, bytes], name: str) -> None:
-    """Say what the device did not take.
+    """Raise an error for settings that the device did not accept.
 
     Raises
     ------
     ProtocolError
-        ``REFUSED`` if anything is left to be changed.
+        ``REFUSED`` if any changes are left.
     """
     if changes:
         message = f"{name}: the device did not take {', '.join(changes)}; switch it off and on"

@@ -1,4 +1,4 @@
-"""Turns what a Shimmer measures into samples of the declared streams."""
+"""Converts a Shimmer's measurements to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ QUALITY_PERIOD_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """How a device was set up to measure.
+    """The setup of a device.
 
     Attributes
     ----------
     layout
-        Order of the channels in a packet.
+        Layout of the channels in a packet.
     divisor
-        The sampling rate is 32768 Hz divided by it.
+        The sample rate is 32768 Hz divided by it.
     signals
-        What a packet has samples of.
+        Streams in a packet.
     status_at
-        Where the status of both ExG chips is; None if they do not tell of electrodes, so that
-        there is no ``quality``.
+        Positions of the status of both ExG chips; None without lead-off detection, so there is no
+        ``quality``.
     denied
-        By data name, what the device refuses and why.
+        What the device refuses and why, by data name.
     """
 
     layout: Layout
@@ -44,25 +44,25 @@ class Measurement:
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate."""
+        """Sample rate."""
         return TICKS_PER_S / self.divisor
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """Data names of what a packet has samples of."""
+        """Data names of the streams in a packet."""
         return tuple(signal.data_name for signal in self.signals)
 
 
 @dataclass(slots=True)
 class _Told:
-    """What was last told of the electrodes, and when on the device's clock."""
+    """The last emitted electrode state, and its device time."""
 
     quality: tuple[float, ...] | None = field(default=None)
     time_s: float = 0.0
 
 
 class ShimmerEmitter(PacketEmitter):
-    """Turns packets into samples; one instance a device, over all its connections."""
+    """Converts packets to samples; one instance per device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         super().__init__(sink, "shimmer")

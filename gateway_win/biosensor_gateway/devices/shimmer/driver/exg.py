@@ -1,9 +1,9 @@
-"""The two ExG chips (ADS1292R): their registers, their scale, and electrodes that came off.
+"""The two ExG chips (ADS1292R): registers, scale, and lead-off detection.
 
-Registers are those of Texas Instruments' data sheet SBAS502; which electrode is at which input
-and the usual settings for ECG and EMG are those of Shimmer's manuals and APIs. The status byte
-is the firmware's: 1, two zeros, and from the highest bit RLD, IN2N, IN2P, IN1N, IN1P, each 1
-while that input is off.
+Registers are as in Texas Instruments' data sheet SBAS502; the assignment of electrodes and the
+usual settings for ECG and EMG are from Shimmer's manuals and APIs. The firmware's status byte
+consists of 1, two zeros, and then from the highest bit RLD, IN2N, IN2P, IN1N, IN1P, each 1 while
+that lead is off.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ _CONFIG1, _CONFIG2, _LOFF, _CH1SET, _CH2SET, _RLD_SENS, _LOFF_SENS = range(7)
 
 _REFERENCE_UV = 2.42e6
 _FULL_SCALE = {24: (1 << 23) - 1, 16: (1 << 15) - 1}
-# Of the 24 bits the firmware takes the 16 below the highest, which doubles the gain.
+# For 16 bits, the firmware takes the bits below the highest of the 24, which doubles the gain.
 _FIRMWARE_GAIN = {24: 1, 16: 2}
 _GAINS = {0: 6, 1: 1, 2: 2, 3: 3, 4: 4, 5: 8, 6: 12}
 _GAIN_SHIFT, _GAIN_MASK, _INPUT_MASK = 4, 0x7, 0xF
 _TEST_SIGNAL, _CHANNEL_3 = 0x5, 0x9
 _COMPARATORS_ON = 0x40
 _CLOCK_OUT = 0x08
-"""The firmware sets it by itself in chip 1, on boards whose chips share a clock."""
+"""Set by the firmware itself in chip 1, on boards where both chips share a clock."""
 _SLOWEST_HZ, _FASTEST_SETTING = 125.0, 6
 
 _ECG = (bytes.fromhex("00a010 40402d 0000 0203"), bytes.fromhex("00a010 404700 0000 0201"))
 _EMG = (bytes.fromhex("00a010 696020 0000 0203"), bytes.fromhex("00a010 e1e100 0000 0201"))
-# 22 nA, and an input is off above 90 % or below 10 % of the supply.
+# Lead-off current 22 nA; an input is off above 90 % or below 10 % of the supply.
 _DIRECT_CURRENT = 0x54
 _RLD_SENSED = 0x10
 _SENSED_INPUTS = (0x07, 0x04)
 
 
 class Use(StrEnum):
-    """What the chips are set up for; the values are data names."""
+    """Use of the chips; the values are data names."""
 
     ECG = "ecg"
     EMG = "emg"
@@ -50,18 +50,18 @@ DEFAULT_GAIN = {Use.ECG: 4, Use.EMG: 12}
 GAINS = tuple(sorted(_GAINS.values()))
 
 Registers = tuple[bytes, bytes]
-"""Ten of each chip."""
+"""Ten registers of each chip."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exg:
-    """How both chips are set up."""
+    """The setup of both chips."""
 
     registers: Registers
 
     @property
     def use(self) -> Use:
-        """EMG if the first channel of chip 1 has the inputs of channel 3, else ECG."""
+        """EMG if the first channel of chip 1 is routed to channel 3, else ECG."""
         is_emg = self.registers[0][_CH1SET] & _INPUT_MASK == _CHANNEL_3
         return Use.EMG if is_emg else Use.ECG
 
@@ -72,7 +72,7 @@ class Exg:
 
     @property
     def detects_lead_off(self) -> bool:
-        """Whether the chips tell of electrodes that came off."""
+        """Whether lead-off detection is on."""
         return bool(self.registers[0][_CONFIG2] & _COMPARATORS_ON)
 
     def gain(self, chip: int, channel: int) -> int:
@@ -89,9 +89,9 @@ def registers_for(use: Use, gain: int, rate_hz: float, *, lead_off: bool) -> Reg
     gain
         One of `GAINS`.
     rate_hz
-        Of the device; the chips are set to the next faster rate.
+        Sample rate of the device; the chips are set to the next higher rate.
     lead_off
-        Whether electrodes that came off are detected, with direct current; of the ECG alone.
+        Whether to detect loose electrodes with direct current; only for ECG.
     """
     made = [bytearray(each) for each in (_ECG if use is Use.ECG else _EMG)]
     code = next(code for code, value in _GAINS.items() if value == gain)
@@ -109,7 +109,7 @@ def registers_for(use: Use, gain: int, rate_hz: float, *, lead_off: bool) -> Reg
 
 
 def are_same(present: bytes, wanted: bytes) -> bool:
-    """Tell whether a chip is set up as wanted, but for what the firmware decides itself."""
+    """Whether a chip is set up as wanted, ignoring what the firmware sets itself."""
     without = bytearray(present)
     if len(without) > _CONFIG2:
         without[_CONFIG2] &= ~_CLOCK_OUT
@@ -124,7 +124,7 @@ def microvolts(raw: ArrayLike, gain: int, bits: int) -> Floats:
     raw
         Signed values of a channel.
     gain
-        Of the chip's amplifier.
+        Gain of the chip's amplifier.
     bits
         16 or 24, as sent.
     """
@@ -133,7 +133,7 @@ def microvolts(raw: ArrayLike, gain: int, bits: int) -> Floats:
 
 
 def electrodes_on(status_1: int, status_2: int) -> tuple[float, float, float, float]:
-    """Return whether RA, LA, LL and V1 are on the skin, 1 or 0, from both chips' status."""
+    """Return from both chips' status whether RA, LA, LL and V1 are on the skin, 1 or 0."""
     off = status_1 >> 1 & 1, status_1 >> 2 & 1, status_1 & 1, status_2 >> 2 & 1
     right_arm, left_arm, left_leg, chest = (float(not each) for each in off)
     return right_arm, left_arm, left_leg, chest

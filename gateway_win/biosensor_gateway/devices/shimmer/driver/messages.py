@@ -1,6 +1,6 @@
-"""A Shimmer's messages as records, and its answers: how long each is, and what it says.
+"""A Shimmer's messages as records, and parsing of its answers.
 
-Layouts from the firmware's sources (log-and-stream-common); integers are little-endian.
+Layouts are from the firmware's sources (log-and-stream-common); integers are little-endian.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """A command was carried out; which one, only the order tells."""
+    """A command was executed; only the order shows which one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Packet:
     ticks
         Low 24 bits of the device's counter of 1/32768 s.
     values
-        Raw, in the order of the inquiry.
+        Raw values in the order of the inquiry.
     """
 
     ticks: int
@@ -53,13 +53,13 @@ class StatusFlag(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """State of the device, asked for or told by itself."""
+    """State of the device, requested or not."""
 
     flags: StatusFlag
 
 
 class Charging(IntEnum):
-    """What the charger of a docked device says."""
+    """Charger state of a docked device."""
 
     SUSPENDED = 0xC0
     CHARGING = 0x80
@@ -71,7 +71,7 @@ class Charging(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class BatteryReading:
-    """Battery voltage as the ADC sees it, and the charger's byte; see :class:`Charging`."""
+    """Battery voltage in ADC counts, and the charger's byte; see :class:`Charging`."""
 
     adc: int
     charger: int
@@ -120,7 +120,7 @@ class GsrRange:
 
 @dataclass(frozen=True, slots=True)
 class ExpansionPower:
-    """Whether the optical probe has power."""
+    """Whether the optical probe is powered."""
 
     on: bool
 
@@ -150,7 +150,7 @@ class PressureChip(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class PressureCoefficients:
-    """Which pressure sensor it is (see `PressureChip`), and the coefficients in its memory."""
+    """Type of the pressure sensor (see `PressureChip`) and its coefficients."""
 
     chip: int
     data: bytes
@@ -158,16 +158,16 @@ class PressureCoefficients:
 
 @dataclass(frozen=True, slots=True)
 class Inquiry:
-    """How the device is set up.
+    """The setup of the device.
 
     Attributes
     ----------
     divisor
-        The sampling rate is 32768 Hz divided by it.
+        The sample rate is 32768 Hz divided by it.
     setup
-        Configuration bytes, 4 of a Shimmer3 and 7 of a Shimmer3R.
+        Configuration bytes: 4 for a Shimmer3 and 7 for a Shimmer3R.
     channels
-        Ids of the channels in the order of a data packet.
+        Channel ids in the order of a data packet.
     """
 
     divisor: int
@@ -176,12 +176,12 @@ class Inquiry:
 
     @property
     def expansion_power(self) -> bool:
-        """Whether the optical probe has power."""
+        """Whether the optical probe is powered."""
         return bool(self.setup[3] & 1)
 
     @property
     def pressure_oversampling(self) -> int:
-        """Setting of the pressure sensor, 0 to 3; its highest bits on a Shimmer3R are elsewhere."""
+        """Oversampling setting, 0 to 3; on a Shimmer3R its highest bits are stored elsewhere."""
         return self.setup[3] >> 4 & 3
 
     @property
@@ -205,19 +205,19 @@ Reply = (
     | PressureCoefficients
     | Inquiry
 )
-"""What may answer a command; a status also comes unasked."""
+"""Possible answers to a command; a status may also be unrequested."""
 Message = Packet | Reply
 
 
 class Stamped(NamedTuple):
-    """A message and when its last byte arrived, in seconds of the LSL clock."""
+    """A message with the arrival of its last byte, in seconds of the LSL clock."""
 
     message: Message
     arrival_s: float
 
 
 IN_STREAM = 0x8A
-"""Begins what may also come between data packets."""
+"""First byte of messages that may also come between data packets."""
 MAX_CHANNELS = 48
 _MAX_CARD_BYTES = 16
 
@@ -234,7 +234,7 @@ _FIXED_SIZES = {
     _BMP280: 25,
 }
 BLOCK_BYTES = 21
-"""Of the calibration of one motion sensor."""
+"""Size of the calibration of one motion sensor."""
 _MAX_EXG_BYTES = 10
 _MAX_PRESSURE_BYTES = 1 + 24
 _MOST_BYTES = {
@@ -242,14 +242,14 @@ _MOST_BYTES = {
     _EXG_REGISTERS: _MAX_EXG_BYTES,
     _PRESSURE: _MAX_PRESSURE_BYTES,
 }
-"""Of answers that tell how long they are."""
+"""Answers that contain their own length."""
 _BATTERY_SIZE = 5
 _FIRMWARE_BODY = struct.Struct("<HHBB")
 
 
 @dataclass(frozen=True, slots=True)
 class ReplyForm:
-    """What differs between devices.
+    """Formats that differ between devices.
 
     Attributes
     ----------
@@ -258,7 +258,8 @@ class ReplyForm:
     status_bytes
         2 on a Shimmer3R from firmware 1.0.24 on.
     calibration_blocks
-        Calibrated motion sensors: 6 on a Shimmer3R; 0 while nobody asks for calibrations.
+        Number of calibrated motion sensors: 6 on a Shimmer3R; 0 while calibrations are not
+        queried.
     """
 
     setup_bytes: int = 4
@@ -267,13 +268,13 @@ class ReplyForm:
 
 
 def reply_size(buffer: Sequence[int], start: int, form: ReplyForm) -> int | None:
-    """Return the size of the answer whose code is at ``start``.
+    """Return the size of the answer with its code at ``start``.
 
     Returns
     -------
     int or None
-        0 if no known answer begins there; None if more bytes must come to tell.
-        The answer itself need not be complete.
+        0 if no known answer begins there; None if more bytes are needed. The answer itself may be
+        incomplete.
     """
     code = buffer[start]
     if code in _FIXED_SIZES:
@@ -298,12 +299,12 @@ def _counted(buffer: Sequence[int], count_at: int, most: int, others: int) -> in
 
 
 def decode_reply(data: bytes, form: ReplyForm) -> Reply:
-    """Turn a whole answer, from its code on, into a record.
+    """Decode a complete answer, starting at its code.
 
     Parameters
     ----------
     data
-        As many bytes as `reply_size` says.
+        As many bytes as `reply_size` returns.
     """
     if data[0] == IN_STREAM:
         return _status(data) if data[1] == _STATUS else _battery(data)

@@ -1,4 +1,4 @@
-"""Times of packets and charge of the battery, for the emitters of all Shimmers."""
+"""Packet times and battery level, for the emitters of all Shimmers."""
 
 from __future__ import annotations
 
@@ -32,37 +32,37 @@ _PERCENT = (
 
 
 def battery_volts(adc: int) -> float:
-    """Return the battery's voltage; it is measured behind a divider."""
+    """Return the battery voltage, which is measured through a voltage divider."""
     return adc * ADC_VOLTS / ADC_MAX * _DIVIDER
 
 
 def percent(volts: float) -> float:
-    """Return the charge in percent, linear between the vendor's points and 0 to 100."""
+    """Return the battery level, interpolated between the vendor's points, 0 to 100."""
     return float(np.interp(volts, _VOLTS, _PERCENT))
 
 
 def charge_percent(reading: BatteryReading) -> float | None:
-    """Return the charge in percent; None while the charger is testing the battery."""
+    """Return the battery level in percent; None while the charger tests the battery."""
     volts = battery_volts(reading.adc)
     return percent(volts) if volts <= _CHARGER_CHECKS_ABOVE_VOLTS else None
 
 
 SURVIVED_AGREE_S = 1.0
-"""A counter that a new connection finds this near to where it should be was not restarted.
-One that was restarted is that near by chance in one case of 256."""
+"""Tolerance within which the counter of a new connection counts as not restarted. A restarted
+counter is within it by chance in one of 256 cases."""
 
 
 class Placed(NamedTuple):
-    """A packet's place in time.
+    """The time of a packet.
 
     Attributes
     ----------
     time_s
         Device time.
     lost
-        Samples lost right before it.
+        Number of samples lost right before it.
     restarted
-        The counter was restarted: earlier times say nothing about later ones.
+        Whether the counter was restarted, so earlier times are unrelated to later ones.
     """
 
     time_s: float
@@ -71,10 +71,10 @@ class Placed(NamedTuple):
 
 
 class TickTimeline:
-    """Follows the counter of one device, over roll-overs, gaps and connections.
+    """Unwraps the counter of one device, over overflows, gaps and connections.
 
-    The counter turns every 512 s. How often it turned in a gap is told by the times of
-    arrival, so that a gap may have any length.
+    The counter overflows every 512 s. Arrival times show how often it did so in a gap, so a gap
+    may have any length.
     """
 
     def __init__(self) -> None:
@@ -84,19 +84,19 @@ class TickTimeline:
         self._is_new_connection = True
 
     def started(self, divisor: int) -> None:
-        """Streaming was started at 32768 Hz / ``divisor``."""
+        """Expect packets at 32768 Hz / ``divisor``."""
         self._divisor = divisor
         self._is_new_connection = True
 
     def place(self, ticks: int, arrival_s: float) -> Placed | None:
-        """Place the next packet; None for one that came before.
+        """Return the time of the next packet; None for a repeated one.
 
         Parameters
         ----------
         ticks
             Its timestamp, 0 to 2**24 - 1.
         arrival_s
-            LSL clock at its arrival.
+            LSL time of arrival.
         """
         expected = (arrival_s - self._arrival_s) * TICKS_PER_S
         step = self._ticks.steps(ticks, expected, None)
@@ -104,7 +104,8 @@ class TickTimeline:
             return None
         lost, restarted = (0, False) if step is None else self._judged(step, expected)
         if restarted:
-            # Time goes on, so that no sample seems older than those before it.
+            # Times continue after the restart, so that no sample seems older than the previous
+            # ones.
             least = max(self._divisor, round(expected))
             self._ticks.place(ticks, least, least)
         else:
@@ -114,10 +115,10 @@ class TickTimeline:
         return Placed((self._ticks.newest or 0) / TICKS_PER_S, lost, restarted)
 
     def _judged(self, step: int, expected: float) -> tuple[int, bool]:
-        """Return how many samples are missing, and whether the counter was restarted."""
+        """Return the number of missing samples, and whether the counter was restarted."""
         agree_s = SURVIVED_AGREE_S if self._is_new_connection else LONGEST_DELAY_S
         restarted = step <= 0 or abs(step - expected) > agree_s * TICKS_PER_S
-        # A device that was started again has measured nothing in between.
+        # A restarted device has not measured in between.
         is_counted = not restarted and not self._is_new_connection
         return max(0, round(step / self._divisor) - 1) if is_counted else 0, restarted
 
@@ -130,7 +131,7 @@ class Batch(NamedTuple):
     rows
         Raw values of each packet, in packet order.
     times
-        Device time of each [s].
+        Device time of each packet [s].
     """
 
     rows: Sequence[tuple[int, ...]]
@@ -138,12 +139,12 @@ class Batch(NamedTuple):
 
 
 class PacketEmitter(ABC):
-    """Follows one device's packets over all its connections; a subclass emits their samples.
+    """Assigns times to a device's packets, over all connections; subclasses emit the samples.
 
     Parameters
     ----------
     name
-        Of the sensor, for the log.
+        Name of the sensor, for the log.
     """
 
     def __init__(self, sink: Sink, name: str) -> None:
@@ -157,7 +158,7 @@ class PacketEmitter(ABC):
 
     @abstractmethod
     def _emit(self, batch: Batch) -> None:
-        """Emit the samples of a read; the clock has been told of them."""
+        """Emit the samples of a read, after the device's clock was updated."""
 
     def _expect(self, divisor: int, streams: Sequence[str]) -> None:
         """Prepare for packets of a new connection.
@@ -167,21 +168,21 @@ class PacketEmitter(ABC):
         divisor
             The sampling rate is 32768 Hz divided by it.
         streams
-            Data names of what each packet has a sample of.
+            Data names of the streams in each packet.
         """
         self._divisor, self._streams = divisor, streams
         self._timeline.started(divisor)
 
     def kept_measuring_until(self, lsl_s: float) -> None:
-        """Note that the device went on measuring, as far as one knows, and was not heard.
+        """Note until when the device probably measured without being received.
 
-        What it measured since its last packet is counted as lost, by an estimate, once
-        the next packet shows that it was not switched off meanwhile.
+        Samples since its last packet are counted as lost, by an estimate, when the next packet
+        shows that it was not switched off.
 
         Parameters
         ----------
         lsl_s
-            LSL clock when it was given up or stopped.
+            LSL time when the connection was given up or the device was stopped.
         """
         self._measured_until_s = lsl_s
 
@@ -205,7 +206,7 @@ class PacketEmitter(ABC):
         self._pass_on(batch)
 
     def battery(self, reading: BatteryReading, arrival_s: float) -> None:
-        """Emit a battery reading as ``bat``; it has no time but its arrival's."""
+        """Emit a battery reading as ``bat``, with its arrival time."""
         level = charge_percent(reading)
         if level is not None:
             self._sink.emit_at("bat", [level], [arrival_s])

@@ -1,6 +1,6 @@
-"""Bytes of a Shimmer in, messages out; no I/O and no clock.
+"""Decodes a Shimmer's bytes to messages; no I/O and no clock.
 
-Every message from the device begins with a byte that tells its kind::
+Every message from the device begins with a byte for its kind::
 
     FF          a command was carried out (ACK)
     FF rsp ...  ... and this is the answer
@@ -8,8 +8,8 @@ Every message from the device begins with a byte that tells its kind::
     00 ...      data packet, while streaming
     8A ...      status or battery, asked for or not, also while streaming
 
-With checksums (see `checksum`), each of them ends in one. Before an unasked status older
-firmware puts an ACK, which acknowledges nothing: ``FF 8A 71`` is never a bare ACK.
+With checksums (see `checksum`), each message ends with one. Older firmware sends an ACK before an
+unrequested status, which acknowledges nothing: ``FF 8A 71`` is never a bare ACK.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
 
 TICK_MODULUS = 1 << 24
 MAX_STEP_TICKS = 1 << 16
-"""Two seconds: a packet that is further ahead is believed only with its successor."""
+"""Two seconds: a packet further ahead is only accepted together with its successor."""
 
 _DATA, _NACK, _ACK = 0x00, 0xFE, 0xFF
 _HEADS = frozenset({_DATA, _NACK, _ACK, IN_STREAM})
@@ -44,19 +44,18 @@ _SLICE = 4096
 class ShimmerProtocol:
     """Incremental decoder of one connection's bytes.
 
-    ``feed`` never raises, whatever the bytes; what it cannot use is counted. Without
-    full checksums a data packet is believed only if its timestamp follows the one
-    before by a number of periods, and without any also if another message seems to
-    begin behind it.
+    ``feed`` never raises, whatever the bytes; unusable bytes are counted. Without full checksums,
+    a data packet is only accepted if its timestamp is a whole number of periods after the previous
+    one; without any checksum, another message must also seem to follow.
 
     Attributes
     ----------
     crc
-        Checksum that the device appends now.
+        Current checksum mode of the device.
     form
-        Sizes that depend on the kind of device.
+        Formats that depend on the kind of device.
     dropped_bytes
-        Bytes that belonged to no valid message.
+        Number of bytes outside of valid messages.
     """
 
     def __init__(self) -> None:
@@ -73,36 +72,36 @@ class ShimmerProtocol:
 
     @property
     def buffered(self) -> int:
-        """Bytes held back as the possible start of a message."""
+        """Number of bytes held back as a possible start of a message."""
         return len(self._buffer)
 
     @property
     def undecided(self) -> bool:
-        """Whether `settle` might make a message of what is buffered."""
+        """Whether `settle` might find a message in the buffer."""
         return bool(self._buffer) and not self._settled
 
     def expect_data(self, layout: Layout, divisor: int) -> None:
-        """Take data packets from now on; call it before streaming is started.
+        """Accept data packets from now on; call this before streaming is started.
 
         Parameters
         ----------
         layout
-            Of a packet.
+            Layout of a packet.
         divisor
             Ticks between two packets.
         """
         self._layout, self._divisor = layout, divisor
         self._newest_ticks = None
-        # Without checksums, two damaged bytes would hide as many packets as it is long.
+        # Without checksums, two damaged bytes could look like a long calibration and hide packets.
         self.form = replace(self.form, calibration_blocks=0)
 
     def feed(self, data: bytes, arrival_s: float) -> list[Stamped]:
-        """Take the next bytes, in pieces of any size; return the messages that they complete.
+        """Add bytes in pieces of any size; return the messages that they complete.
 
         Parameters
         ----------
         arrival_s
-            LSL clock when they arrived; handed back with the messages that end in them.
+            LSL time of arrival; returned with the messages that end in these bytes.
         """
         found: list[Stamped] = []
         self._settled = False
@@ -113,14 +112,14 @@ class ShimmerProtocol:
         return found
 
     def settle(self) -> list[Stamped]:
-        """Nothing followed for a while: what could have been the beginning of more is complete."""
+        """After a pause, take a possible start of a longer message as complete."""
         found: list[Stamped] = []
         self._settled = True
         self._scan(found)
         return found
 
     def give_up(self) -> list[Stamped]:
-        """Stop waiting for the rest of a message; return what was hidden behind its first byte."""
+        """Stop waiting for the rest of a message; return messages found after its first byte."""
         found: list[Stamped] = []
         while self._buffer:
             self._drop(1)
@@ -156,7 +155,7 @@ class ShimmerProtocol:
         return next(arrival_s for until, arrival_s in self._arrivals if until >= end)
 
     def _message_size(self, start: int) -> int | None:
-        """Size of the valid message at *start*: 0 if there is none, None if more must come."""
+        """Return the size of the message at *start*: 0 if there is none, None if incomplete."""
         body = self._body_size(start)
         if not body:
             return body
@@ -186,7 +185,7 @@ class ShimmerProtocol:
         return None if answer is None else 1 + answer
 
     def _is_believed(self, packet: bytes, end: int) -> bool | None:
-        """Tell whether a data packet is one; None if what follows must tell."""
+        """Whether a data packet is valid; None if that depends on the following bytes."""
         if self.crc is CrcMode.FULL:
             return True
         ticks = _ticks(packet)
@@ -199,7 +198,7 @@ class ShimmerProtocol:
         return self._buffer[end] in _HEADS
 
     def _is_followed(self, ticks: int, end: int) -> bool | None:
-        """Tell whether the packet behind goes on with the ticks of this one."""
+        """Whether the next packet's timestamp follows this one; None if incomplete."""
         behind = self._buffer[end : end + _STAMP_SIZE]
         if behind and behind[0] != _DATA:
             return False

@@ -1,4 +1,4 @@
-"""Makes streams of channels, and turns their values into units."""
+"""Assigns channels to streams, and converts their values to units."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, microvolts
 from biosensor_gateway.devices.shimmer.driver.messages import PressureChip, PressureCoefficients
 
 Compensation = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""From raw temperature and raw pressure to pressure [Pa] and temperature [degrees Celsius]."""
+"""Converts raw temperature and raw pressure to pressure [Pa] and temperature [Celsius]."""
 
 _DUMMY = b"\x01"
-"""Firmware fills the coefficients of a chip that it has not with it."""
+"""Firmware fills the coefficients of a missing chip with this byte."""
 
 
 class Sensor(NamedTuple):
@@ -33,9 +33,9 @@ class Sensor(NamedTuple):
     Attributes
     ----------
     mask
-        Its bits of the sensor mask.
+        Its bits in the sensor mask.
     channels
-        What it adds to each packet.
+        Its channels in each packet.
     """
 
     mask: int
@@ -43,18 +43,18 @@ class Sensor(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A motion sensor of three axes.
+    """A three-axis motion sensor.
 
     Attributes
     ----------
     mask
-        Its bit of the sensor mask.
+        Its bit in the sensor mask.
     axes
         Channels of X, Y, Z.
     block
-        Where its calibration is.
+        Index of its calibration.
     units
-        How many of the calibration's units are one of the stream's.
+        Number of calibration units per unit of the stream.
     """
 
     mask: int
@@ -92,16 +92,16 @@ _EXG = {
 }
 _EXG_MASKS = {24: (0x000010, 0x000008), 16: (0x100000, 0x080000)}
 SENSORS = (*MOTION, "pressure", *Use)
-"""What can be switched on, by the data name of its (first) stream."""
+"""Names of the sensors, which are the data names of their (first) streams."""
 
 
 def sensor(name: str, bits: int) -> Sensor:
-    """Return a sensor of `SENSORS`; an ExG of so many bits, 16 or 24."""
+    """Return a sensor of `SENSORS`, an ExG with 16 or 24 bits."""
     if name in MOTION:
         return Sensor(MOTION[name].mask, frozenset(MOTION[name].axes))
     if name == "pressure":
         return Sensor(0x040000, frozenset(_AIR))
-    # EMG needs one of the two chips.
+    # EMG only needs one of the two chips.
     chips = 2 if name == Use.ECG else 1
     on = [each for chip in _EXG[bits][:chips] for each in chip]
     return Sensor(sum(_EXG_MASKS[bits][:chips]), frozenset(on))
@@ -109,14 +109,14 @@ def sensor(name: str, bits: int) -> Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A stream that a packet has a sample of.
+    """A stream with a sample in each packet.
 
     Attributes
     ----------
     at
-        Where its channels are within a packet.
+        Positions of its channels in a packet.
     convert
-        Turns their values, shape (n, channels), into samples of the stream.
+        Converts their values, shape (n, channels), to samples of the stream.
     """
 
     data_name: str
@@ -125,22 +125,22 @@ class Signal:
 
 
 def motion_on(layout: Layout) -> list[str]:
-    """Return the motion sensors of which packets have values, by data name."""
+    """Return the data names of the motion sensors in packets."""
     return [name for name, each in MOTION.items() if set(each.axes) <= set(layout.channels)]
 
 
 def has_air(layout: Layout) -> bool:
-    """Whether packets have pressure and temperature."""
+    """Whether packets contain pressure and temperature."""
     return set(_AIR) <= set(layout.channels)
 
 
 def has_exg(layout: Layout) -> bool:
-    """Whether packets have values of the first ExG chip."""
+    """Whether packets contain values of the first ExG chip."""
     return _bits(layout, chip=0) is not None
 
 
 def motion_signals(layout: Layout, calibrations: Iterable[tuple[str, Kinematic]]) -> list[Signal]:
-    """Return the streams of motion sensors with their calibrations, by data name."""
+    """Return the streams of motion sensors with these calibrations."""
 
     def convert(calibration: Kinematic, units: float, raw: Floats) -> Floats:
         return calibration.apply(raw) / units
@@ -162,7 +162,7 @@ def air_signals(layout: Layout, compensate: Compensation) -> list[Signal]:
 
 
 def exg_signal(layout: Layout, exg: Exg) -> Signal:
-    """Return the stream of the ExG chips; leads of a chip that is off have no value."""
+    """Return the stream of the ExG chips; leads of a disabled chip are NaN."""
     leads = [(0, 1), (0, 2)] if exg.use is Use.EMG else [(0, 1), (0, 2), (1, 2)]
     scales: list[float] = []
     at: list[int] = []
@@ -175,7 +175,7 @@ def exg_signal(layout: Layout, exg: Exg) -> Signal:
 
 
 def status_places(layout: Layout) -> tuple[int, int] | None:
-    """Return where the status of both chips is; None if one of them is off."""
+    """Return the positions of both chips' status; None if one chip is off."""
     wanted = (Channel.EXG1_STATUS, Channel.EXG2_STATUS)
     if not set(wanted) <= set(layout.channels):
         return None
@@ -195,12 +195,12 @@ def _places(layout: Layout, channels: Sequence[Channel]) -> tuple[int, ...]:
 
 
 def are_real(coefficients: PressureCoefficients) -> bool:
-    """Tell whether coefficients are those of a chip, and not the filling for none."""
+    """Whether coefficients belong to a chip and are not filler bytes."""
     return set(coefficients.data) not in ({_DUMMY[0]}, {0x00}, {0xFF})
 
 
 def compensation(coefficients: PressureCoefficients, oversampling: int) -> Compensation | None:
-    """Return the compensation of a chip; None for one that is not known.
+    """Return the compensation of a chip; None if the chip is unknown.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _bmp180(data: bytes, oversampling: int) -> Compensation:
     ac1, ac2, ac3, ac4, ac5, ac6, b1, b2, _, mc, md = _BMP180.unpack(data)
 
     def compensate(raw_t: Floats, raw_p: Floats) -> tuple[Floats, Floats]:
-        # The firmware sends three registers; the last bits are below what is measured.
+        # The firmware sends three registers, whose lowest bits are beyond the resolution.
         raw_p = raw_p / 2.0 ** (8 - oversampling)
         x1 = (raw_t - ac6) * ac5 / 2**15
         b5 = x1 + mc * 2**11 / (x1 + md)
@@ -250,8 +250,8 @@ def _bmp280(data: bytes) -> Compensation:
     t1, t2, t3, p1, p2, p3, p4, p5, p6, p7, p8, p9 = _BMP280.unpack(data)
 
     def compensate(raw_t: Floats, raw_p: Floats) -> tuple[Floats, Floats]:
-        # Of the chip's 20 bits the firmware sends the upper 16 of the temperature, and the
-        # pressure with the four bits that follow.
+        # The chip has 20 bits. The firmware sends the upper 16 bits of the temperature, and 24
+        # bits of the pressure including the four bits after it.
         raw_t, raw_p = raw_t * 16, raw_p / 16
         fine = (raw_t / 16384 - t1 / 1024) * t2 + (raw_t / 131072 - t1 / 8192) ** 2 * t3
         v1 = fine / 2 - 64000
@@ -284,6 +284,6 @@ def _bmp390(data: bytes) -> Compensation:
 
 
 def _bmp581(raw_t: Floats, raw_p: Floats) -> tuple[Floats, Floats]:
-    # Two's complement of 24 bits, of which the firmware makes an unsigned number.
+    # 24-bit two's complement, which the firmware sends as an unsigned number.
     signed_t = np.where(raw_t >= 1 << 23, raw_t - (1 << 24), raw_t)
     return raw_p / 64, signed_t / 65536

@@ -98,7 +98,7 @@ _OLDER_MAG = MotionSensor(
     *("mag", MAG, (9.0, -70.0, 31.0), (561.0, 570.0, 498.0)),
     ((-1, 0, 0), (0, 1, 0), (0.02, 0, -1)),
 )
-# It was never calibrated: what its chip's maker says of 2 g.
+# Not calibrated: typical values of the chip for 2 g.
 _OLDER_WR = MotionSensor(
     *("acc_wide_range", WR_ACCEL, (0.0, 0.0, 0.0), (1631.0, 1631.0, 1631.0)),
     ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
@@ -106,26 +106,26 @@ _OLDER_WR = MotionSensor(
 )
 
 EXPECTED = Expected(
-    # It is told again every ten seconds.
+    # The agent repeats it every ten seconds.
     by_agent=frozenset({"quality"}),
     impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
-    # The battery: what it measures is set before it is asked for.
+    # Only the battery can be denied: measurements are set up before they are requested.
     deniable=1,
     gaps={
-        # Firmware stops streaming with the end of the link.
+        # The firmware stops streaming when the link is lost.
         FaultKind.DROP: Gap.STOPPED,
         FaultKind.REFUSE: Gap.STOPPED,
         FaultKind.LATE: Gap.STOPPED,
         FaultKind.RESTART: Gap.STOPPED,
-        # Its radio link stayed: it stops only when the host closes the port, in silence.
+        # The radio link stays, so it only stops, silently, when the host closes the port.
         FaultKind.STALL: Gap.UNKNOWN,
-        # It answers and sends nothing: whether it measures, nobody knows.
+        # It answers but sends no data, so whether it measures is unknown.
         FaultKind.FORGET: Gap.UNKNOWN,
-        # It is started again meanwhile, and nobody can read since when it measures.
+        # It is restarted meanwhile, and since when it measures is unknown.
         FaultKind.UNREADABLE: Gap.UNKNOWN,
     },
-    # A quarter of a second may be on its way when the link breaks: in its radio, and in the
-    # host's system, from which a busy host has not yet taken it.
+    # When the link breaks, a quarter of a second of data may be in its radio and in the buffers of
+    # a busy host's system.
     loss_tolerance=LossTolerance(over_break=32),
 )
 WITHOUT_ELECTRODES = replace(
@@ -145,11 +145,11 @@ class _UnitMeter:
     Parameters
     ----------
     channels
-        Ids in packet order; those of sensors that the unit has not read 0.
+        Channel ids in packet order; sensors that the unit does not have read 0.
     motion, air, exg
-        What it has.
+        Its sensors.
     is_worn
-        Asked once a block.
+        Called once per block.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class _UnitMeter:
         self._is_worn = is_worn
 
     def measure(self, t: Floats) -> Block:
-        """Return what is measured at these times of the wearer [s]."""
+        """Return the measurements at these times of the wearer [s]."""
         columns: dict[int, Words] = {}
         values: _Values = {}
         for sensor in self._motion:
@@ -220,16 +220,16 @@ class _UnitMeter:
 
 
 class _Unit(SimulatedShimmer):
-    """What those with `UnitMeter` share.
+    """Base class of units with several expansion boards.
 
     Attributes
     ----------
     motion, air
         Sensors on the main board.
     registers
-        Of the ExG chips at first.
+        Initial registers of the ExG chips.
     sensors
-        Mask of what is on at first.
+        Mask of the sensors that are on initially.
     """
 
     sensor = "shimmer"
@@ -250,9 +250,10 @@ class _Unit(SimulatedShimmer):
 
 
 class SimulatedExgUnit(_Unit):
-    """An ExG unit with all its sensors on; its electrodes are placed for an ECG.
+    """An ExG unit with all sensors on and electrodes placed for an ECG.
 
-    Its `truth` holds all streams but ``emg``, in declared units, and ``quality`` at each change.
+    Its `truth` contains all streams except ``emg``, in declared units, and ``quality`` at each
+    change.
     """
 
     expected = EXPECTED
@@ -269,7 +270,7 @@ class SimulatedExgUnit(_Unit):
 
 
 class SimulatedEmgUnit(SimulatedExgUnit):
-    """An ExG unit whose electrodes are placed for an EMG, which one chip sends with 16 bits."""
+    """An ExG unit with electrodes placed for an EMG, sent by one chip with 16 bits."""
 
     effects = _EFFECTS_WITHOUT_ELECTRODES
     expected = WITHOUT_ELECTRODES
@@ -322,7 +323,7 @@ _MAG_OF_3R = MotionSensor(
 
 
 class SimulatedShimmer3R(SimulatedExgUnit):
-    """A Shimmer3R with an ExG board, all its sensors on, for an ECG."""
+    """A Shimmer3R with an ExG board, all sensors on, and electrodes for an ECG."""
 
     usual_name = "Shimmer3R-71B4-BT"
     motion = (_LN_OF_3R, _GYRO_OF_3R, _MAG_OF_3R, _WR_OF_3R)
@@ -330,7 +331,7 @@ class SimulatedShimmer3R(SimulatedExgUnit):
     memory = Memory(
         model=SHIMMER3R,
         card=(47, 5, 0),
-        # High-g accelerometer and second magnetometer are on no board of this unit.
+        # This unit has no high-g accelerometer and no second magnetometer.
         calibration=memory_of(*motion, None, None),
         pressure_chip=3,
         pressure_coefficients=air.coefficients,

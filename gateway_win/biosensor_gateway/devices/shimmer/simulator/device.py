@@ -1,4 +1,4 @@
-"""Any virtual Shimmer with LogAndStream firmware, on a serial port; its boards are subclasses."""
+"""Base class of virtual Shimmers with LogAndStream firmware, on a serial port."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ _AT_CHANGES = "quality"
 
 
 class _Notes:
-    """Writes samples into a truth: each of them, and ``quality`` at each change."""
+    """Records samples in the truth: all of them, but ``quality`` only at changes."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
         self._quality: tuple[float, ...] = ()
 
     def sent(self, sample: Sample) -> None:
-        """Note a sample that left."""
+        """Record a sample that was sent."""
         for name, values in sample.values.items():
             if name != _AT_CHANGES:
                 self._truth.sent(name, [sample.measured_s], [values])
@@ -65,30 +65,29 @@ class _Notes:
                 self._truth.sent(name, [sample.measured_s], [values])
 
     def kept_back(self, sample: Sample) -> None:
-        """Note a sample that was measured and never left."""
+        """Record a sample that was measured but not sent."""
         for name in sample.values.keys() - {_AT_CHANGES}:
             self._truth.unsent(name, 1)
 
 
 class Conversation:
-    """Commands in, answers out, in order and, as a fault, late or refused.
+    """Answers commands in order and, as a fault, late or with refusals.
 
     Parameters
     ----------
     write
-        Sends bytes; tells whether the link took them.
+        Sends bytes; returns whether the link accepted them.
     obeyed
-        Called after each command that was carried out, when its answer is on the link,
-        with whether the link took it.
+        Called after each executed command and its answer, with whether the link accepted it.
 
     Attributes
     ----------
     refusing
-        Carry out no command.
+        Whether all commands are refused.
     denied
-        Refuse this one.
+        The command that is refused, if any.
     answer_delay_s
-        Carry out each command so much later.
+        Delay of each command.
     """
 
     def __init__(
@@ -111,11 +110,11 @@ class Conversation:
 
     @property
     def spoken_to(self) -> bool:
-        """Whether the host has said anything; before, the device says nothing."""
+        """Whether the host has sent anything; before that, the device is silent."""
         return self._spoken_to
 
     def hear(self, data: bytes) -> None:
-        """Take the host's bytes."""
+        """Process the host's bytes."""
         self._spoken_to = True
         for command in self._reader.feed(data):
             if self.answer_delay_s:
@@ -125,17 +124,17 @@ class Conversation:
                 self._carry_out(command)
 
     def say(self, message: bytes) -> bool:
-        """Send a message with its check; tell whether the link took it."""
+        """Send a message with its checksum; return whether the link accepted it."""
         return self._write(sealed(message, self._interpreter.crc_bytes))
 
     def dock(self, *, docked: bool) -> None:
-        """Be put into the dock or taken out, and say so unasked."""
+        """Dock or undock the device, which sends its status."""
         self._interpreter.docked = docked
         if self._spoken_to:
             self.say(self._interpreter.pushed_status())
 
     def link_lost(self) -> None:
-        """Forget the host, what it set for the link, and what it is owed."""
+        """Reset the link's settings and discard outstanding answers."""
         for handle in self._delayed:
             handle.cancel()
         self._delayed.clear()
@@ -147,39 +146,39 @@ class Conversation:
         if not self.refusing and command.opcode is not self.denied:
             taken = self.say(self._interpreter.execute(command))
             self._obeyed(command.opcode, taken)
-        elif self._firmware.has_nack:  # older firmware knows no refusal but silence
+        elif self._firmware.has_nack:  # older firmware refuses silently
             self.say(NACK)
 
 
 class SimulatedShimmer(VirtualDevice):
-    """A unit without its sensors.
+    """A unit without sensors.
 
-    Its `truth` holds what its packets say, and ``bat`` [percent] of each answer about the
+    Its `truth` contains the data of its packets, and ``bat`` [percent] of each answer about the
     battery.
 
     Parameters
     ----------
     world
-        Where it lives.
+        Simulated world.
     name
-        How the radio calls itself; the unit's own name has its last four characters.
+        Name of the radio; the unit's own name contains its last four characters.
     firmware
-        Version of LogAndStream: 0.11.0, 0.16.11 or 1.1.2 for instance.
+        Version of LogAndStream, such as 0.11.0, 0.16.11 or 1.1.2.
     battery_percent
-        Charge at power-on.
+        Battery level at power-on.
     first_tick
-        Count of ticks at the first power-on; the data packets hold its low 24 bits.
+        Tick count at the first power-on; data packets contain its low 24 bits.
     tcp
-        A TCP server instead of a pseudo-terminal; by default where there is none.
+        Use a TCP server instead of a pseudo-terminal; default on systems without one.
     **specimen
         As for every virtual device: see `Specimen`.
     """
 
     link = Link.SERIAL
     memory: ClassVar[Memory]
-    """From the factory."""
+    """Memory as written in the factory."""
     deniable: ClassVar[Sequence[Opcode]] = (Opcode.GET_BATTERY,)
-    """Commands of which one is refused at each time."""
+    """Commands that are refused, one at a time."""
     usual_name: ClassVar[str] = "Shimmer3-4E5F"
 
     def __init__(
@@ -217,19 +216,19 @@ class SimulatedShimmer(VirtualDevice):
 
     @property
     def port(self) -> str:
-        """What a host opens as a serial port; the same over drops."""
+        """Name of its serial port for the host; it stays the same after lost links."""
         if self._port is None:
             raise RuntimeError("the virtual Shimmer is not switched on")
         return self._port.name
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The field ``port``."""
+        """The setting ``port``."""
         return {"port": self.port}
 
     @property
     def streaming(self) -> bool:
-        """Whether a host has its stream on."""
+        """Whether it is streaming."""
         return self._interpreter.sensing
 
     @property
@@ -238,7 +237,7 @@ class SimulatedShimmer(VirtualDevice):
         return self._started_s
 
     def dock(self, *, docked: bool = True) -> None:
-        """Put it into its dock, or take it out; it says so by itself."""
+        """Dock or undock it, which sends its status."""
         self.world.call(lambda: self._conversation.dock(docked=docked))
 
     def ticks(self) -> int:
@@ -246,7 +245,7 @@ class SimulatedShimmer(VirtualDevice):
         return int(self._oscillator.now() * TICKS_PER_S) + self._first_tick
 
     def battery_counts(self) -> int:
-        """Read the battery's voltage, in counts of the converter."""
+        """Return the battery voltage in ADC counts."""
         return wire.counts_at(self._battery_percent)
 
     async def _start(self) -> None:
@@ -297,10 +296,10 @@ class SimulatedShimmer(VirtualDevice):
 
     @abstractmethod
     def _meter(self, channels: tuple[int, ...]) -> Meter:
-        """Return the sensors behind these channels, for a stream that starts now."""
+        """Return the sensors of these channels, for a stream that starts now."""
 
     def _new_flash(self, name: str) -> Flash:
-        """Return how the unit is set up at first."""
+        """Return the initial setup of the unit."""
         return Flash(name)
 
     def _sampling(self) -> Sampling:

@@ -1,7 +1,7 @@
-"""Carries out commands as the firmware does: changes its state, answers.
+"""Executes commands like the firmware: changes the state and returns answers.
 
-Pure: commands come in, messages without check go out; time and battery are asked of
-the hardware.
+It has no I/O: commands come in, messages without checksum go out; time and battery are provided by
+`Hardware`.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ _BLOCKED_WHILE_SENSING = frozenset(
 
 
 class Hardware(Protocol):
-    """What the interpreter asks of the rest of the device."""
+    """What the interpreter needs from the rest of the device."""
 
     def ticks(self) -> int:
         """Ticks of 1/32768 s since power-on."""
         ...
 
     def battery_counts(self) -> int:
-        """Read the battery's voltage, in counts of the converter."""
+        """Return the battery voltage in ADC counts."""
         ...
 
 
@@ -69,11 +69,11 @@ class Interpreter:
     Attributes
     ----------
     sensing
-        Samples are taken and sent.
+        Whether samples are measured and sent.
     docked, card_present, led
-        Bits of the status; ``led`` is the host's to toggle.
+        Bits of the status; the host can toggle ``led``.
     crc_bytes
-        Length of the check of every message.
+        Length of the checksum of every message.
     """
 
     def __init__(
@@ -89,32 +89,32 @@ class Interpreter:
         self.power_on()
 
     def power_on(self) -> None:
-        """Lose all but the flash."""
+        """Reset everything except the flash."""
         self.led = False
         self._clock_offset: int | None = None
         self.link_lost()
 
     def link_lost(self) -> None:
-        """Stop streaming and return to the messages' original form."""
+        """Stop streaming and reset the message format."""
         self.sensing = False
         self.crc_bytes = 0
         self._ack_before_push = True
 
     def execute(self, command: Command) -> bytes:
-        """Carry out a command; return the whole answer without its check."""
+        """Execute a command; return the complete answer without its checksum."""
         blocked = self.sensing and command.opcode in _BLOCKED_WHILE_SENSING
         answer = None if blocked else self._answers[command.opcode](command.arguments)
         if answer is not None:
             return ACK + answer
-        # Before it had NACKs, the firmware acknowledged and did nothing.
+        # Firmware without NACK acknowledges the command but ignores it.
         return NACK if self._firmware.has_nack else ACK
 
     def pushed_status(self) -> bytes:
-        """Return the status as it is sent unasked."""
+        """Return an unrequested status."""
         return (ACK if self._ack_before_push else b"") + self._status()
 
     def _handlers(self) -> dict[Opcode, Callable[[bytes], bytes | None]]:
-        """Return what each command does; None from it is a refusal."""
+        """Return the handlers of commands; they return None for a refusal."""
         return {
             Opcode.INQUIRY: lambda _: self._inquiry(),
             Opcode.GET_SAMPLING_RATE: lambda _: b"\x04" + _u16(self._flash.divider),
@@ -169,7 +169,7 @@ class Interpreter:
 
     def _start(self) -> bytes:
         too_fast = self._flash.divider * MAX_RATE_HZ < TICKS_PER_S
-        # Acknowledged all the same, with nothing to follow.
+        # Acknowledged even if no data will follow.
         self.sensing = self.sensing or not (too_fast or not channels_of(self._flash.sensors))
         return b""
 
@@ -235,7 +235,7 @@ class Interpreter:
             (self.card_present, 5),
             (self.led, 7),
         )
-        # A second byte tells of the USB plug.
+        # A second byte contains the state of the USB plug.
         more = bytes(1) if self._has_two_status_bytes else b""
         return IN_STREAM + bytes((0x71, sum(on << bit for on, bit in bits))) + more
 

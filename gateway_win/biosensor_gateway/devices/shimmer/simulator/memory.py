@@ -1,4 +1,4 @@
-"""Memory of a virtual Shimmer that needs no power: from the factory, and as a host has set it."""
+"""Non-volatile memory of a virtual Shimmer: factory data, and settings by the host."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from biosensor_gateway.devices.shimmer.simulator.wire import SHIMMER3, Model
 
 REGISTERS = 10
-"""Of each ExG chip."""
+"""Number of registers of each ExG chip."""
 BMP180, BMP280 = 0, 1
 _CARD_LENGTH = 2048
 # Low-noise accelerometer: offset 2253, 92 counts per m/s^2, mounting; the other blocks unset.
@@ -16,7 +16,7 @@ _LN_ACCEL_ALONE = bytes.fromhex("08cd08cd08cd005c005c005c009c009c000000009c").lj
 
 @dataclass(frozen=True)
 class Memory:
-    """What was written in the factory.
+    """Data written in the factory.
 
     Attributes
     ----------
@@ -24,9 +24,9 @@ class Memory:
         Number, revision and special revision of the expansion board.
     calibration
         Blocks of 21 bytes: low-noise accelerometer, gyroscope, magnetometer, wide-range
-        accelerometer; on a Shimmer3R two more.
+        accelerometer; two more on a Shimmer3R.
     pressure_chip, pressure_coefficients
-        0 BMP180, 1 BMP280, 2 BMP390, 3 BMP581, and what is in it.
+        0 BMP180, 1 BMP280, 2 BMP390, 3 BMP581, and its coefficients.
     """
 
     model: Model = SHIMMER3
@@ -43,18 +43,18 @@ class Memory:
 
 @dataclass
 class Flash:
-    """What a Shimmer keeps without power.
+    """Settings that a Shimmer keeps without power.
 
     Attributes
     ----------
     name
-        Of the unit, at most 12 ASCII characters.
+        Name of the unit, at most 12 ASCII characters.
     sensors
-        Mask of 24 bits.
+        Sensor mask of 24 bits.
     divider
         Ticks of 1/32768 s between two samples.
     setup
-        Bytes of set-up, seven on a Shimmer3R; the fourth holds the expansion power (bit 0)
+        Configuration bytes, seven on a Shimmer3R; the fourth contains the expansion power (bit 0)
         and the range of the skin conductance (bits 1 to 3).
     exg
         Ten registers of each ExG chip.
@@ -68,7 +68,7 @@ class Flash:
 
     @property
     def expansion_power(self) -> int:
-        """Whether the probe has power, 0 or 1."""
+        """Whether the probe is powered, 0 or 1."""
         return self.setup[3] & 1
 
     @expansion_power.setter

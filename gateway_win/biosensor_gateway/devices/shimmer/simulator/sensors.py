@@ -1,6 +1,6 @@
-"""The sensors of a virtual Shimmer: ExG chips, air pressure, and motion.
+"""The sensors of a virtual Shimmer: ExG chips, air pressure and motion.
 
-Each turns what acts on it into counts, and says what counts stand for.
+Each converts physical quantities to counts and back.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ UNWRITTEN = b"\xff" * 21
 STATUS = (0x1D, 0x20)
 CHANNELS_24 = ((0x1E, 0x1F), (0x21, 0x22))
 CHANNELS_16 = ((0x23, 0x24), (0x25, 0x26))
-# Vendor's usual registers, with lead-off detection by direct current for the ECG.
+# The vendor's usual registers, with direct-current lead-off detection for the ECG.
 ECG_WITH_LEAD_OFF = (
     bytes((0x01, 0xE0, 0x54, 0x40, 0x40, 0x3D, 0x07, 0x00, 0x02, 0x03)),
     bytes((0x01, 0xE0, 0x54, 0x40, 0x47, 0x00, 0x04, 0x00, 0x02, 0x01)),
@@ -44,7 +44,7 @@ _COMPARATORS = 0x40
 _FRESH = 0x80
 _ROUTED_FROM_CHANNEL_3 = 9
 _RAIL_MV = 350.0
-"""Of an open input, which the current of the detection drives to its limit."""
+"""Voltage of an open input, which the lead-off current drives to its limit."""
 
 
 @dataclass(frozen=True)
@@ -54,32 +54,32 @@ class ExgChips:
     Attributes
     ----------
     registers
-        Ten of each.
+        Ten registers of each chip.
     """
 
     registers: Sequence[bytes]
 
     @property
     def is_emg(self) -> bool:
-        """Whether channel 1 of chip 1 has the electrodes of its third channel."""
+        """Whether channel 1 of chip 1 is routed to its third channel."""
         return self.registers[0][3] & 0x0F == _ROUTED_FROM_CHANNEL_3
 
     @property
     def detects(self) -> bool:
-        """Whether the comparators of both chips look for open electrodes."""
+        """Whether the lead-off comparators of both chips are on."""
         return all(each[1] & _COMPARATORS for each in self.registers)
 
     def status(self, chip: int, *, worn: bool) -> int:
-        """Return the status byte: of the inputs that are looked at, which are open."""
+        """Return the status byte with the open inputs."""
         return _FRESH | (0 if worn or not self.detects else self.registers[chip][6] & 0x0F)
 
     def count_v(self, chip: int, channel: int) -> float:
-        """Return the voltage of one count of 24 bits, channel 0 or 1."""
+        """Return the voltage of one 24-bit count, channel 0 or 1."""
         gain = _GAINS[self.registers[chip][3 + channel] >> 4 & 7]
         return _REFERENCE_V / gain / ((1 << 23) - 1)
 
     def counts(self, chip: int, channel: int, microvolts: Floats, bits: int) -> Words:
-        """Return what is sent of a voltage; of 24 bits, 16 are those below the highest."""
+        """Return the counts of a voltage; with 16 bits, those below the highest of 24 bits."""
         counts = np.rint(microvolts * 1e-6 / self.count_v(chip, channel)).astype(np.int64)
         if bits == 16:
             counts >>= 7
@@ -87,7 +87,7 @@ class ExgChips:
         return np.clip(counts, -highest - 1, highest)
 
     def microvolts(self, chip: int, channel: int, counts: Words, bits: int) -> Floats:
-        """Return the voltage that counts stand for, as the vendor's programs have it."""
+        """Return the voltage of counts, as in the vendor's programs."""
         volts: Floats = counts.astype(np.float64) * self.count_v(chip, channel)
         if bits == 16:
             volts = volts * ((1 << 23) - 1) / (2 * ((1 << 15) - 1))
@@ -95,7 +95,7 @@ class ExgChips:
 
 
 def voltages(wearer: Wearer, t: Floats, *, is_emg: bool, worn: bool) -> tuple[Floats, ...]:
-    """Return what is at both channels of both chips [uV]."""
+    """Return the voltages at both channels of both chips [uV]."""
     if not worn:
         railed = np.full(t.shape, 1000 * _RAIL_MV)
         return railed, railed, railed, railed
@@ -112,14 +112,14 @@ PRESSURE, TEMPERATURE = 0x1B, 0x1A
 
 
 class AirSensor(Protocol):
-    """A pressure sensor that knows the temperature, too."""
+    """A pressure sensor that also measures temperature."""
 
     def raw(self, wearer: Wearer, t: Floats) -> tuple[Words, Words]:
-        """Return what it reads, temperature and pressure."""
+        """Return raw temperature and pressure."""
         ...
 
     def air(self, raw_t: int, raw_p: int) -> tuple[float, float]:
-        """Return pressure [Pa] and temperature [degrees Celsius] that readings stand for."""
+        """Return pressure [Pa] and temperature [degrees Celsius] of raw values."""
         ...
 
 
@@ -131,24 +131,24 @@ def _breeze(wearer: Wearer, t: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Bmp280:
-    """The one of newer Shimmer3s, with the coefficients of its data sheet's example (3.12)."""
+    """Sensor of newer Shimmer3s, with the coefficients of the data sheet's example (3.12)."""
 
     temperature: tuple[int, int, int] = (27504, 26435, -1000)
     pressure: tuple[int, ...] = (36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
 
     @property
     def coefficients(self) -> bytes:
-        """What is in it."""
+        """Its coefficients."""
         return struct.pack("<HhhH8h", *self.temperature, *self.pressure)
 
     def raw(self, wearer: Wearer, t: Floats) -> tuple[Words, Words]:
-        """Return what it reads: the upper 16 of 20 bits, and 24 bits of which 20 count."""
+        """Return raw values: the upper 16 of 20 bits, and 24 bits of which 20 are valid."""
         slow, quick = _breeze(wearer, t)
         raw_p = np.rint(415148 + 300 * quick) * 16
         return np.rint(32493 + 60 * slow).astype(np.int64), raw_p.astype(np.int64)
 
     def air(self, raw_t: int, raw_p: int) -> tuple[float, float]:
-        """Return pressure and temperature by the formula in floating point (data sheet, 8.1)."""
+        """Return pressure and temperature by the floating-point formula (data sheet, 8.1)."""
         adc_t, adc_p = raw_t * 16.0, raw_p / 16.0
         t1, t2, t3 = self.temperature
         first = (adc_t / 16384.0 - t1 / 1024.0) * t2
@@ -168,18 +168,18 @@ class Bmp280:
 
 @dataclass(frozen=True)
 class Bmp180:
-    """The one of older Shimmer3s, with the coefficients of its data sheet's example (3.5)."""
+    """Sensor of older Shimmer3s, with the coefficients of the data sheet's example (3.5)."""
 
     words: tuple[int, ...] = (408, -72, -14383, 32741, 32757, 23153, 6190, 4, -32768, -8711, 2868)
     oversampling: int = 0
 
     @property
     def coefficients(self) -> bytes:
-        """What is in it."""
+        """Its coefficients."""
         return struct.pack(">3h3H5h", *self.words)
 
     def raw(self, wearer: Wearer, t: Floats) -> tuple[Words, Words]:
-        """Return what it reads: 16 bits, and 24 of which 16 and the oversampling count."""
+        """Return raw values: 16 bits, and 24 bits of which 16 plus oversampling are valid."""
         slow, quick = _breeze(wearer, t)
         raw_p = np.rint(23843 + 40 * quick).astype(np.int64) << (8 - self.oversampling)
         return np.rint(27898 + 30 * slow).astype(np.int64), raw_p
@@ -207,15 +207,15 @@ class Bmp180:
 
 @dataclass(frozen=True)
 class Bmp581:
-    """One of a Shimmer3R, which says pascals and degrees by itself."""
+    """Sensor of a Shimmer3R, which reports pascals and degrees directly."""
 
     @property
     def coefficients(self) -> bytes:
-        """What is in it: nothing that a host needs."""
+        """Its coefficients: none are needed."""
         return b""
 
     def raw(self, wearer: Wearer, t: Floats) -> tuple[Words, Words]:
-        """Return what it reads: 1/65536 degree and 1/64 Pa."""
+        """Return raw values in 1/65536 degree and 1/64 Pa."""
         slow, quick = _breeze(wearer, t)
         raw_t = np.rint((31.0 + 0.4 * slow) * 65536).astype(np.int64)
         return raw_t, np.rint((100800 + 30 * quick) * 64).astype(np.int64)
@@ -227,27 +227,27 @@ class Bmp581:
 
 @dataclass(frozen=True)
 class MotionSensor:
-    """A sensor of three axes.
+    """A three-axis motion sensor.
 
-    It reads ``K R v + b`` of what acts on it, v, if it is calibrated; the block of 21 bytes in a
-    unit's memory holds b and K as words and R in hundredths.
+    If calibrated, it reads ``K R v + b`` for a quantity v; the 21-byte block in a unit's memory
+    contains b and K as words and R in hundredths.
 
     Attributes
     ----------
     data_name
-        Its stream.
+        Data name of its stream.
     channels
-        Ids of X, Y, Z.
+        Channel ids of X, Y, Z.
     offset, sensitivity
         b, and the diagonal of K in counts per unit.
     alignment
         R, row by row.
     per_unit
-        How many of its units (m/s^2, deg/s, local flux) are one of the stream's.
+        Number of its units (m/s^2, deg/s, local flux) per unit of the stream.
     limits
-        Least and largest count.
+        Smallest and largest count.
     word_scale
-        By which the sensitivity is multiplied in memory.
+        Factor of the sensitivity in memory.
     """
 
     data_name: str
@@ -261,27 +261,27 @@ class MotionSensor:
 
     @property
     def block(self) -> bytes:
-        """What the factory wrote into the unit's memory."""
+        """The calibration block in the unit's memory."""
         words = [round(each) for each in self.offset]
         words += [round(each * self.word_scale) for each in self.sensitivity]
         rows = [round(each * 100) for row in self.alignment for each in row]
         return struct.pack(">6h9b", *words, *rows)
 
     def counts(self, values: Floats) -> Words:
-        """Return what it reads; values and counts have the shape (n, 3)."""
+        """Return the counts of values, both of shape (n, 3)."""
         turned = values * self.per_unit @ np.array(self.alignment).T
         counts = np.rint(turned * np.array(self.sensitivity) + np.array(self.offset))
         return np.clip(counts, *self.limits).astype(np.int64)
 
     def values(self, counts: Words) -> Floats:
-        """Return what counts stand for, in the units of the stream."""
+        """Return the values of counts, in the units of the stream."""
         turned = (counts - np.array(self.offset)) / np.array(self.sensitivity)
         values = np.linalg.solve(np.array(self.alignment), turned.T).T / self.per_unit
         return values.astype(np.float64)
 
 
 def acting_on(wearer: Wearer, data_name: str, t: Floats) -> Floats:
-    """Return what a motion sensor of that stream is exposed to, shape (n, 3), in its units."""
+    """Return the quantity measured by a stream's motion sensor, in its units, shape (n, 3)."""
     if data_name.startswith("acc"):
         return wearer.acceleration_g(t)
     if data_name == "gyro":
@@ -295,7 +295,7 @@ def acting_on(wearer: Wearer, data_name: str, t: Floats) -> Floats:
 
 
 def memory_of(*sensors: MotionSensor | None) -> bytes:
-    """Return the blocks of sensors in their order; None is one that was never calibrated."""
+    """Return the calibration blocks of sensors; None for one that was never calibrated."""
     return b"".join(UNWRITTEN if each is None else each.block for each in sensors)
 
 

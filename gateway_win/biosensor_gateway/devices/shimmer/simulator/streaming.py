@@ -1,4 +1,4 @@
-"""A virtual Shimmer while it streams: samples on the oscillator's beat, sent in order."""
+"""Streaming of a virtual Shimmer: samples at oscillator ticks, sent in order."""
 
 from __future__ import annotations
 
@@ -20,20 +20,19 @@ from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.system.clock import Clock
 
 _SETTLING_TICKS = round(0.065 * TICKS_PER_S)
-"""What is sampled before is not sent."""
+"""Earlier samples are not sent."""
 _BLOCK_S = 0.1
 
 
 class Block(NamedTuple):
-    """What is measured in one go.
+    """A block of samples measured together.
 
     Attributes
     ----------
     rows
-        For each sample a count for each channel, in packet order.
+        Counts of each sample, one per channel in packet order.
     values
-        By data name what they stand for, in the units of the declaration: for each sample
-        a value for each channel of the stream.
+        The same samples by data name in declared units, with one value per channel of the stream.
     """
 
     rows: Sequence[tuple[int, ...]]
@@ -41,10 +40,10 @@ class Block(NamedTuple):
 
 
 class Meter(Protocol):
-    """The sensors of one stream; they remember what they must, such as a range."""
+    """The sensors of one stream, with their state, such as a range."""
 
     def measure(self, t: Floats) -> Block:
-        """Return what is measured at these times of the wearer [s]."""
+        """Return the measurements at these times of the wearer [s]."""
         ...
 
 
@@ -54,11 +53,11 @@ class Sample(NamedTuple):
     Attributes
     ----------
     measured_s, leaves_s
-        When it was measured and when it leaves the radio, on the LSL clock.
+        LSL times of measurement and of sending.
     packet
-        Its data packet without check.
+        Its data packet without checksum.
     values
-        By data name what the packet says, in the units of the declaration.
+        Contents of the packet by data name, in declared units.
     """
 
     measured_s: float
@@ -68,22 +67,22 @@ class Sample(NamedTuple):
 
 
 class Sampling(NamedTuple):
-    """What a stream is made of.
+    """The parameters of a stream.
 
     Attributes
     ----------
     channels
-        Ids in packet order.
+        Channel ids in packet order.
     divider
         Ticks between two samples.
     meter
-        Asked once a block, ten times a second.
+        Called once per block, ten times a second.
     wearer_born_s
         LSL time at which the wearer's time is 0.
     oscillator, first_tick
-        And the count of ticks at its power-on.
+        The oscillator, and its tick count at power-on.
     rng, jitter_s
-        Of the radio's delay, uniform from 0 on.
+        Random generator and maximum of the radio's uniform delay.
     """
 
     channels: tuple[int, ...]
@@ -98,7 +97,7 @@ class Sampling(NamedTuple):
 
 
 def samples(sampling: Sampling) -> Iterator[Sample]:
-    """Return the samples of a stream that starts now, without end."""
+    """Yield the samples of an endless stream that starts now."""
     start = int(sampling.oscillator.now() * TICKS_PER_S)
     size = max(1, round(_BLOCK_S * TICKS_PER_S / sampling.divider))
     leaves_s = -inf
@@ -130,16 +129,16 @@ def _packet(sampling: Sampling, tick: int, row: tuple[int, ...]) -> bytes:
 
 
 class Streamer:
-    """Sends samples when they are due; as long as the device streams, one task.
+    """Sends samples when due, in one task per stream.
 
     Parameters
     ----------
     source
-        Samples in order, without end.
+        Endless samples in order.
     clock
         The true time.
     send, keep_back
-        Take a sample that leaves, and one that was measured and never will.
+        Called with a sample to send, and with a measured sample that will not be sent.
     """
 
     def __init__(
@@ -159,15 +158,15 @@ class Streamer:
 
     @property
     def done(self) -> bool:
-        """Whether it was stopped and everything has left."""
+        """Whether it was stopped and everything was sent."""
         return self._task.done()
 
     def stop(self) -> None:
-        """Measure no more; what is on its way still arrives."""
+        """Stop measuring; samples in transit are still sent."""
         self._stopped_s = min(self._stopped_s, self._clock())
 
     def cut(self) -> None:
-        """End at once; what is on its way is kept back."""
+        """End at once; samples in transit are not sent."""
         self._task.cancel()
         stopped_s = min(self._stopped_s, self._clock())
         while not self._task.done() and self._next.measured_s <= stopped_s:
@@ -177,14 +176,14 @@ class Streamer:
     async def _run(self) -> None:
         while self._next.measured_s <= self._stopped_s:
             await asyncio.sleep(max(0.0, self._next.leaves_s - self._clock()))
-            # It may have been stopped in the meantime.
+            # The stream may have been stopped during the wait.
             if self._next.measured_s <= self._stopped_s:
                 sample, self._next = self._next, next(self._source)
                 self._send(sample)
 
 
 class Streams:
-    """The stream that a device measures, and those before it of which samples still leave.
+    """A device's current stream, and earlier ones with samples still in transit.
 
     Parameters
     ----------
@@ -203,24 +202,24 @@ class Streams:
 
     @property
     def running(self) -> bool:
-        """Whether it was started, and neither stopped nor cut since."""
+        """Whether it was started and not yet stopped or cut."""
         return self._running
 
     def start(self, source: Iterator[Sample]) -> None:
-        """Send the samples of a new stream."""
+        """Start a new stream."""
         self.stop()
         self._streamers = [streamer for streamer in self._streamers if not streamer.done]
         self._streamers.append(Streamer(source, self._clock, self._send, self._keep_back))
         self._running = True
 
     def stop(self) -> None:
-        """Measure no more; what is on its way still leaves."""
+        """Stop measuring; samples in transit are still sent."""
         for streamer in self._streamers:
             streamer.stop()
         self._running = False
 
     def cut(self) -> None:
-        """End at once; what is on its way is kept back."""
+        """End at once; samples in transit are not sent."""
         for streamer in self._streamers:
             streamer.cut()
         self._streamers.clear()

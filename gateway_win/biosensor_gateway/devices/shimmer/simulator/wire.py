@@ -1,7 +1,7 @@
-"""Encodes what a Shimmer sends, data packets of each model among it, and reads commands.
+"""Encodes a Shimmer's messages, including the data packets of each model, and parses commands.
 
-Written from the notes on Shimmer's public firmware alone and shared with no decoder,
-so that a mistake in one of them shows as a disagreement.
+It was written only from notes on Shimmer's public firmware and shares no code with the decoder, so
+that a mistake in either shows as a difference.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ _ARGUMENTS: Mapping[Opcode, int] = MappingProxyType(
 _LENGTH_AT: Mapping[Opcode, int] = MappingProxyType(
     {Opcode.SET_NAME: 1, Opcode.SET_EXG_REGISTERS: 3}
 )
-"""Place of the byte that tells how many follow it."""
+"""Position of the byte with the number of following bytes."""
 _OPCODES = frozenset(int(opcode) for opcode in Opcode)
 
 
 class Firmware(NamedTuple):
-    """Version of LogAndStream, and what it can."""
+    """Version of LogAndStream, and its features."""
 
     major: int
     minor: int
@@ -92,26 +92,26 @@ class Firmware(NamedTuple):
 
     @property
     def has_crc(self) -> bool:
-        """Whether messages can carry a check."""
+        """Whether messages can have a checksum."""
         return self >= (0, 13, 7)
 
     @property
     def has_prefix_switch(self) -> bool:
-        """Whether the ACK before a pushed status can be switched off."""
+        """Whether the ACK before an unrequested status can be switched off."""
         return self >= (0, 15, 4)
 
     @property
     def has_nack(self) -> bool:
-        """Whether a command is refused aloud."""
+        """Whether refused commands are answered with NACK."""
         return self >= (1, 0, 0)
 
     @property
     def radio(self) -> str:
-        """What the Bluetooth module of its time says of itself."""
+        """Version text of the Bluetooth module used with this firmware."""
         return "RN4678 V1.23" if self >= (0, 15, 0) else "Ver 6.15"
 
     def knows(self, opcode: int) -> bool:
-        """Tell whether it takes this byte for a command."""
+        """Whether this byte is a known command."""
         if opcode == Opcode.SET_CRC:
             return self.has_crc
         if opcode == Opcode.SET_ACK_PREFIX:
@@ -129,12 +129,12 @@ class Command(NamedTuple):
 
 
 class CommandReader:
-    """Collects a host's bytes into commands; has no way to tell that one is torn.
+    """Splits a host's bytes into commands; incomplete commands cannot be detected.
 
     Parameters
     ----------
     firmware
-        A byte that it does not know as a command is passed over without a word.
+        Determines the known commands; unknown bytes are ignored silently.
     """
 
     def __init__(self, firmware: Firmware) -> None:
@@ -162,9 +162,9 @@ class CommandReader:
 
 
 def crc16(message: bytes) -> int:
-    """Return the check of a message: CRC-16, polynomial 0x1021, start 0xB0CA.
+    """Return the checksum of a message: CRC-16, polynomial 0x1021, start 0xB0CA.
 
-    A message of odd length is padded with a zero byte for it.
+    A message of odd length is padded with a zero byte.
     """
     crc = _CRC_START
     for byte in message + b"\0" * (len(message) % 2):
@@ -176,20 +176,20 @@ def crc16(message: bytes) -> int:
 
 
 def sealed(message: bytes, crc_bytes: int) -> bytes:
-    """Return a message with so many bytes of its check, 0 to 2, low byte first."""
+    """Return a message with 0 to 2 bytes of its checksum, low byte first."""
     return message + crc16(message).to_bytes(2, "little")[:crc_bytes] if crc_bytes else message
 
 
 def in_unknown_kind(packet: bytes) -> bytes:
-    """Return so many bytes of which none begins a message that any document has."""
+    """Return bytes of the same number that do not begin any documented message."""
     return bytes(byte & 0x3F | 0x40 for byte in packet)
 
 
 FULL_SCALE_V = 3.0 * 1.988
-"""Of the 12-bit converter, behind the divider."""
+"""Full scale of the 12-bit ADC before the voltage divider."""
 _FULL_SCALE_COUNTS = 4095
 _LOW_COUNTS, _MIDDLE_COUNTS = 2568, 2717
-# Vendor's discharge curve.
+# The vendor's discharge curve.
 _VOLTS = (
     *(3.2, 3.627, 3.645, 3.663, 3.681, 3.699, 3.717, 3.7314, 3.735, 3.7386, 3.7566, 3.771, 3.789),
     *(3.8034, 3.8106, 3.8394, 3.861, 3.8826, 3.9078, 3.933, 3.969, 4.0086, 4.041, 4.0734, 4.113),
@@ -204,25 +204,25 @@ _UNDOCKED, _CHARGING, _FULL = 0xFF, 0x80, 0x40
 
 
 def counts_at(percent: float) -> int:
-    """Return the converter's reading at a charge [percent]."""
+    """Return the ADC counts of a battery level [percent]."""
     volts = float(np.interp(percent, _PERCENT, _VOLTS))
     return round(volts / FULL_SCALE_V * _FULL_SCALE_COUNTS)
 
 
 def percent_of(counts: int) -> float:
-    """Return the charge that a reading of the converter stands for [percent]."""
+    """Return the battery level [percent] of ADC counts."""
     return float(np.interp(counts * FULL_SCALE_V / _FULL_SCALE_COUNTS, _VOLTS, _PERCENT))
 
 
 def charger_byte(counts: int, *, docked: bool) -> int:
-    """Return what the charger says: nothing without a dock, charging, or full."""
+    """Return the charger's byte: not docked, charging or full."""
     if not docked:
         return _UNDOCKED
     return _FULL if counts >= counts_at(100) else _CHARGING
 
 
 def led_level(counts: int) -> int:
-    """Return the colour of the battery's lamp: 1 low, 2 middle, 4 high."""
+    """Return the colour of the battery LED: 1 low, 2 middle, 4 high."""
     if counts < _LOW_COUNTS:
         return 1
     return 2 if counts < _MIDDLE_COUNTS else 4
@@ -233,7 +233,7 @@ class _Sensor(NamedTuple):
     channels: tuple[int, ...]
 
 
-# In the order of the firmware, which is the order within a data packet.
+# In the order of the firmware, which is the order in a data packet.
 _SENSORS = (
     _Sensor(0x000080, (0x00, 0x01, 0x02)),  # low-noise accelerometer
     _Sensor(0x002000, (0x03,)),  # battery
@@ -265,7 +265,7 @@ _WIDTHS: Mapping[int, int] = MappingProxyType(
     {0x1B: 3, 0x1D: 1, 0x1E: 3, 0x1F: 3, 0x20: 1, 0x21: 3, 0x22: 3}
 )
 _MAG, _OLDER_MAG = _Sensor(0x000020, (0x07, 0x08, 0x09)), _Sensor(0x000020, (0x07, 0x09, 0x08))
-# What is on the converter comes first, then what is on I2C, then on SPI.
+# Channels of the ADC come first, then those on I2C, then on SPI.
 _SENSORS_OF_3R = (
     *(each for each in _SENSORS if each.channels[0] in {0x03, *range(0x0D, 0x14), 0x1C}),
     _MAG,
@@ -280,18 +280,18 @@ _SENSORS_OF_3R = (
 
 
 class Model(NamedTuple):
-    """What of the wire differs between devices.
+    """Formats that differ between devices.
 
     Attributes
     ----------
     hardware
         3 for a Shimmer3, 10 for a Shimmer3R.
     sensors
-        In packet order.
+        Sensors in packet order.
     big_endian
-        Channels that are sent with the high byte first.
+        Channels that are big-endian.
     widths
-        In bytes, of channels that have not two.
+        Widths in bytes of channels that do not have two.
     """
 
     hardware: int
@@ -323,14 +323,14 @@ def channels_of(mask: int, model: Model = SHIMMER3) -> tuple[int, ...]:
 def data_packet(
     ticks: int, channels: Iterable[int], values: Sequence[int], model: Model = SHIMMER3
 ) -> bytes:
-    """Return a data packet without its check.
+    """Return a data packet without its checksum.
 
     Parameters
     ----------
     ticks
-        Of 1/32768 s; the packet holds the low 24 bits.
+        Ticks of 1/32768 s; the packet contains the low 24 bits.
     channels, values
-        Ids as of `channels_of` and a count for each, in its width's two's complement.
+        Channel ids as in `channels_of`, and a count for each.
     """
     body = b"".join(
         _encoded(channel, value, model) for channel, value in zip(channels, values, strict=True)

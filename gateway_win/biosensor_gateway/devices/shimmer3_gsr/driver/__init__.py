@@ -1,4 +1,4 @@
-"""The driver of a Shimmer3 GSR+: its settings, and how a connection is made of them."""
+"""Driver for the Shimmer3 GSR+, and its settings."""
 
 from __future__ import annotations
 
@@ -54,27 +54,27 @@ class ShimmerSettings(DeviceSettings):
 
 
 class Wanted(NamedTuple):
-    """How to measure: sampling divisor, and feedback resistor (4 for automatic)."""
+    """Wanted setup: sample rate divisor, and feedback resistor (4 for automatic)."""
 
     divisor: int
     gsr_setting: int
 
 
 async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> Measurement:
-    """Make the device measure skin conductance and pulse as wanted; it does not start yet.
+    """Set up the device for skin conductance and pulse, without starting it.
 
-    Settings are written to the device's flash, so what is right already is left alone.
+    Settings are written to the device's flash, so correct ones are not written again.
 
     Raises
     ------
     ProtocolError
-        ``REFUSED`` if it does not take a setting, or as :meth:`Conversation.ask`.
+        ``REFUSED`` if it does not accept a setting, or as for :meth:`Conversation.ask`.
     TransportError
         As :meth:`Conversation.ask`.
     """
     board = await expansion_board(talk, name)
     if board is not None and board not in GSR_BOARDS:
-        # It measures, but nothing that makes sense.
+        # It measures, but the values are meaningless.
         _log.warning("the expansion board is no GSR+ board", port=name, board=board)
     denied = await ask_for_the_state(talk, kind)
     present = await make_right(talk, lambda inquiry: _changes(inquiry, wanted), name)
@@ -83,7 +83,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
 
 
 def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
-    """Return the commands that are needed, by what they set."""
+    """Return the necessary commands by the setting that they change."""
     right = {
         "sensors": set(present.channels) == {Channel.GSR, Channel.PPG},
         "GSR range": present.gsr_range == wanted.gsr_setting,
@@ -105,7 +105,7 @@ def _wanted(settings: ShimmerSettings) -> Wanted:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
-    """Share one emitter between all connections: it follows the device's clock across them."""
+    """Share one emitter between all connections, to follow the device's clock across them."""
     own = own_settings(ShimmerSettings, settings)
     emitter = GsrEmitter(sink)
     wanted = _wanted(own)

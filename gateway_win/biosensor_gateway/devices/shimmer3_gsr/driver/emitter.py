@@ -1,4 +1,4 @@
-"""Turns what a GSR+ unit sends into samples of the declared streams."""
+"""Converts a GSR+ unit's data to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -28,37 +28,37 @@ from biosensor_gateway.pulses.elgendi import Pulses
 QUALITY_PERIOD_S = 10.0
 WAVEFORMS = ("gsr", "ppg")
 
-# Pulses are those of live features; intervals that fit those before them, median of five. The
-# device sends no heart rate, and the vendor's software computes its own in a closed library; this
-# is no reconstruction of it.
+# Pulses are detected as in the live features; the heart rate is the median of five plausible
+# intervals. The device sends no heart rate, and the vendor's software computes its own in a closed
+# library, which is not reproduced here.
 SMALLEST_PEAK_MV = 0.5
 LONGEST_INTERVAL_S = 2.0
 MOST_DEVIATION = 0.35
 BEATS_NEEDED = 5
 INTERVALS_KEPT = 5
 MISFITS_TOLERATED = 3
-"""So many misfits in a row, and it is the intervals before that were wrong."""
+"""After this many implausible intervals in a row, the earlier ones are considered wrong."""
 LONGEST_GAP_S = 0.25
-"""After a longer hole in the signal a beat may be missing, so counting starts again."""
+"""After a longer gap in the signal a beat may be missing, so the detection restarts."""
 
 
 class HeartRate(NamedTuple):
-    """Heart rate at a beat: device time of the pulse wave's peak [s], and its value [1/min]."""
+    """Heart rate at a beat: device time of the pulse peak [s], and rate [1/min]."""
 
     time_s: float
     bpm: float
 
 
 class PulseRate:
-    """Tells the heart rate of a pulse signal that comes in sample by sample.
+    """Computes the heart rate from a pulse signal, sample by sample.
 
-    A peak's time is that of the filtered wave, 40 ms before (at 35 beats a minute) to 20 ms after
-    (at 165) the one at the finger. Rates up to 200/min can be told.
+    The time of a peak is that of the filtered signal, from 40 ms before (at 35 beats per minute)
+    to 20 ms after (at 165) the pulse at the finger. Rates up to 200/min are detected.
 
     Parameters
     ----------
     rate_hz
-        Sampling rate, 25 Hz or more.
+        Sample rate, 25 Hz or more.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -68,12 +68,12 @@ class PulseRate:
         self._restart()
 
     def feed(self, time_s: float, millivolts: float) -> list[HeartRate]:
-        """Take the next sample; return the heart rate at each beat that it shows.
+        """Process a sample; return the heart rate at each beat detected.
 
         Parameters
         ----------
         time_s
-            Device time, later than that of every sample before.
+            Device time, later than that of all previous samples.
         millivolts
             The raw signal, with its offset.
         """
@@ -86,7 +86,7 @@ class PulseRate:
         return [rate for beat in found for rate in self._beat(beat.apex_s)]
 
     def found(self, time_s: float) -> bool:
-        """Whether there is a pulse: a heart rate is known, and no beat is missing at this time."""
+        """Whether there is a pulse: a heart rate is known, and no beat is overdue at this time."""
         return self._has_rate and time_s - self._last_beat_s <= LONGEST_INTERVAL_S
 
     @property
@@ -121,12 +121,12 @@ class PulseRate:
         return abs(interval_s - usual_s) <= MOST_DEVIATION * usual_s
 
 
-# The GSR+ unit puts 0.5 V across the skin and amplifies the current with one of four feedback
-# resistors, so the ADC sees 0.5 V * (1 + Rf / Rskin). Constants and limits are those of Shimmer's
+# The GSR+ unit applies 0.5 V to the skin and amplifies the current with one of four feedback
+# resistors, so the ADC measures 0.5 V * (1 + Rf / Rskin). Constants and limits are from Shimmer's
 # Java and C# APIs.
 FEEDBACK_KOHM = (40.2, 287.0, 1000.0, 3300.0)
 LARGEST_OPEN_ADC = 683
-"""Of range 3: the amplifier's output for no current at all, rounded up."""
+"""In range 3, the amplifier's output without any current, rounded up."""
 
 _EXCITATION_VOLTS = 0.5
 _RANGE_SHIFT = 14
@@ -143,7 +143,7 @@ def gsr_ranges(raw: ArrayLike, setting: int) -> Ints:
     raw : array_like of int, shape (n,)
         16-bit values of the GSR channel.
     setting : int
-        0 to 3, or 4 for automatic; only then the device says it in the upper bits.
+        0 to 3, or 4 for automatic; only then the upper bits contain the resistor.
     """
     raw = np.asarray(raw, np.int64)
     return raw >> _RANGE_SHIFT if setting == AUTO_RANGE else np.full(raw.shape, setting)
@@ -160,13 +160,12 @@ def conductance_us(raw: ArrayLike, setting: int) -> Floats:
     Returns
     -------
     ndarray of float, shape (n,)
-        With a fixed range, resistances outside of it are taken to its end, as the
-        vendor's APIs do.
+        With a fixed range, resistances are clipped to it, as in the vendor's APIs.
     """
     ranges = gsr_ranges(raw, setting)
     adc = np.asarray(raw, np.int64) & _ADC_MASK
     volts = adc * ADC_VOLTS / ADC_MAX
-    # At the ADC value nearest to 0.5 V range 3 cannot tell a current from none.
+    # In range 3, an ADC value near 0.5 V does not show whether a current flows.
     flows = (volts > _EXCITATION_VOLTS) & ((ranges != 3) | (adc > LARGEST_OPEN_ADC))
     gain = np.where(flows, volts / _EXCITATION_VOLTS - 1, np.nan)
     resistance = np.take(FEEDBACK_KOHM, ranges) / gain
@@ -174,25 +173,25 @@ def conductance_us(raw: ArrayLike, setting: int) -> Floats:
 
 
 def clamped_kohm(resistance: ArrayLike, setting: int) -> Floats:
-    """Limit resistances [kohm] to what a range setting can measure; NaN stays NaN."""
+    """Clip resistances [kohm] to the range of a setting; NaN stays NaN."""
     limits = _AUTO_LIMITS_KOHM if setting == AUTO_RANGE else _FIXED_LIMITS_KOHM[setting]
     return np.clip(np.asarray(resistance, np.float64), *limits)
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """How a device was set up to measure.
+    """The setup of a device.
 
     Attributes
     ----------
     layout
-        Order of the channels in a packet.
+        Layout of the channels in a packet.
     divisor
-        The sampling rate is 32768 Hz divided by it.
+        The sample rate is 32768 Hz divided by it.
     gsr_setting
         Feedback resistor, 4 for automatic.
     denied
-        By data name, what the device refuses and why.
+        What the device refuses and why, by data name.
     """
 
     layout: Layout
@@ -202,12 +201,12 @@ class Measurement:
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate."""
+        """Sample rate."""
         return TICKS_PER_S / self.divisor
 
 
 class GsrEmitter(PacketEmitter):
-    """Turns packets into samples; one instance a device, over all its connections."""
+    """Converts packets to samples; one instance per device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         super().__init__(sink, "shimmer3_gsr")

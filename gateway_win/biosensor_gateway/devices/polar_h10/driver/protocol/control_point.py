@@ -1,4 +1,4 @@
-"""Commands to the control point, and what it answers."""
+"""Commands to the control point, and its answers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from math import isfinite
 
 CONTROL_POINT = "fb005c81-02e7-f387-1cad-8acd2d8df0c8"
 OLD_CONTROL_POINT = "fb005c51-02e7-f387-1cad-8acd2d8df0c8"
-"""What firmware of the first years has in its place; its protocol is another."""
+"""Control point of early firmware, which has a different protocol."""
 
 _FEATURES = 0x0F
 _REPLY = 0xF0
@@ -18,7 +18,7 @@ _STOPPED = 0x01
 
 
 class Measurement(IntEnum):
-    """What a device can measure; other numbers exist."""
+    """Known measurements of devices; other numbers exist."""
 
     ECG = 0
     PPG = 1
@@ -27,7 +27,7 @@ class Measurement(IntEnum):
     GYROSCOPE = 5
     MAGNETOMETER = 6
     SDK_MODE = 9
-    """No measurement: it is started and stopped as if it were one."""
+    """Not a measurement, but started and stopped like one."""
 
 
 class Operation(IntEnum):
@@ -39,7 +39,7 @@ class Operation(IntEnum):
 
 
 class Status(IntEnum):
-    """What became of a command; higher numbers may come."""
+    """Result of a command; higher numbers may occur."""
 
     SUCCESS = 0
     INVALID_OP_CODE = 1
@@ -77,7 +77,7 @@ _FORMATS: dict[int, str] = {
     Setting.RANGE_MILLIUNIT: "I",
     Setting.CHANNELS: "B",
 }
-"""Settings that a start command carries."""
+"""Settings that a start command contains."""
 _FACTOR_FORMAT = struct.Struct("<f")
 _SIZES = {
     **{setting: struct.calcsize(f"<{code}") for setting, code in _FORMATS.items()},
@@ -88,16 +88,16 @@ _SIZES = {
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """One packet of the answer to a command.
+    """One packet of a reply.
 
     Attributes
     ----------
     operation, measurement
-        Of the command.
+        Operation and measurement of the command.
     status
         One of `Status`, or an unknown code.
     more
-        Further packets follow; their parameters continue these.
+        Whether further packets follow, whose parameters continue these.
     """
 
     operation: int
@@ -115,13 +115,13 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """The device ended measurements by itself."""
+    """A notice that the device stopped measurements by itself."""
 
     measurements: tuple[int, ...]
 
 
 def parse_features(data: bytes) -> frozenset[int]:
-    """Read which measurements the device offers, from the control point's value."""
+    """Parse the available measurements from the control point's value."""
     if len(data) < 3 or data[0] != _FEATURES:
         return frozenset()
     mask = int.from_bytes(data[1:3], "little")
@@ -129,9 +129,9 @@ def parse_features(data: bytes) -> frozenset[int]:
 
 
 def parse_indication(data: bytes) -> Reply | Stopped | None:
-    """Read what the control point says; None for anything else.
+    """Parse an indication of the control point; None for anything else.
 
-    BlueZ passes on the features, when they are read, as if they were said.
+    When the features are read, BlueZ also passes them on as an indication.
     """
     if data[:1] == bytes([_STOPPED]):
         return Stopped(tuple(data[1:]))
@@ -142,10 +142,10 @@ def parse_indication(data: bytes) -> Reply | Stopped | None:
 
 
 def parse_settings(parameters: bytes) -> dict[Setting, tuple[float, ...]]:
-    """Read settings, each with the values that are offered or were chosen.
+    """Parse settings, each with its available or chosen values.
 
-    Nothing is read from the first unknown setting on, whose size cannot be known. A
-    factor that is no finite number is left out.
+    Parsing stops at the first unknown setting, because its size is unknown. A factor that is not
+    finite is left out.
     """
     found: dict[Setting, tuple[float, ...]] = {}
     position = 0
@@ -162,12 +162,12 @@ def parse_settings(parameters: bytes) -> dict[Setting, tuple[float, ...]]:
 
 
 def get_settings(measurement: Measurement) -> bytes:
-    """Command that asks which settings a measurement offers."""
+    """Return the command that queries the settings of a measurement."""
     return bytes([Operation.GET_SETTINGS, measurement])
 
 
 def start(measurement: Measurement, chosen: Mapping[Setting, int]) -> bytes:
-    """Command that starts a measurement, with one value of each setting that it offers."""
+    """Return the command that starts a measurement, with one value for each setting."""
     command = bytes([Operation.START, measurement])
     for setting, value in sorted(chosen.items()):
         command += bytes([setting, 1]) + struct.pack(f"<{_FORMATS[setting]}", value)
@@ -175,17 +175,17 @@ def start(measurement: Measurement, chosen: Mapping[Setting, int]) -> bytes:
 
 
 def stop(measurement: Measurement) -> bytes:
-    """Command that stops a measurement."""
+    """Return the command that stops a measurement."""
     return bytes([Operation.STOP, measurement])
 
 
 def choose(
     offered: Mapping[Setting, Sequence[float]], wanted: Mapping[Setting, int]
 ) -> dict[Setting, int]:
-    """Choose one value of each setting for a start command.
+    """Choose one value for each setting of a start command.
 
-    What is wanted if it is offered, else the next lower value, else the lowest; the
-    highest where nothing is wanted.
+    The wanted value if available, else the next lower one, else the lowest; the highest if no
+    value is wanted.
     """
     chosen: dict[Setting, int] = {}
     for setting, offers in offered.items():

@@ -1,4 +1,4 @@
-"""Data frames, by what they hold; `layouts` reads them."""
+"""Parses data frames."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ _COMPRESSED = 0x80
 _MICROTESLA_PER_GAUSS = 100.0
 PPG_CHANNELS = 4
 
-# A compressed frame has a reference sample of whole bytes per channel, then blocks of ``bits |
-# count | payload``: `count` samples of one difference per channel, each `bits` wide, packed from
-# the lowest bit on and filled up to a whole byte.
+# A compressed frame consists of a reference sample, in whole bytes per channel, and blocks of
+# ``bits | count | payload``: `count` samples with one difference per channel, each `bits` wide,
+# packed from the lowest bit on and padded to a whole byte.
 Sample = tuple[int, ...]
 
 MAX_BITS = 32
-"""No difference of two 24-bit values is wider."""
+"""Larger than any difference of two 24-bit values."""
 
 
 def expand(data: bytes, channels: int, resolution_bits: int) -> list[Sample] | None:
-    """Return the samples of a compressed frame; None if it is cut short or damaged.
+    """Return the samples of a compressed frame; None if it is truncated or damaged.
 
     Parameters
     ----------
     data
-        All behind the frame's header.
+        Everything after the frame's header.
     resolution_bits
-        Of the reference sample.
+        Resolution of the reference sample.
 
     Returns
     -------
     list of tuple of int
-        One value a channel; up to 255 samples for every two bytes.
+        One value per channel; up to 255 samples for every two bytes.
     """
     width = -(-resolution_bits // 8)
     position = width * channels
@@ -69,22 +69,22 @@ def _deltas(payload: bytes, bits: int, count: int, channels: int) -> Iterator[li
     mask, sign = (1 << bits) - 1, (1 << bits) >> 1
     for first in range(0, count * channels, channels):
         fields = [number >> (index * bits) & mask for index in range(first, first + channels)]
-        # Flipping the sign bit and taking it off again extends the sign; no bits are a zero.
+        # Flipping the sign bit and subtracting it extends the sign; zero bits mean zero.
         yield [(field ^ sign) - sign for field in fields]
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What every frame starts with.
+    """The header of a frame.
 
     Attributes
     ----------
     measurement
         One of `Measurement`, or an unknown number.
     timestamp_ns
-        Device clock at the last sample [ns since 2000-01-01, as far as it was ever set].
+        Device time of the last sample [ns since 2000-01-01, if the clock was ever set].
     frame_type
-        Layout of the samples; from 0x80 on compressed.
+        Layout of the samples; compressed from 0x80 on.
     """
 
     measurement: int
@@ -114,8 +114,7 @@ class Ecg:
 class Acceleration:
     """Acceleration, x y z [counts].
 
-    Polar's SDK cuts off what it makes of compressed counts to whole mg; here, they
-    keep their resolution.
+    Polar's SDK truncates compressed values to whole mg; here they keep their resolution.
     """
 
     header: Header
@@ -158,29 +157,29 @@ class MagneticField:
 
 @dataclass(frozen=True, slots=True)
 class Ppg:
-    """Photoplethysmogram [counts]: three LEDs and the ambient light, or two LEDs alone."""
+    """Photoplethysmogram [counts]: three LEDs and the ambient light, or only two LEDs."""
 
     header: Header
     counts: tuple[Sample, ...]
 
     @property
     def samples(self) -> list[list[float]]:
-        """Four channels [counts]; NaN of those that the device does not have."""
+        """Four channels [counts]; NaN for those that the device does not have."""
         return [[*each, *(nan,) * (PPG_CHANNELS - len(each))] for each in self.counts]
 
 
 @dataclass(frozen=True, slots=True)
 class PulseInterval:
-    """Interval between two pulse waves, as an optical sensor sees them.
+    """Interval between two pulse waves, measured by an optical sensor.
 
     Attributes
     ----------
     interval_ms, error_ms
         The interval and the device's estimate of its error.
     moved
-        The device calls the interval invalid because of movement.
+        Whether the device flags the interval as invalid because of movement.
     contact
-        Whether the skin is felt; None if the device does not tell.
+        Whether there is skin contact; None if not reported.
     """
 
     bpm: int
@@ -191,7 +190,7 @@ class PulseInterval:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the device vouches for it."""
+        """Whether the device considers it valid."""
         return not self.moved and self.contact is not False
 
 
@@ -210,12 +209,12 @@ Frame = RegularFrame | PulseIntervals
 
 @unique
 class Rejected(Enum):
-    """Why a frame holds no samples."""
+    """Why a frame cannot be parsed."""
 
     DAMAGED = "damaged"
-    """It is cut short, or its lengths do not fit."""
+    """It is truncated, or its lengths do not match."""
     UNKNOWN = "unknown"
-    """Its layout is none that is known."""
+    """Its layout is unknown."""
 
 
 def _scaled(counts: tuple[Sample, ...], unit: float) -> list[list[float]]:
@@ -230,18 +229,18 @@ _Layout = Callable[[Header, bytes, float], Frame | None]
 
 
 def measurement_of(data: bytes) -> int | None:
-    """Tell whose samples a frame holds; None if it is empty."""
+    """Return the measurement of a frame; None if it is empty."""
     return data[0] & _MEASUREMENT_MASK if data else None
 
 
 def parse_frame(data: bytes, factors: Mapping[int, float]) -> Frame | Rejected:
-    """Read a data frame; it is taken whole or not at all.
+    """Parse a data frame, completely or not at all.
 
     Parameters
     ----------
     factors
-        By measurement, what the device named when it was started: physical units
-        (g, deg/s or gauss) a count of compressed frames; 1 where it named none.
+        Physical units (g, deg/s or gauss) per count of compressed frames, by measurement, as
+        reported at the start; 1 if not reported.
     """
     if len(data) < _HEADER.size:
         return Rejected.DAMAGED
@@ -285,14 +284,14 @@ def _ppg(header: Header, data: bytes, factor: float) -> Frame | None:
 
 def _compressed_ppg(header: Header, data: bytes, factor: float) -> Frame | None:
     del factor
-    # 22-bit values in three bytes each.
+    # 22-bit values in three bytes.
     samples = expand(data, PPG_CHANNELS, 24)
     return None if samples is None else Ppg(header, tuple(samples))
 
 
 def _compressed_ppg_of_two_leds(header: Header, data: bytes, factor: float) -> Frame | None:
     del factor
-    # Behind the values of the photodiodes stand bits of status.
+    # Status bits follow the values of the photodiodes.
     samples = expand(data, 3, 24)
     return None if samples is None else Ppg(header, tuple(each[:2] for each in samples))
 
@@ -308,7 +307,7 @@ def _magnetic_field(header: Header, data: bytes, factor: float) -> Frame | None:
 
 
 def _magnetic_field_with_status(header: Header, data: bytes, factor: float) -> Frame | None:
-    # Counts of a thousandth gauss, and how well the sensor has calibrated itself.
+    # Counts of a thousandth gauss, and the sensor's calibration status.
     samples = expand(data, 4, 16)
     if samples is None:
         return None
