@@ -23,6 +23,7 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.agent.selection import chosen, described
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.page.agent import Viewer
@@ -166,7 +167,25 @@ def test_a_heart_rate_of_before_is_not_that_of_now_and_a_battery_holds() -> None
     assert stream(shown, "bat").values == [72.0]
 
 
+def test_a_virtual_device_of_each_of_two_people_is_another_one() -> None:
+    usual: dict[str, Any] = {
+        "sensor": "polar_h10", "unit": "virtual", "label": "", "state": "streaming",
+        "paused": False, "worn": True, "connections": 1, "error": None, "dropped_bytes": 0,
+        "battery_percent": None, "clock": None, "streams": {},
+    }  # fmt: skip
+    two = [DeviceStatus(participant=each, **usual) for each in ("P01", "P02")]
+    views = Viewer(History()).devices(AgentStatus(lsl_time=NOW, devices=two))
+    assert [each.name for each in views] == ["polar_h10/virtual (P01)", "polar_h10/virtual (P02)"]
+    # The commands know it by that name.
+    for each in two:
+        worn = DeviceIdentity(each.sensor, each.unit, each.participant)
+        known = [DeviceIdentity(one.sensor, one.unit, one.participant) for one in two]
+        assert chosen(described(worn), known) == worn
+
+
 # The end of the log of one device, whatever else is in the file.
+
+
 def record(event: str, unit: str = "A", **facts: object) -> str:
     about = {"sensor": "zephyr", "unit": unit, "level": "warning"}
     when = {"timestamp": "2026-05-04T10:20:30.000000Z", "logger": "biosensor_gateway.agent"}

@@ -206,6 +206,9 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
     bar.get_by_role("button", name="Stop the recording").click()
     verdict = session.locator(".verdict")
     expect(verdict).to_contain_text("zephyr/A of p01 was paused the whole time")
+    # Neither a long state nor the verdict is wider than a narrow window.
+    page.set_viewport_size({"width": 320, "height": 700})
+    page.wait_for_function("() => document.documentElement.scrollWidth <= innerWidth")
 
 
 @pytest.mark.seam

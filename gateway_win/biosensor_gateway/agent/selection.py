@@ -19,7 +19,7 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
     Parameters
     ----------
     name
-        Its sensor, label, participant or ``sensor/unit``.
+        Its sensor, label, participant or ``sensor/unit``, or what `described` returns.
     devices
         To choose from.
 
@@ -30,7 +30,8 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
         lists the candidates.
     """
     known = list(devices)
-    matching = [each for each in known if device_name(each) == name]
+    matching = [each for each in known if described(each) == name]
+    matching = matching or [each for each in known if device_name(each) == name]
     if not matching:
         matching = [
             each for each in known if name and name in (each.sensor, each.label, each.participant)
@@ -47,9 +48,13 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
 
 
 def _listed(devices: Iterable[DeviceIdentity]) -> str:
-    return ", ".join(_described(each) for each in devices)
+    return ", ".join(described(each) for each in devices)
 
 
-def _described(identity: DeviceIdentity) -> str:
+def described(identity: DeviceIdentity) -> str:
+    """Return a device's name with who wears it, ``polar_h10/virtual (P01)``.
+
+    It is unique among virtual devices, too, of which several people may wear one of a kind.
+    """
     worn = " ".join(part for part in (identity.participant, identity.label) if part)
     return device_name(identity) + (f" ({worn})" if worn else "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from biosensor_gateway.agent.feed_frames import (
     read_count,
 )
 from biosensor_gateway.agent.rate_meter import RateMeter
-from biosensor_gateway.agent.selection import device_name
+from biosensor_gateway.agent.selection import described, device_name
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.agent.status import (
@@ -163,7 +164,10 @@ class Viewer:
             self._device(*of_device, device, topics, now)
             for of_device, device in zip(declared, status.devices, strict=True)
         ]
-        for view in views:
+        names = Counter(view.name for view in views)
+        for view, (identity, _) in zip(views, declared, strict=True):
+            if names[view.name] > 1:
+                view.name = described(identity)
             own = (each for each in features if each.derived_from in view.streams)
             view.features = [_named(each, topics, is_fresh=view.is_sending) for each in own]
         return views

@@ -14,7 +14,9 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import control
+from biosensor_gateway.agent.selection import described, device_name
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.page.models import (
@@ -65,6 +67,13 @@ class DeviceName(BaseModel):
     unit: UnitText
 
 
+class WornDevice(DeviceName):
+    """Identifies a device, also where several people wear a virtual one of its kind."""
+
+    participant: ShortText = ""
+    label: ShortText = ""
+
+
 class DeviceRemoval(SettingsChange, DeviceName):
     """A device to remove from the settings."""
 
@@ -85,18 +94,22 @@ class ParticipantNow(SettingsChange):
 
 def _add_pauses(router: APIRouter, session: Session) -> None:
     @router.post("/devices/pause")
-    async def pause(device: DeviceName) -> Outcome:
+    async def pause(device: WornDevice) -> Outcome:
         """Pause a device: nothing of it is sent until it is resumed."""
         return await _switched(session, "pause", device)
 
     @router.post("/devices/resume")
-    async def resume(device: DeviceName) -> Outcome:
+    async def resume(device: WornDevice) -> Outcome:
         """Resume a paused device."""
         return await _switched(session, "resume", device)
 
 
-async def _switched(session: Session, command: str, device: DeviceName) -> Outcome:
-    answer = await asked(session, command, {"device": f"{device.sensor}/{device.unit}"})
+async def _switched(session: Session, command: str, device: WornDevice) -> Outcome:
+    identity = DeviceIdentity(device.sensor, device.unit, device.participant, device.label)
+    name = device_name(identity)
+    # Who wears it only if needed: it may have just been changed, and a withdrawal must not fail.
+    alike = [e for e in session.device_facts() or () if f"{e['sensor']}/{e['unit']}" == name]
+    answer = await asked(session, command, {"device": described(identity) if alike[1:] else name})
     problem = answer.get("problem")
     if problem and not answer.get("pending"):
         # The running agent has done it; only an agent that is started later would not know.

@@ -122,6 +122,7 @@ export function Detail({ live, device, isVirtual, act, onCapture, onClose }) {
   const heading = useRef();
   useEffect(() => heading.current.focus(), [device.name]);
   const which = { sensor: device.sensor, unit: device.unit };
+  const worn = { ...which, participant: device.participant, label: device.label };
   const remove = () => {
     if (confirm(`Remove ${device.title} ${device.unit} from the settings? Its streams end.`)) {
       act("DELETE", "/devices", which).then((isDone) => isDone && onClose());
@@ -141,8 +142,8 @@ export function Detail({ live, device, isVirtual, act, onCapture, onClose }) {
       <div class="buttons">
         <button onClick=${onClose}>Back to all devices</button>
         ${!act ? null : device.paused
-          ? html`<button onClick=${() => act("POST", "/devices/resume", which)}>Resume</button>`
-          : html`<button onClick=${() => act("POST", "/devices/pause", which)}>Pause (withdrawal)</button>`}
+          ? html`<button onClick=${() => act("POST", "/devices/resume", worn)}>Resume</button>`
+          : html`<button onClick=${() => act("POST", "/devices/pause", worn)}>Pause (withdrawal)</button>`}
         ${act && !isVirtual && html`<button onClick=${remove}>Remove …</button>`}
         ${act && !isVirtual && onCapture && html`<button onClick=${() => onCapture({ ...which, title: device.title })}>Help us: capture this device</button>`}
       </div>
