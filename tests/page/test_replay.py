@@ -76,6 +76,9 @@ def test_a_recording_is_played_marked_and_ended(
     expect(page.locator(".card")).to_have_count(0)
     over.get_by_role("button", name="Close").click()
     expect(over).to_have_count(0)
+    page.reload()
+    expect(page.get_by_role("heading", name="Biosensor Gateway")).to_be_visible()
+    expect(over).to_have_count(0)
 
 
 @pytest.mark.nightly

@@ -202,14 +202,24 @@ def violations_by_scheme(page: Page) -> list[Any]:
     return found
 
 
+TOLD_OF_ITSELF = re.compile("^(bat|rssi)$")
+
+
 def test_everybody_can_use_it(server: Server, window: OpenWindow) -> None:
     page = window()
     page.goto(server.address)
     expect(page.get_by_role("heading", name="No sensor is set up yet")).to_be_visible()
     assert violations_by_scheme(page) == []
-    server.programs.start("run", "--simulate", "zephyr,polar_h10")
+    server.programs.start("run", "--simulate", "zephyr@p01,polar_h10@p02")
     expect(page.locator(".card", has_text="streaming")).to_have_count(2)
     assert violations_by_scheme(page) == []
+
+    # In a wide window people are beside each other.
+    page.set_viewport_size({"width": 1920, "height": 900})
+    tops = page.locator(".card").evaluate_all(
+        "all => all.map((e) => e.getBoundingClientRect().top)"
+    )
+    assert tops[0] == tops[1]
 
     # By the keyboard alone, to the details and back.
     button = page.get_by_role("button", name="Traces and details").first
@@ -220,6 +230,10 @@ def test_everybody_can_use_it(server: Server, window: OpenWindow) -> None:
     page.keyboard.press("Enter")
     expect(page.get_by_role("heading", name="Streams")).to_be_visible()
     assert violations_by_scheme(page) == []
+    # What a device tells of itself has a row, and no empty plot.
+    expect(page.locator("th", has_text=TOLD_OF_ITSELF).first).to_be_visible()
+    expect(page.locator(".plot").first).to_be_visible()
+    expect(page.locator(".plot strong", has_text=TOLD_OF_ITSELF)).to_have_count(0)
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     expect(page.locator(".card")).to_have_count(2)
@@ -232,7 +246,7 @@ def test_everybody_can_use_it(server: Server, window: OpenWindow) -> None:
             expect(page.get_by_role("heading", name="Streams")).to_be_visible()
         for width in (640, 400, 320):
             page.set_viewport_size({"width": width, "height": 700})
-            page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+            page.wait_for_function("() => document.documentElement.scrollWidth <= innerWidth")
             expect(page.get_by_role("button", name="Traces" if not is_open else "Back").first
                    ).to_be_visible()  # fmt: skip
 
