@@ -1,4 +1,4 @@
-"""Emotiv Insight headset, by way of the Cortex service."""
+"""Emotiv Insight headset, connected through the Cortex service."""
 
 from biosensor_common import plausible
 from biosensor_common.quantities import (
@@ -39,7 +39,7 @@ _MOTION = (
         plausible=plausible.MAGNETIC_FIELD_UT,
     ),
 )
-# Battery and Signal are grades: 0 to 4, and 0 to 1 or 0 to 2 by the version of Cortex.
+# Battery and Signal are grades: 0 to 4, and 0 to 1 or 0 to 2 depending on the Cortex version.
 _DEVICE = (
     *channels(Unit.INDEX, "Battery", "Signal", *_ELECTRODES),
     *channels(Unit.PERCENT, "OVERALL", plausible=plausible.PERCENT),
@@ -71,7 +71,7 @@ SPEC = SensorSpec(
         hardware("mot", ContentType.MOCAP, _MOTION, FROM_DEVICE, contract=True),
         hardware("dev", ContentType.STATUS, _DEVICE, is_state=True, contract=True),
         hardware("eeg_status", ContentType.STATUS, _EEG_STATUS, 128),
-        # Only older firmware sends it, in a unit that the vendor does not document.
+        # Only older firmware sends it, in an undocumented unit.
         hardware("gyro", ContentType.MOCAP, channels(Unit.ARBITRARY, *"XYZ"), FROM_DEVICE),
     ),
 )  # fmt: skip

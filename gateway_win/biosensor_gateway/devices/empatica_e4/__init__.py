@@ -1,4 +1,4 @@
-"""Empatica E4 wristband, by way of the vendor's streaming server."""
+"""Empatica E4 wristband, connected through the vendor's streaming server."""
 
 from biosensor_common import plausible
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType, Unit

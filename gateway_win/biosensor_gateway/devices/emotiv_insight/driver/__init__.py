@@ -1,4 +1,4 @@
-"""The conversation with one headset by way of Cortex, for one connection."""
+"""Driver for the Emotiv Insight, which connects through the Cortex service."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ DEFAULT_URL = "wss://localhost:6868"
 class EmotivInsightSettings(DeviceSettings):
     """Settings of one Insight.
 
-    The client id and secret of the Cortex app are no settings: they come from the
-    environment or the keyring.
+    The client id and secret of the Cortex app are not settings; they come from the environment or
+    the keyring.
     """
 
     headset: str = Field(
@@ -104,7 +104,7 @@ class EmotivInsightSettings(DeviceSettings):
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a host name or address can only mean this computer."""
+    """Whether a host name or address always means this computer."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -114,9 +114,9 @@ def is_loopback(host: str) -> bool:
 PATIENCE_S = 10.0
 WHY_TIMEOUT_S = 2.0
 STREAMS = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro"), "pow": ("pow",), "dev": ("dev",)}
-"""By which streams one knows that a subscription delivers; metrics come when Cortex has them."""
+"""Streams that are monitored for each subscription; metrics come at irregular times."""
 DUE = {"dev": 15.0}
-"""Battery and contact come twice a second."""
+"""Battery and contact are sent twice a second."""
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 SEARCH_S = 10.0
@@ -146,7 +146,7 @@ class EmotivInsightDriver:
         self._session: Session | None = None
 
     async def connect(self) -> Connected:
-        """Sign in, find the headset, make a session and subscribe; see the protocol class."""
+        """Sign in, find the headset, create a session and subscribe; see the protocol class."""
         await self._client.open()
         try:
             return await self._start()
@@ -154,17 +154,17 @@ class EmotivInsightDriver:
             raise gateway_error(error) from error
 
     async def stream(self) -> None:
-        """Emit what came since the subscription, then all that comes."""
+        """Emit data received since the subscription."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._pass_on())
                 tasks.create_task(self._heed_warnings())
         except ExceptionGroup as group:
-            # When the link ends, more than one of them may have been told.
+            # When the link ends, several tasks may fail with the same error.
             raise group.exceptions[0] from None
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Ask Cortex why nothing comes, and subscribe once more; see the protocol class."""
+        """Query the headset's state, and subscribe again; see the protocol class."""
         if self._session is None:
             raise RuntimeError("a driver streams after it has connected")
         silent = [each for each, names in STREAMS.items() if not streams.isdisjoint(names)]
@@ -184,7 +184,7 @@ class EmotivInsightDriver:
             raise TransportError(TransportReason.SILENT, message)
 
     async def close(self) -> None:
-        """Close the session and the connection, without waiting for any reply."""
+        """Close the session and the connection without waiting for replies."""
         if self._session is not None:
             await self._session.stop()
         await self._client.close()
@@ -231,7 +231,7 @@ class EmotivInsightDriver:
         )
 
     def _forget_endings(self) -> None:
-        """Drop what was told before the headset was reached."""
+        """Discard warnings from before the headset was connected."""
         while not self._endings.empty():
             self._endings.get_nowait()
 
@@ -263,13 +263,13 @@ class EmotivInsightDriver:
 
 
 def _not_delivered(subscription: Subscription) -> frozenset[str]:
-    """Return the streams for which the licence or the headset does not do."""
+    """Return the streams that the licence or the headset does not provide."""
     missing = STREAMS.keys() - subscription.layouts.keys() - subscription.failures.keys()
     return frozenset(name for stream in missing for name in STREAMS[stream])
 
 
 def _denied(subscription: Subscription) -> dict[str, str]:
-    """Return by data name why Cortex does not give streams."""
+    """Return why Cortex refuses streams, by data name."""
     return {
         name: EEG_NOT_LICENSED if stream == "eeg" else f"{STREAM_REFUSED} {stream}, {code}"
         for stream, code in subscription.failures.items()
@@ -279,13 +279,13 @@ def _denied(subscription: Subscription) -> dict[str, str]:
 
 
 def _has_gyroscope(subscription: Subscription) -> bool:
-    """Tell whether the motion stream has angular rates, as older firmware sends them."""
+    """Whether the motion stream has angular rates, as in older firmware."""
     motion = subscription.layouts.get("mot")
     return motion is not None and not motion.labels.isdisjoint(GYROSCOPE)
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotivInsightDriver]:
-    """Share token and emitter between all connections."""
+    """Share the token and the emitter between all connections."""
     own = own_settings(EmotivInsightSettings, settings)
     emitter = EmotivEmitter(sink)
     account = Account(own.license, own.debit)
@@ -298,12 +298,12 @@ SLOW_METRICS = "it does not cover performance metrics: met comes every 10 s, not
 
 
 async def unlicensed(settings: DeviceSettings) -> Sequence[str]:
-    """Sign in, without drawing sessions from a counted licence, and ask.
+    """Query what the licence does not cover, without using up sessions of a counted licence.
 
     Raises
     ------
     CredentialError
-        ``MISSING``: a client id or secret, a user, an approval; ``REJECTED``.
+        ``MISSING`` client id or secret, user or approval; ``REJECTED``.
     ProtocolError, TransportError
         See :meth:`CortexClient.call`.
     """
@@ -324,16 +324,16 @@ async def unlicensed(settings: DeviceSettings) -> Sequence[str]:
 
 
 async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
-    """Return the headsets that the services of the settings, or the usual one, have in reach.
+    """Return the headsets in range of the services in the settings, or of the default service.
 
     Raises
     ------
     CredentialError
-        Client id or secret, login or approval are missing.
+        If the client id or secret, login or approval is missing.
     TransportError
         ``ABSENT``: no Cortex service runs there.
     ProtocolError
-        Cortex refuses or does not answer.
+        If Cortex refuses or does not answer.
     """
     await find_credentials()
     services = {_service(each) for each in configured} or {(DEFAULT_URL, "")}
@@ -356,7 +356,7 @@ async def _headsets(url: str, ca_file: str) -> list[Headset]:
     client = CortexClient(WebSocketLink(url, ca_file))
     try:
         await client.open()
-        # Nobody waits in front of a search for somebody to log in.
+        # A search does not wait for the user to log in.
         await Account().sign_in(client, patience_s=0.0)
         return await search(client, SEARCH_S, lambda _: False)
     except CortexError as error:
@@ -386,12 +386,12 @@ _KEY = rf'"(?!(?:{_TELLS_NOTHING})")\w+"\s*:\s*'
 _MODEL = "(?![A-Z][A-Z0-9]*-[0-9A-F]{8})"
 IDENTIFIERS = (
     re.compile(rb'"(?:cortexToken|clientId|clientSecret)"\s*:\s*"(?P<secret>[^"]+)"'),
-    # Of a headset's id the model stays, by which it is known.
+    # Only the number of a headset's id is replaced; the model stays, because it is needed.
     re.compile(rb"[A-Z][A-Z0-9]*-([0-9A-F]{8})"),
     re.compile(rf'{_KEY}"{_MODEL}([^"\\]{{8,}})"'.encode()),
     re.compile(rf'{_KEY}("[^"\\]{{1,7}}")'.encode()),
 )
-"""All texts but some; short ones with their quotation marks, for numbers could hold them."""
+"""All texts with exceptions; short ones include their quotation marks to exclude numbers."""
 DRIVER = DriverEntry(
     EmotivInsightSettings,
     _make,

@@ -1,4 +1,4 @@
-"""Signing in to Cortex: a user, the user's approval, a token."""
+"""Signs in to Cortex: waits for a user and the user's approval, and gets a token."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from biosensor_gateway.system.device_log import Once
 from biosensor_gateway.transports.threads import in_daemon_thread
 
 PATIENCE_S = 60.0
-"""How long one connection waits for a person."""
+"""How long one connection attempt waits for the user."""
 ASK_EVERY_S = 5.0
 AUTHORIZE_TIMEOUT_S = 30.0
 RETRY_HEADSET_S = 2.0
@@ -41,7 +41,7 @@ _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """What tells Cortex which application this is."""
+    """The credentials of this application for Cortex."""
 
     client_id: Secret
     client_secret: Secret
@@ -52,7 +52,7 @@ class Credentials:
 
 
 async def find_credentials() -> Credentials:
-    """Look client id and secret up.
+    """Look up the client id and secret.
 
     Raises
     ------
@@ -66,16 +66,16 @@ async def find_credentials() -> Credentials:
 
 
 class Account:
-    """What a device is allowed by Cortex; one per device, over all its connections.
+    """The sign-in of a device at Cortex; one per device, over all its connections.
 
-    The token is kept: a new one may draw sessions from a counted licence.
+    The token is reused, because a new one may use up sessions of a counted licence.
 
     Parameters
     ----------
     license_id
-        Empty for the one that Cortex chooses.
+        Licence id; empty for the one that Cortex chooses.
     debit
-        Sessions to draw from a counted licence with each token.
+        Sessions to take from a counted licence with each token.
     """
 
     def __init__(self, license_id: str = "", debit: int = 0) -> None:
@@ -87,21 +87,21 @@ class Account:
         self._is_new = Once()
 
     async def sign_in(self, client: CortexClient, patience_s: float) -> None:
-        """Wait for a user and the user's approval, and get a token.
+        """Wait for a login and the user's approval, and get a token.
 
         Parameters
         ----------
         patience_s
-            How long to wait for the person who must log in or approve.
+            How long to wait for the user to log in or approve.
 
         Raises
         ------
         CredentialError
             ``MISSING``: a client id or secret, a user, an approval; ``REJECTED``.
         TransportError
-            ``BUSY``: another user of this computer is logged in to Cortex.
+            ``BUSY`` if another user of this computer is logged in to Cortex.
         CortexError
-            Anything else that Cortex refuses.
+            If Cortex refuses for another reason.
         """
         self._credentials = await find_credentials()
         client.warnings.hide(self._credentials.client_id.reveal())
@@ -114,7 +114,7 @@ class Account:
             await self._authorize(client)
 
     async def call(self, client: CortexClient, method: str, params: Mapping[str, object]) -> object:
-        """Call a method that needs the token, with a new one if the old is not valid any more.
+        """Call a method that needs the token; get a new one if it has expired.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class Account:
             if error.kind is not ErrorKind.TOKEN:
                 raise
         async with self._authorizing:
-            # Another call may have got a new one meanwhile.
+            # Another call may have renewed the token meanwhile.
             if self._token is token:
                 await self._authorize(client)
         return await self._call_patiently(client, method, params)
@@ -138,7 +138,7 @@ class Account:
         return {"cortexToken": self._token or "", **params}
 
     def say_once(self, sentence: str, **details: object) -> None:
-        """Log a sentence, the first time with these details for this device."""
+        """Log a sentence once per device and details."""
         if self._is_new(sentence, str(details)):
             _log.warning(sentence, **details)
 

@@ -1,4 +1,4 @@
-"""Client of the Cortex service: requests with their replies, warnings, and data."""
+"""Client of the Cortex service: requests, warnings and data."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ async def until(
     every_s: float,
     patience_s: float,
 ) -> _T | None:
-    """Ask until there is an answer: now, at each warning, and regularly besides.
+    """Poll until there is a result: now, at each warning, and regularly.
 
     Parameters
     ----------
     ask
-        Returns None for "not yet"; gets the warning that it is asked for, if one is.
+        Returns None for "not yet"; called with the warning, if there is one.
     heard
-        Warnings that may mean that it is time.
+        Warnings that may announce the result.
     every_s
-        How often to ask without a warning: one may have gone unheard.
+        Polling interval, because a warning may have been missed.
     patience_s
-        When to give up, and return None.
+        Time limit, after which None is returned.
     """
     loop = asyncio.get_running_loop()
     deadline = loop.time() + patience_s
@@ -72,19 +72,19 @@ async def until(
 
 REPLY_TIMEOUT_S = 10.0
 KEPT_SAMPLES = 2048
-"""Ten seconds of all streams: longer than the reply to ``subscribe`` may take."""
+"""About ten seconds of all streams, longer than a reply to ``subscribe`` may take."""
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
 
 def request_text(request_id: int, method: str, params: Mapping[str, object] | None) -> str:
-    """Return a request of JSON-RPC 2.0.
+    """Return a JSON-RPC 2.0 request.
 
     Parameters
     ----------
     params
-        What JSON knows, and secrets: they are revealed here and nowhere earlier, so
-        that no traceback with variables shows them.
+        JSON values and secrets; secrets are only revealed here, so that no traceback with
+        variables shows them.
     """
     return json.dumps(
         {"jsonrpc": "2.0", "id": request_id, "method": method, "params": dict(params or {})},
@@ -105,7 +105,7 @@ _LONGEST_SHOWN = 200
 
 
 class Warnings:
-    """The warnings of one connection, for the log and for those who wait for one."""
+    """Distributes the warnings of one connection to the log and to waiting tasks."""
 
     def __init__(self) -> None:
         self._watches: list[tuple[frozenset[Event], asyncio.Queue[Warned]]] = []
@@ -113,19 +113,19 @@ class Warnings:
         self._unknown_codes: set[int] = set()
 
     def hide(self, text: str) -> None:
-        """Keep a secret out of errors and logs, should Cortex quote it."""
+        """Hide a secret in errors and logs, in case Cortex quotes it."""
         if text:
             self._hidden.add(text)
 
     def watch(self, *events: Event) -> asyncio.Queue[Warned]:
-        """Put such warnings, from now on, into the queue that is returned."""
+        """Return a queue for future warnings of these kinds."""
         queue: asyncio.Queue[Warned] = asyncio.Queue()
         self._watches.append((frozenset(events), queue))
         return queue
 
     @contextlib.contextmanager
     def watching(self, *events: Event) -> Generator[asyncio.Queue[Warned]]:
-        """Do the same for as long as the block lasts."""
+        """Like `watch`, while the context is open."""
         queue = self.watch(*events)
         try:
             yield queue
@@ -133,7 +133,7 @@ class Warnings:
             self._watches = [each for each in self._watches if each[1] is not queue]
 
     def tell(self, warned: Warned) -> None:
-        """Log a warning, and put it into the queues of those who wait for its kind."""
+        """Log a warning, and put it into the queues for its kind."""
         self._log_warning(warned)
         for events, queue in self._watches:
             if warned.event in events and queue.qsize() < KEPT_WARNINGS:
@@ -141,7 +141,7 @@ class Warnings:
 
     def _log_warning(self, warned: Warned) -> None:
         if warned.event is Event.UNKNOWN:
-            # A flood of them must not fill the log.
+            # Unknown warnings must not flood the log.
             if warned.code in self._unknown_codes or len(self._unknown_codes) >= _LOGGED_UNKNOWN:
                 return
             self._unknown_codes.add(warned.code)
@@ -156,7 +156,7 @@ class Warnings:
         )
 
     def shown(self, text: str) -> str:
-        """Return a text of Cortex without secrets, in one line, not too long."""
+        """Return a text from Cortex without secrets, in one line of limited length."""
         for hidden in self._hidden:
             text = text.replace(hidden, "***")
         return " ".join(text.split())[:_LONGEST_SHOWN]
@@ -176,7 +176,7 @@ class CortexError(ProtocolError):
     Attributes
     ----------
     kind
-        What to do about it.
+        How to handle it.
     """
 
     def __init__(self, method: str, error: RpcError) -> None:
@@ -190,16 +190,16 @@ class CortexError(ProtocolError):
 class CortexClient:
     """One connection to Cortex.
 
-    Requests may run at the same time; replies are told apart by their ids alone.
+    Requests may run concurrently; replies are matched by id.
 
     Attributes
     ----------
     warnings
-        Hands on what Cortex says unasked.
+        Distributes warnings from Cortex.
     faults
-        Messages of no use, by their fault.
+        Number of unusable messages by fault.
     dropped_bytes
-        Length of those messages [characters].
+        Total length of unusable messages [characters].
     """
 
     def __init__(self, link: TextLink) -> None:
@@ -218,16 +218,16 @@ class CortexClient:
 
     @property
     def dropped_messages(self) -> int:
-        """Messages that came and that nobody took in time."""
+        """Number of messages dropped because they were not processed in time."""
         return self._link.dropped + self._dropped_samples
 
     async def open(self) -> None:
-        """Connect; see the transport for what it raises."""
+        """Connect; see the transport for its errors."""
         await self._link.open()
         self._reader = asyncio.create_task(self._read_forever())
 
     async def close(self) -> None:
-        """Close the connection; requests that still wait fail. Never raises."""
+        """Close the connection, which fails waiting requests; never raises."""
         await self._link.close()
         if self._reader is not None:
             self._reader.cancel()
@@ -241,14 +241,14 @@ class CortexClient:
         Parameters
         ----------
         params
-            What JSON knows, and secrets.
+            JSON values and secrets.
         timeout_s
-            How long the reply may take; 0 for the usual time.
+            Time limit for the reply; 0 for the default.
 
         Raises
         ------
         CortexError
-            Cortex refuses.
+            If Cortex refuses.
         ProtocolError
             ``NO_REPLY``.
         TransportError
@@ -268,7 +268,7 @@ class CortexClient:
             raise ProtocolError(ProtocolReason.NO_REPLY, message) from error
         finally:
             self._pending.pop(reply_id, None)
-            # A failure that arrived together with a timeout has nobody else to see it.
+            # Retrieve an error that arrived together with the timeout, or asyncio logs it.
             if future.done() and not future.cancelled():
                 future.exception()
         if reply.error is not None:
@@ -277,7 +277,7 @@ class CortexClient:
         return reply.result
 
     async def send(self, method: str, params: Mapping[str, object]) -> None:
-        """Send a request of which nobody awaits the reply.
+        """Send a request without waiting for the reply.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class CortexClient:
         Raises
         ------
         TransportError
-            ``LOST``, after everything that had arrived.
+            ``LOST``, after everything received was returned.
         """
         while not self._data:
             if self._ended is not None:
@@ -333,7 +333,7 @@ class CortexClient:
                 self.note(fault)
 
     def note(self, fault: Fault) -> None:
-        """Count a message of no use, and log the first of its kind."""
+        """Count an unusable message, and log the first of its kind."""
         self.faults[fault.code] += 1
         if self.faults[fault.code] == 1:
             _log.warning("a message of Cortex is of no use", cause=fault.code.value)

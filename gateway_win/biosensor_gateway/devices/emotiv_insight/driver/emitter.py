@@ -1,4 +1,4 @@
-"""Turns Cortex' samples into samples of the declared streams."""
+"""Converts Cortex samples to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
 EEG_RATE_HZ = 128.0
 MOTION_RATE_HZ = 64.0
-"""Of the first Insight, where the headset does not tell."""
+"""Rate of the first Insight, used if the headset does not report one."""
 BAND_POWER_RATE_HZ = 8.0
 
 CLOCK_STREAMS = frozenset({"eeg", "mot"})
-"""Sent as soon as measured; what is computed first comes late by a varying time."""
+"""Streams sent at once; computed streams have a varying delay."""
 _COUNTERS = {"eeg": "COUNTER", "mot": "COUNTER_MEMS"}
-# A sample cannot come so long before it was measured.
+# A sample cannot arrive this long before it was measured.
 _SET_AHEAD_S = 1.0
 _LOST_WITH = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro"), "pow": ("pow",)}
 GYROSCOPE = ("GYROX", "GYROY", "GYROZ")
@@ -36,29 +36,29 @@ _METRICS = {
     "focus": "foc",
     "attention": "attention",
 }
-# -1 where Cortex does not know.
+# Cortex sends -1 for unknown values.
 _NEVER_NEGATIVE = frozenset({"Battery", "BatteryPercent"})
 
 _SET_FORWARD_S = 0.25
-"""A sample that comes so much earlier than any before it is stamped by another clock."""
+"""A sample with a delay this much smaller than any before has a different clock."""
 _DELAY_LEAK = 1e-3
-"""How fast the least delay is forgotten [s/s]: far faster than any oscillator drifts."""
+"""How fast the smallest delay is forgotten [s/s], far faster than any oscillator drift."""
 _MAX_BRIDGED_S = 86_400.0
 _SAME_MOMENT = 0.5
-"""In sampling periods."""
+"""Tolerance in sample periods within which times are equal."""
 
 
 class SampleCount:
-    """Follows one stream's counter and time.
+    """Counts lost samples of one stream by its counter and time.
 
-    The counter starts over each second, so it hides a loss of whole seconds, and
-    the time shows that; the larger of both is what was lost. Where the clock was
-    set between two samples, the pause between their arrivals stands in for the time.
+    The counter restarts each second, so it does not show a loss of whole seconds, but the time
+    does; the larger result counts. If the clock was set between two samples, their arrival times
+    are used instead.
 
     Parameters
     ----------
     rate_hz
-        Sampling rate, which is also the modulus of the counter.
+        Sample rate, which is also the modulus of the counter.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -69,30 +69,30 @@ class SampleCount:
         self._least_delay_s = math.inf
 
     def reconnected(self) -> None:
-        """Forget the counter: nothing says that it survives a connection."""
+        """Forget the counter, which may not continue in a new connection."""
         self._counter = None
 
     def forget(self) -> None:
-        """Start again, as after the headset was off."""
+        """Restart, for example after the headset was off."""
         self._counter = self._time_s = None
         self._least_delay_s = math.inf
 
     def lost_before(self, counter: float, time_s: float, arrival_s: float) -> int | None:
-        """Take in a sample.
+        """Process a sample.
 
         Parameters
         ----------
         counter
-            NaN where the stream has none.
+            NaN if the stream has none.
         time_s
             Time of the sample on the device's clock.
         arrival_s
-            LSL clock at its arrival.
+            LSL time of arrival.
 
         Returns
         -------
         int or None
-            Samples missing before it; None if it has been here already.
+            Number of samples missing before it; None for a repeated one.
         """
         number = self._usable(counter)
         if self._is_known(number, time_s):
@@ -108,7 +108,7 @@ class SampleCount:
         return round(self.rate_hz)
 
     def _usable(self, counter: float) -> int | None:
-        # A fractional rate, or a counter beyond it: the modulus is not known.
+        # With a fractional rate, or a counter beyond it, the modulus is unknown.
         if 0 <= counter < self._modulus == self.rate_hz and counter == int(counter):
             return int(counter)
         return None
@@ -119,7 +119,8 @@ class SampleCount:
         behind = (self._time_s - time_s) * self.rate_hz
         if number is None or self._counter is None:
             return behind < _SAME_MOMENT
-        # Further back, the same number is no proof: the clock may have been set by a second.
+        # For older samples the number is not enough, because the clock may have been set by a
+        # second.
         return (
             behind < self._modulus / 2 and round(behind) == (self._counter - number) % self._modulus
         )
@@ -129,7 +130,7 @@ class SampleCount:
         pause_s = arrival_s - self._arrival_s
         if not self._is_clock_set(arrival_s - time_s):
             return max(by_counter, self._periods(time_s - (self._time_s or time_s)) - 1)
-        # Arrivals jitter, so they only tell whole seconds.
+        # Arrivals jitter, so they only show whole seconds.
         hidden = self._periods(pause_s) - 1 - by_counter
         return by_counter + max(0, round(hidden / self._modulus)) * self._modulus
 
@@ -147,10 +148,10 @@ class SampleCount:
 
 
 class EmotivEmitter:
-    """Turns samples of Cortex into samples of streams; one per device, over all connections.
+    """Converts Cortex samples to samples of streams; one per device, over all connections.
 
-    All values come by label: what a headset does not have is NaN, what the
-    declaration does not have is left out. EEG keeps its offset of about 4200 uV.
+    All values are identified by label: missing ones are NaN, undeclared ones are left out. EEG
+    keeps its offset of about 4200 uV.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -174,9 +175,9 @@ class EmotivEmitter:
         Parameters
         ----------
         eeg_rate_hz, motion_rate_hz
-            Rates that the headset has now.
+            Current rates of the headset.
         headset_stayed
-            Whether it was connected to Cortex all the time, and so has measured.
+            Whether it stayed connected to Cortex, and so continued to measure.
         """
         self._counts["eeg"].rate_hz = eeg_rate_hz
         self._counts["mot"].rate_hz = motion_rate_hz
@@ -194,7 +195,7 @@ class EmotivEmitter:
         Parameters
         ----------
         arrival_s
-            LSL clock when it arrived.
+            LSL time of arrival.
         """
         lost = self._lost_before(sample, arrival_s)
         if lost is None:
@@ -219,7 +220,7 @@ class EmotivEmitter:
                 values = [_status(sample, label) for label in self._labels["dev"]]
                 self._emit_known("dev", values, sample.time_s)
                 if sample.numbers.get("OVERALL") == 0:
-                    # Nobody wears it: nothing may be left to compute powers from.
+                    # The headset is not worn, so there may be no data for band powers.
                     self._sink.excuse("pow")
             case _:
                 pass
@@ -235,7 +236,7 @@ class EmotivEmitter:
         self._sink.observe(sample.time_s, arrival_s, sample.stream)
 
     def _is_clock_set(self, time_s: float, arrival_s: float) -> bool:
-        """Tell whether Cortex's clock went ahead; whichever stream shows it first leads then."""
+        """Whether Cortex's clock was set forward; the first stream that shows it counts."""
         return time_s + self._sink.clock_state.offset_s - arrival_s > _SET_AHEAD_S
 
     def _lost_before(self, sample: Sample, arrival_s: float) -> int | None:
@@ -255,12 +256,12 @@ class EmotivEmitter:
             _log.warning("samples were lost between two connections, by estimate", **names)
 
     def _emit(self, data_name: str, sample: Sample, labels: Sequence[str]) -> None:
-        """Emit a sample of a regular stream, where "no value" keeps its place."""
+        """Emit a sample of a regular stream, with NaN for missing values."""
         values = [sample.numbers.get(label, math.nan) for label in labels]
         self._sink.emit(data_name, [values], [sample.time_s])
 
     def _emit_known(self, data_name: str, values: list[float], time_s: float) -> None:
-        """Emit a sample of an irregular stream, if there is a value in it."""
+        """Emit a sample of an irregular stream, if it has any value."""
         if not all(map(math.isnan, values)):
             self._sink.emit(data_name, [values], [time_s])
 

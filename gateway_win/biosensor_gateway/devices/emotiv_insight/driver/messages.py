@@ -1,4 +1,4 @@
-"""Reads Cortex' messages: replies, warnings and data, as JSON-RPC 2.0 text.
+"""Parses Cortex messages: replies, warnings and data, as JSON-RPC 2.0 text.
 
 ::
 
@@ -6,7 +6,7 @@
     warning  {"warning":{"code":c, "message": s or {"behavior":s, "headsetId":s, ...}}}
     data     {"<stream>":[...], "sid":s, "time":unix seconds}
 
-Source: Cortex API documentation; `parse` reads any text and never raises.
+Source: Cortex API documentation. `parse` accepts any text and never raises.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from pydantic_core import from_json
 
 @unique
 class ErrorKind(Enum):
-    """What to do about an error."""
+    """How to handle an error."""
 
     TOKEN = "token"  # noqa: S105 - a kind, no token
-    """Authorize again, once, and repeat the call."""
+    """Authorize again once, and repeat the call."""
     LICENSE = "license"
-    """Go on without what the licence does not cover."""
+    """Continue without what the licence does not cover."""
     STREAM = "stream"
-    """This stream is not to be had."""
+    """The stream is not available."""
     SESSION = "session"
-    """Make a new session."""
+    """Create a new session."""
     HEADSET = "headset"
-    """The headset is not there."""
+    """The headset is not available."""
     RETRY_HEADSET = "retry_headset"
-    """The headset is nearly there: repeat the call in a moment."""
+    """The headset is almost ready: repeat the call after a moment."""
     USER = "user"
     """Nobody is logged in."""
     ACCESS = "access"
     """The user has not approved the application."""
     PROFILE = "profile"
     CREDENTIALS = "credentials"
-    """The client id or secret is wrong: only a person can help."""
+    """The client id or secret is wrong: the user must correct it."""
     RETRY = "retry"
-    """Cortex or its cloud is not ready."""
+    """Cortex or its cloud service is not ready."""
     BUG = "bug"
     """The request itself is wrong."""
     OTHER = "other"
@@ -73,7 +73,7 @@ SESSION_NOT_ACTIVE = -32012
 
 @unique
 class Event(Enum):
-    """What a warning tells."""
+    """Meaning of a warning."""
 
     SUBSCRIPTIONS_STOPPED = "subscriptions_stopped"
     SESSION_CLOSED = "session_closed"
@@ -84,7 +84,7 @@ class Event(Enum):
     ACCESS_GRANTED = "access_granted"
     ACCESS_REJECTED = "access_rejected"
     CLIENT_UNKNOWN = "client_unknown"
-    """Cortex cannot tell which program the client is: a new connection helps."""
+    """Cortex cannot identify the client program: a new connection helps."""
     OTHER_OS_USER = "other_os_user"
     DISK_LOW = "disk_low"
     CORTEX_READY = "cortex_ready"
@@ -125,30 +125,30 @@ _EVENTS = {
 
 
 def error_kind(code: int) -> ErrorKind:
-    """Tell what to do about an error."""
+    """Return how to handle an error."""
     return _KIND_BY_CODE.get(code, ErrorKind.OTHER)
 
 
 def event(code: int) -> Event:
-    """Tell what a warning means."""
+    """Return the meaning of a warning."""
     return _EVENTS.get(code, Event.UNKNOWN)
 
 
 STREAMS = frozenset({"eeg", "mot", "dev", "eq", "pow", "met", "com", "fac", "sys"})
 MAX_TIME_S = 1e11
-"""No clock reads more."""
+"""Upper limit of valid clock times."""
 
 
 @unique
 class FaultCode(Enum):
-    """Why a message, or a sample, is of no use."""
+    """Why a message or sample is unusable."""
 
     BAD_JSON = "bad_json"
     NOT_AN_OBJECT = "not_an_object"
     NON_FINITE = "non_finite"
     UNKNOWN_MESSAGE = "unknown_message"
     UNKNOWN_ID = "unknown_id"
-    """A reply that nobody waits for: late, or sent twice."""
+    """A reply without a waiting request: late or repeated."""
     UNKNOWN_SESSION = "unknown_session"
     UNKNOWN_STREAM = "unknown_stream"
     NO_TIME = "no_time"
@@ -158,7 +158,7 @@ class FaultCode(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A message of no use."""
+    """An unusable message."""
 
     code: FaultCode
 
@@ -172,20 +172,20 @@ class RpcError:
 
     @property
     def kind(self) -> ErrorKind:
-        """What to do about it."""
+        """How to handle it."""
         return error_kind(self.code)
 
 
 @dataclass(frozen=True, slots=True)
 class Warned:
-    """Something that Cortex tells by itself.
+    """A warning that Cortex sends by itself.
 
     Attributes
     ----------
     text
-        In Cortex' own words, which decide nothing.
+        Cortex's own text, which is only displayed.
     headset, session
-        Whom it concerns; empty where it does not say.
+        The headset and session concerned; empty if not given.
     """
 
     code: int
@@ -195,7 +195,7 @@ class Warned:
 
     @property
     def event(self) -> Event:
-        """What it means."""
+        """Its meaning."""
         return event(self.code)
 
 
@@ -208,7 +208,7 @@ class Reply:
     result
         JSON value; None if there is an error.
     attention
-        Something that hinders the headset search, told along with its answer.
+        A problem with the headset search, sent with its answer.
     """
 
     request_id: int
@@ -218,7 +218,7 @@ class Reply:
 
 
 class Data(NamedTuple):
-    """One sample, its values still in the order of the stream's columns.
+    """One sample, with its values in the order of the stream's columns.
 
     Attributes
     ----------
@@ -238,15 +238,15 @@ Message = Reply | Warned | Data | Fault
 
 
 class _NonFiniteError(ValueError):
-    """JSON has no NaN, yet Python's parser takes one."""
+    """JSON has no NaN, but Python's parser accepts it."""
 
 
 def parse(text: str) -> Message:
-    """Read one message; what cannot be read is a Fault."""
+    """Parse one message; an unreadable one becomes a Fault."""
     try:
         message: object = from_json(text, allow_inf_nan=False)
     except ValueError:
-        # Seldom: Python's own parser tells why, and takes halves of surrogate pairs.
+        # Rare fallback: Python's parser gives a reason and accepts unpaired surrogates.
         try:
             message = _DECODER.decode(text)
         except _NonFiniteError:
@@ -260,7 +260,7 @@ def parse(text: str) -> Message:
 
 def text_of(value: object) -> str:
     """Return a JSON text, empty for any other JSON value."""
-    # JSON can hold halves of surrogate pairs, which no log and no stream can.
+    # JSON can contain unpaired surrogates, which logs and streams cannot.
     return value.encode(errors="replace").decode() if isinstance(value, str) else ""
 
 

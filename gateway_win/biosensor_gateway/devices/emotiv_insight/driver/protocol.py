@@ -1,7 +1,7 @@
-"""Finds values by label in a list of values, by the columns that Cortex named.
+"""Parses results of Cortex methods, and assigns labels to data by the subscribed columns.
 
-The order and number of columns vary with headset, firmware and version of Cortex;
-only the reply to ``subscribe`` tells them.
+The order and number of columns depend on headset, firmware and Cortex version, and are only known
+from the reply to ``subscribe``.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from biosensor_gateway.devices.emotiv_insight.driver.messages import (
 )
 
 Column = str | tuple[str, ...]
-"""A label; several where one value is itself a list, as the contact qualities of ``dev``."""
+"""A label, or several for a nested list, such as the contact qualities of ``dev``."""
 
 _NUMERIC_STREAMS = frozenset({"eeg", "mot", "dev", "eq", "pow", "met"})
 _NOT_NUMBERS = (".isActive", "MARKERS")
 _MOST = 1 << 53
-"""Below it, a whole number is a float without loss."""
+"""Integers below this limit are exact as floats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ class Layout:
 
     @property
     def labels(self) -> frozenset[str]:
-        """All labels, those of nested columns too."""
+        """All labels, including those of nested columns."""
         return frozenset(self.in_order())
 
     def in_order(self) -> tuple[str, ...]:
-        """Return all labels as their values come; those of a nested column in its place."""
+        """Return all labels in the order of the values, with nested columns flattened."""
         return tuple(
             label
             for column in self.columns
@@ -60,9 +60,9 @@ class Sample(NamedTuple):
     time_s
         Unix time on the clock of the computer that runs Cortex.
     numbers
-        By label; NaN where Cortex has no value.
+        Numbers by label; NaN if Cortex has no value.
     others
-        Texts, switches and lists by label.
+        Texts, booleans and lists by label.
     """
 
     stream: str
@@ -72,12 +72,12 @@ class Sample(NamedTuple):
 
 
 class _Reading(NamedTuple):
-    """How to read the values of one stream; made once, as samples are many."""
+    """Precomputed information for decoding the samples of one stream quickly."""
 
     columns: tuple[Column, ...]
     is_nested: bool
     labels: tuple[tuple[str, bool], ...]
-    """Each with whether its value must be a number."""
+    """Labels, each with whether its value must be a number."""
 
 
 class _FaultError(Exception):
@@ -87,7 +87,7 @@ class _FaultError(Exception):
 
 
 def layout(cols: object) -> Layout | None:
-    """Read the ``cols`` of a subscription; None if they are no list of labels."""
+    """Parse the ``cols`` of a subscription; None if they are not a list of labels."""
     columns: list[Column] = []
     for column in list_of(cols):
         if isinstance(column, str):
@@ -101,19 +101,19 @@ def layout(cols: object) -> Layout | None:
 
 
 class Decoder:
-    """Decodes the data of the sessions and streams that were subscribed to."""
+    """Decodes the data of subscribed sessions and streams."""
 
     def __init__(self) -> None:
         self._readings: dict[str, dict[str, _Reading]] = {}
 
     def subscribed(self, session: str, layouts: Mapping[str, Layout]) -> None:
-        """Take in the layouts of a session's streams."""
+        """Add the layouts of a session's streams."""
         readings = self._readings.setdefault(session, {})
         for stream, columns in layouts.items():
             readings[stream] = _reading(stream, columns)
 
     def decode(self, data: Data) -> Sample | Fault:
-        """Give the values of a message their labels; never raises."""
+        """Assign labels to the values of a message; never raises."""
         readings = self._readings.get(data.session)
         if readings is None:
             return Fault(FaultCode.UNKNOWN_SESSION)
@@ -148,7 +148,7 @@ def _labelled(
     numbers: dict[str, float] = {}
     others: dict[str, object] = {}
     for (label, is_number), value in zip(reading.labels, values, strict=True):
-        # Most values are these, and a call for each would take longer than all else here.
+        # Inlined for speed, because most values are finite floats.
         if type(value) is float and -math.inf < value < math.inf:
             numbers[label] = value
         elif type(value) is int and -_MOST < value < _MOST:
@@ -182,7 +182,7 @@ def _nested(labels: tuple[str, ...], value: object) -> Iterable[object]:
 
 
 def _missing(value: object) -> float:
-    """Return NaN for a value that Cortex does not have; anything else is no number."""
+    """Return NaN for a missing value; anything else is invalid."""
     if value is None:
         return math.nan
     not_finite = isinstance(value, int | float) and not isinstance(value, bool)
@@ -191,12 +191,12 @@ def _missing(value: object) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Login:
-    """Who uses the vendor's launcher.
+    """The user logged in to the vendor's launcher.
 
     Attributes
     ----------
     same_os_user
-        False if it is somebody else who is logged in to this computer.
+        Whether it is the current user of this computer.
     """
 
     logged_in: bool
@@ -205,7 +205,7 @@ class Login:
 
 @dataclass(frozen=True, slots=True)
 class Licence:
-    """What the user's licence covers.
+    """Coverage of the user's licence.
 
     Attributes
     ----------
@@ -228,7 +228,7 @@ class Headset:
     eeg_rate_hz, motion_rate_hz
         0 while it is not connected, or the motion sensor is off.
     electrodes
-        Of the headset's own list; empty while it is not connected.
+        From the headset's own list; empty while it is not connected.
     """
 
     headset_id: str
@@ -242,7 +242,7 @@ class Headset:
 
     @property
     def is_connected(self) -> bool:
-        """Whether it can have a session."""
+        """Whether a session is possible."""
         return self.status == "connected"
 
 
@@ -256,12 +256,12 @@ class SessionState:
 
     @property
     def is_active(self) -> bool:
-        """Whether it may have the licensed streams."""
+        """Whether it may subscribe to the licensed streams."""
         return self.status == "activated"
 
     @property
     def is_closed(self) -> bool:
-        """Whether it is of no use any more."""
+        """Whether it has ended."""
         return self.status == "closed"
 
 
@@ -276,7 +276,7 @@ class Subscription:
     failures
         Error code by stream.
     session_id
-        What the streams' data will name as their session; empty if it does not say.
+        Session id in the streams' data; empty if not given.
     """
 
     layouts: Mapping[str, Layout] = field(default_factory=dict[str, Layout])
@@ -285,12 +285,12 @@ class Subscription:
 
 
 def version(result: object) -> str:
-    """Read ``getCortexInfo``."""
+    """Parse ``getCortexInfo``."""
     return text_of(object_of(result).get("version"))
 
 
 def login(result: object) -> Login:
-    """Read ``getUserLogin``."""
+    """Parse ``getUserLogin``."""
     users = [object_of(user) for user in list_of(result)]
     if not users:
         return Login(logged_in=False)
@@ -300,12 +300,12 @@ def login(result: object) -> Login:
 
 
 def access_granted(result: object) -> bool:
-    """Read ``hasAccessRight`` or ``requestAccess``."""
+    """Parse ``hasAccessRight`` or ``requestAccess``."""
     return object_of(result).get("accessGranted") is True
 
 
 def token(result: object) -> str:
-    """Read ``authorize``.
+    """Parse ``authorize``.
 
     Raises
     ------
@@ -316,25 +316,25 @@ def token(result: object) -> str:
 
 
 def licence(result: object) -> Licence:
-    """Read ``getLicenseInfo``; what it does not say is not covered."""
+    """Parse ``getLicenseInfo``; anything missing is not covered."""
     fields = object_of(object_of(result).get("license"))
     scopes = frozenset(text_of(each) for each in list_of(fields.get("scopes")))
     return Licence(scopes, expired=fields.get("expired") is True)
 
 
 def eula_missing(result: object) -> bool:
-    """Whether ``authorize`` tells that the user has not accepted the licence agreement."""
+    """Whether ``authorize`` reports that the licence agreement was not accepted."""
     return bool(object_of(result).get("warning"))
 
 
 def headsets(result: object) -> list[Headset]:
-    """Read ``queryHeadsets``; what has no id is left out."""
+    """Parse ``queryHeadsets``, without entries that have no id."""
     read = [_headset(object_of(each)) for each in list_of(result)]
     return [headset for headset in read if headset.headset_id]
 
 
 def session(result: object) -> SessionState:
-    """Read ``createSession`` or ``updateSession``.
+    """Parse ``createSession`` or ``updateSession``.
 
     Raises
     ------
@@ -350,12 +350,12 @@ def session(result: object) -> SessionState:
 
 
 def sessions(result: object) -> list[SessionState]:
-    """Read ``querySessions``; what has no id is left out."""
+    """Parse ``querySessions``, without entries that have no id."""
     return [session(each) for each in list_of(result) if text_of(object_of(each).get("id"))]
 
 
 def subscription(result: object) -> Subscription:
-    """Read ``subscribe``; a stream without usable columns has failed with code 0."""
+    """Parse ``subscribe``; a stream without valid columns counts as failed with code 0."""
     fields = object_of(result)
     layouts: dict[str, Layout] = {}
     failures: dict[str, int] = {}

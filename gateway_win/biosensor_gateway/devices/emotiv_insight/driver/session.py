@@ -1,4 +1,4 @@
-"""The headset, the session with it, and what Cortex' refusals mean for the agent."""
+"""Finds the headset, manages the session, and maps Cortex errors to the agent's errors."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from biosensor_gateway.devices.emotiv_insight.driver.protocol import (
 )
 
 ELECTRODES = SPEC.stream("eeg").labels
-"""Of an Insight, and so of all that is declared."""
+"""Electrodes of an Insight, as in the declaration."""
 _FAMILY = "INSIGHT"
-"""Ids begin with the model: ``INSIGHT-``, ``INSIGHT2-``, ``EPOCX-``, ``MN8-`` ..."""
+"""Prefix of ids, which begin with the model: ``INSIGHT-``, ``INSIGHT2-``, ``EPOCX-`` ..."""
 SCAN_PATIENCE_S = 25.0
 """A scan takes about 20 s."""
 CONNECT_PATIENCE_S = 30.0
@@ -50,7 +50,7 @@ ASK_EVERY_S = 2.0
 class Reached(NamedTuple):
     """A headset that is connected to Cortex.
 
-    ``stayed`` tells whether it was so already, and so has measured all the time.
+    ``stayed`` is True if it was connected already, and so has measured all the time.
     """
 
     headset: Headset
@@ -58,26 +58,26 @@ class Reached(NamedTuple):
 
 
 async def known_headsets(client: CortexClient, timeout_s: float = 0.0) -> list[Headset]:
-    """Ask Cortex which headsets it knows now; see :meth:`CortexClient.call`."""
+    """Return the headsets that Cortex knows now; see :meth:`CortexClient.call`."""
     return protocol.headsets(await client.call("queryHeadsets", timeout_s=timeout_s))
 
 
 async def reach(client: CortexClient, pattern: str) -> Reached:
-    """Find the headset and have it connected.
+    """Find the headset and connect it to Cortex.
 
     Parameters
     ----------
     pattern
-        Id, with ``*`` for any characters; empty for the only one.
+        Id, with ``*`` for any characters; empty for the only headset.
 
     Raises
     ------
     TransportError
         ``ABSENT``.
     ConfigError
-        ``WRONG_VALUE``: more than one headset fits.
+        ``WRONG_VALUE`` if more than one headset matches.
     CortexError, ProtocolError
-        Cortex refuses or does not answer; ``UNSUPPORTED``: the headset is no Insight.
+        If Cortex refuses or does not answer; ``UNSUPPORTED`` if the headset is not an Insight.
     """
     known = await search(client, SCAN_PATIENCE_S, lambda found: _has_insight(found, pattern))
     found = chosen(known, pattern)
@@ -90,14 +90,14 @@ async def reach(client: CortexClient, pattern: str) -> Reached:
 
 
 def chosen(headsets: Sequence[Headset], pattern: str) -> Headset | None:
-    """Return the headset that a pattern means, None if there is none.
+    """Return the headset that matches a pattern; None if there is none.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``: more than one fits, and which it is must not be left to chance.
+        ``WRONG_VALUE`` if more than one matches.
     ProtocolError
-        ``UNSUPPORTED``: none that fits is an Insight.
+        ``UNSUPPORTED`` if no match is an Insight.
     """
     fitting = _fitting(headsets, pattern)
     insights = [each for each in fitting if is_insight(each)]
@@ -111,7 +111,7 @@ def chosen(headsets: Sequence[Headset], pattern: str) -> Headset | None:
 
 
 def is_insight(headset: Headset) -> bool:
-    """Tell whether a headset has the channels of the declaration, as far as it tells its own."""
+    """Whether a headset has the declared channels, as far as known."""
     if headset.electrodes:
         return set(headset.electrodes) == set(ELECTRODES)
     return headset.headset_id.upper().startswith(_FAMILY)
@@ -120,9 +120,9 @@ def is_insight(headset: Headset) -> bool:
 async def search(
     client: CortexClient, patience_s: float, is_enough: Callable[[Sequence[Headset]], bool]
 ) -> list[Headset]:
-    """Let Cortex search until enough is found or it has finished; return all that it knows then.
+    """Let Cortex search for headsets until enough are found; return all known headsets.
 
-    A search disturbs what is streaming, so there is none while any headset is connected.
+    There is no search while any headset is connected, because it would disturb streaming.
     """
     known = await known_headsets(client)
     if is_enough(known) or any(each.is_connected for each in known):
@@ -212,17 +212,17 @@ ENDINGS = {
         "another user of this computer has logged in to EMOTIV Launcher",
     ),
 }
-"""Warnings that end a connection."""
+"""Warnings that end a connection, with reason and advice."""
 
 
 def gateway_error(error: CortexError) -> GatewayError:
-    """Return the error of the class that tells what to do; its own where that is "try later"."""
+    """Return the matching error with advice, or the same error if retrying is enough."""
     found = _ERRORS.get(error.kind)
     return error if found is None else _error(found[0], f"{error}; {found[1]}")
 
 
 def ending(warned: Warned, headset_id: str, session_id: str) -> GatewayError | None:
-    """Return the error that a warning makes of a connection; None if it concerns another one."""
+    """Return the error for a warning that ends this connection, else None."""
     if warned.session not in ("", session_id) or warned.headset not in ("", headset_id):
         return None
     found = ENDINGS.get(warned.event)
@@ -236,14 +236,14 @@ def _error(reason: TransportReason | CredentialReason, message: str) -> GatewayE
 
 
 STREAMS = ("eeg", "mot", "dev", "pow", "met")
-"""What the declaration has a place for."""
+"""Cortex streams used by the declaration."""
 STOP_TIMEOUT_S = 0.5
 EEG_NOT_LICENSED = "the EMOTIV licence does not cover raw EEG"
 STREAM_REFUSED = "Cortex does not give its stream"
 
 
 class Session:
-    """One session; make it with `open_session`."""
+    """One session, created by `open_session`."""
 
     def __init__(self, client: CortexClient, account: Account, state: SessionState) -> None:
         self._client = client
@@ -252,12 +252,12 @@ class Session:
         self.is_active = state.is_active
 
     async def subscribe(self, streams: Sequence[str] = STREAMS) -> Subscription:
-        """Ask for streams; those that are refused are among its failures, the others go on.
+        """Subscribe to streams; refused ones are listed in the failures of the result.
 
         Raises
         ------
         ProtocolError
-            ``REFUSED``: not a single stream is to be had.
+            ``REFUSED`` if no stream is available.
         CortexError, TransportError
             See :meth:`CortexClient.call`.
         """
@@ -266,7 +266,8 @@ class Session:
         except CortexError as error:
             if not self._may_be_eeg(error) or "eeg" not in streams:
                 raise
-            # Refused as a whole: the licensed stream is what the licence can be about.
+            # If all are refused because of the licence, only EEG can be the cause, so retry
+            # without it.
             others = await self._subscribe([each for each in streams if each != "eeg"])
             failures = {**others.failures, "eeg": error.code}
             subscription = replace(others, failures=failures)
@@ -276,7 +277,7 @@ class Session:
         return subscription
 
     async def stop(self) -> None:
-        """Unsubscribe and close the session, without waiting for the replies; never raises."""
+        """Unsubscribe and close the session without waiting for replies; never raises."""
         session = {"session": self.session_id}
         with contextlib.suppress(TransportError, TimeoutError):
             async with asyncio.timeout(STOP_TIMEOUT_S):
@@ -284,7 +285,7 @@ class Session:
                 await self._send("updateSession", {**session, "status": "close"})
 
     def _may_be_eeg(self, error: CortexError) -> bool:
-        """Tell whether a refusal can be about the licensed stream alone."""
+        """Whether a refusal can be caused by the licensed stream alone."""
         if error.code == SESSION_NOT_ACTIVE:
             return not self.is_active
         return error.kind in (ErrorKind.LICENSE, ErrorKind.STREAM)
@@ -298,7 +299,7 @@ class Session:
 
 
 async def open_session(client: CortexClient, account: Account, headset: Headset) -> Session:
-    """Make a session: an active one if the licence allows, else one without licensed streams.
+    """Create a session: an active one if licensed, else one without licensed streams.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The user, the apps, the licence and the sessions of a virtual Cortex, and its refusals."""
+"""User, apps, licence and sessions of a virtual Cortex, and its errors."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _MESSAGES = {
 
 
 class RpcError(Exception):
-    """A request that is answered with an error, in the usual words for its code by default."""
+    """A request fails with an error, by default with the usual message for its code."""
 
     def __init__(self, code: int, message: str = "") -> None:
         super().__init__(message)
@@ -81,18 +81,18 @@ class Licence(Flag):
     """What the user's licence covers."""
 
     NONE = 0
-    """No licence at all: no session can be activated."""
+    """No licence: no session can be activated."""
     EEG = auto()
     METRICS = auto()
 
     @property
     def scopes(self) -> list[str]:
-        """Names as ``getLicenseInfo`` has them."""
+        """Names as in ``getLicenseInfo``."""
         return [name for flag, name in ((self.EEG, "eeg"), (self.METRICS, "pm")) if flag in self]
 
 
 class App(NamedTuple):
-    """A registered application and what it proves itself with."""
+    """A registered application with its credentials."""
 
     client_id: str
     client_secret: str
@@ -100,20 +100,20 @@ class App(NamedTuple):
 
 @dataclass(frozen=True)
 class User:
-    """A user of Cortex: what they have done, and what they are licensed for.
+    """State and licence of a Cortex user.
 
     Attributes
     ----------
     approved
-        They have let the registered app in.
+        Whether the user has approved the registered app.
     logged_in, other_os_user
-        Whether they are logged in, and whether as another user of this machine.
+        Whether the user is logged in, and whether as another user of this computer.
     eula_accepted
-        False: every authorization carries a warning.
+        If False, every authorization contains a warning.
     licence
-        What the licence covers.
+        Coverage of the licence.
     session_quota
-        Sessions left in the cloud on a counted licence; None = not counted.
+        Sessions left in a counted licence; None if not counted.
     """
 
     approved: bool = True
@@ -131,18 +131,18 @@ class _Token:
 
 
 class Account:
-    """The user's account on this machine.
+    """The user's account on this computer.
 
     Parameters
     ----------
     apps
         Secrets of the registered apps by client id.
     approved
-        Client ids of those that the user let in.
+        Client ids of approved apps.
     user
-        Whose account it is, as they are at first.
+        Initial state of the user.
     seed
-        Of the tokens.
+        Seed of the tokens.
     """
 
     def __init__(
@@ -159,7 +159,7 @@ class Account:
         self._rng = np.random.default_rng((seed, 0xC0))
 
     def logins(self) -> list[dict[str, str]]:
-        """Return who is logged in: nobody or one."""
+        """Return the list of logged-in users, with at most one entry."""
         if not self.is_logged_in:
             return []
         is_other = self._user.other_os_user
@@ -175,12 +175,12 @@ class Account:
         ]
 
     def identify(self, params: Mapping[str, Any]) -> str:
-        """Check an app's credentials and return its client id.
+        """Check an app's credentials; return its client id.
 
         Raises
         ------
         RpcError
-            If they are wrong or nobody is logged in.
+            If they are wrong or no user is logged in.
         """
         client_id, secret = params["clientId"], params["clientSecret"]
         if client_id not in self._apps or self._apps[client_id] != secret:
@@ -189,7 +189,7 @@ class Account:
         return client_id
 
     def authorize(self, client_id: str, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Give an approved app a token and move its sessions to this machine."""
+        """Return a token for an approved app, using up sessions of the licence."""
         if client_id not in self.approved:
             raise RpcError(Code.NO_ACCESS_RIGHT)
         if params.get("license", LICENCE_ID) != LICENCE_ID:
@@ -203,12 +203,12 @@ class Account:
         return reply
 
     def owner(self, params: Mapping[str, Any]) -> str:
-        """Client id of the app that a request's token belongs to.
+        """Return the client id of the app with a request's token.
 
         Raises
         ------
         RpcError
-            If the token is unknown or expired, or nobody is logged in.
+            If the token is unknown or expired, or no user is logged in.
         """
         token = self._tokens.get(params["cortexToken"])
         if token is None:
@@ -224,7 +224,7 @@ class Account:
         Raises
         ------
         RpcError
-            If there is no licence, or no session left on this machine.
+            If there is no licence, or no session left on this computer.
         """
         if self.licence is Licence.NONE:
             raise RpcError(Code.NO_LICENCE)
@@ -235,16 +235,16 @@ class Account:
         self._local_quota -= 1
 
     def expire_tokens(self) -> None:
-        """Let every token given so far be expired."""
+        """Expire all tokens."""
         for token in self._tokens.values():
             token.is_expired = True
 
     def forget_tokens(self) -> None:
-        """Know no token any more."""
+        """Forget all tokens."""
         self._tokens.clear()
 
     def licence_info(self) -> dict[str, Any]:
-        """Return what ``getLicenseInfo`` answers."""
+        """Return the result of ``getLicenseInfo``."""
         return {
             "isOnline": True,
             "license": {
@@ -272,14 +272,14 @@ STREAMS_STOPPED, SESSION_CLOSED = 0, 1
 
 @dataclass(eq=False, slots=True)
 class Session:
-    """One app's session; it ends with the connection that made it.
+    """One app's session; it ends with the connection that created it.
 
     Attributes
     ----------
     is_active
-        Drawn from the licence; an open session has no EEG.
+        Whether it uses the licence; a session that is only open has no EEG.
     subscribers
-        Who gets each stream.
+        Subscribed clients of each stream.
     """
 
     session_id: str
@@ -312,7 +312,7 @@ class Sessions:
     Parameters
     ----------
     seed
-        Of the session ids.
+        Seed of the session ids.
     """
 
     def __init__(self, seed: int) -> None:
@@ -323,7 +323,7 @@ class Sessions:
         return iter(tuple(self._sessions.values()))
 
     def create(self, client_id: str, client: Client) -> Session:
-        """Begin an open session."""
+        """Create an open session."""
         digits = self._rng.bytes(16).hex()
         parts = (digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])
         session = Session("-".join(parts), client_id, client, _now())
@@ -331,16 +331,16 @@ class Sessions:
         return session
 
     def find(self, client_id: str, session_id: str) -> Session | None:
-        """Return an app's own session, None if it has no such one."""
+        """Return an app's session; None if it does not have it."""
         session = self._sessions.get(session_id)
         return session if session is not None and session.client_id == client_id else None
 
     def of_app(self, client_id: str) -> list[Session]:
-        """Return every session of one app."""
+        """Return all sessions of one app."""
         return [session for session in self if session.client_id == client_id]
 
     def subscribed(self, stream: str) -> list[tuple[Session, Client]]:
-        """Return who gets a stream."""
+        """Return the sessions and clients subscribed to a stream."""
         return [
             (session, session.subscribers[stream])
             for session in self._sessions.values()
@@ -348,11 +348,11 @@ class Sessions:
         ]
 
     def close(self, session: Session) -> None:
-        """End one session, as its app asked for."""
+        """End one session on request of its app."""
         self._sessions.pop(session.session_id, None)
 
     def lose_all(self) -> None:
-        """End every session because the headset is gone, and tell the clients."""
+        """End all sessions because the headset is lost, and warn the clients."""
         for session in self:
             self.close(session)
             if session.subscribers:
@@ -360,7 +360,7 @@ class Sessions:
             self._tell(session, SESSION_CLOSED, "session closed")
 
     def end_with(self, client: Client) -> None:
-        """End what ends with a connection."""
+        """End the sessions and subscriptions of a closed connection."""
         for session in self:
             if session.client is client:
                 self.close(session)
@@ -369,12 +369,12 @@ class Sessions:
                     del session.subscribers[stream]
 
     def forget_subscriptions(self, _: float = 0.0) -> None:
-        """Send nobody any stream until it subscribes again; all sessions stay."""
+        """Forget all subscriptions but keep the sessions."""
         for session in self:
             session.subscribers.clear()
 
     def forget(self) -> None:
-        """Know no session any more."""
+        """Forget all sessions."""
         self._sessions.clear()
 
     def _tell(self, session: Session, code: int, behaviour: str) -> None:

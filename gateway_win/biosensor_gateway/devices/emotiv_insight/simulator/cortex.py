@@ -78,7 +78,7 @@ _SUBSCRIPTION_DELAY_S = 0.3
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Its version, its user, its computer, and its manners.
+    """Version, user, computer and behaviour of a virtual Cortex.
 
     Attributes
     ----------
@@ -89,21 +89,21 @@ class Circumstances:
     other_apps
         Secrets of further apps by client id; the user has approved them.
     user
-        As they are at first.
+        Initial state of the user.
     unlicensed_metrics_s
-        Between two samples of ``met`` where the licence does not cover it [s].
+        Interval of ``met`` samples if the licence does not cover them [s].
     bluetooth_permitted
-        False: the operating system keeps Cortex from Bluetooth.
+        If False, the operating system denies Cortex the use of Bluetooth.
     neighbours
         Ids of other headsets in the list.
     leaf, ca_without_key_usage
-        What the server's certificate and that of its authority look like.
+        Properties of the certificates of the server and its authority.
     reply_delays_s
-        By method; answers overtake each other where these differ.
+        Delays of replies by method, so replies may overtake each other.
     data_before_reply
-        Samples come before the reply to the subscription that asks for them.
+        Whether samples arrive before the reply to their subscription.
     refusal_code
-        Error of the fault REFUSE.
+        Error code of the fault REFUSE.
     """
 
     release: Release = RELEASE
@@ -121,7 +121,7 @@ class Circumstances:
 
     @property
     def secrets(self) -> dict[str, str]:
-        """Secrets of all apps by client id."""
+        """Return the secrets of all apps by client id."""
         return {**self.other_apps, self.app.client_id: self.app.client_secret}
 
     @property
@@ -131,7 +131,7 @@ class Circumstances:
 
     @property
     def delays_s(self) -> dict[str, float]:
-        """How late each method is answered that is not answered at once [s]."""
+        """Delays of methods that are not answered at once [s]."""
         late = {"subscribe": _SUBSCRIPTION_DELAY_S} if self.data_before_reply else {}
         return late | dict(self.reply_delays_s)
 
@@ -139,36 +139,36 @@ class Circumstances:
 _CORTEX_READY = 23
 _GOING_AWAY = 1001
 _DENIABLE = ("eeg", "mot", "met", "dev", "pow")
-"""Streams of which one is denied at each time."""
+"""Streams that are denied, one at a time."""
 
 EXPECTED = Expected(
-    # The contact of all electrodes together, in percent.
+    # Overall contact of all electrodes, in percent.
     contact=Contact("dev", 7),
     without_contact=("met",),
-    # Cortex lets go of the headset, which then measures nothing. Its numbers and times tell
-    # exactly what is lost.
+    # Cortex disconnects the headset, which then does not measure. Counters and times show the
+    # exact loss.
     gaps={FaultKind.RESTART: Gap.STOPPED},
     impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
 )
 
 
 class SimulatedCortex(VirtualDevice):
-    """Cortex with one headset, on a port of its own on the loopback interface.
+    """Cortex with one headset, on its own port of the loopback interface.
 
     Parameters
     ----------
     circumstances
-        Of the user, the computer and the version of Cortex.
+        User, computer and version of Cortex.
     headset
-        Id; None = ``A1B2C3D4`` after the model's prefix.
+        Headset id; None for ``A1B2C3D4`` after the model's prefix.
     model
-        `INSIGHT_1`, `INSIGHT_1_GYRO` (older firmware), `INSIGHT_2`, `EPOC_X` or another.
+        `INSIGHT_1`, `INSIGHT_1_GYRO` (older firmware), `INSIGHT_2`, `EPOC_X` or another model.
     is_virtual
-        The headset is one of the vendor's simulator: its end is never noticed.
+        Whether the headset is the vendor's simulator, whose end is never detected.
     timing
-        How long Cortex takes for what it does.
+        Durations of Cortex's actions.
     **specimen
-        As for every virtual device: see `Specimen`. The drift is that of the clock of Cortex.
+        As for every virtual device: see `Specimen`. The drift is that of Cortex's clock.
     """
 
     sensor = "emotiv_insight"
@@ -231,7 +231,7 @@ class SimulatedCortex(VirtualDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Where it listens, what to trust, which headset."""
+        """URL, certificate authority and headset id."""
         return {
             "url": f"wss://localhost:{self._listener.port}",
             "ca_file": str(self._ca_file),
@@ -240,7 +240,7 @@ class SimulatedCortex(VirtualDevice):
 
     @property
     def environment(self) -> Mapping[str, str]:
-        """Credentials of the app, as a driver looks for them."""
+        """Credentials of the app as environment variables."""
         return {
             "EMOTIV_CLIENT_ID": self.client_id,
             "EMOTIV_CLIENT_SECRET": self.client_secret,
@@ -302,7 +302,7 @@ class SimulatedCortex(VirtualDevice):
         self._send_raw(warning(code, message))
 
     def _send_raw(self, message: str | bytes | Sequence[str]) -> None:
-        """Send every client a message, a sequence of texts in as many frames."""
+        """Send a message to every client; a sequence of texts is sent in as many frames."""
         if not isinstance(message, str | bytes):
             self._listener.send_in_pieces(message)
             return
@@ -333,7 +333,7 @@ class SimulatedCortex(VirtualDevice):
         self._methods.denied = frozenset()
 
     def _send_unknown(self, messages: float) -> None:
-        """Send every client messages of a stream that it does not know."""
+        """Send every client messages of an unknown stream."""
         for _ in range(round(messages)):
             self._send_raw(json.dumps({"new": [1, 2], "sid": "", "time": 1700000000.5}))
 
@@ -345,7 +345,7 @@ class SimulatedCortex(VirtualDevice):
         self._clear_way(FaultKind.DROP)
 
     def _go_down(self) -> None:
-        """End the process: tokens, sessions and the headset's connection are forgotten."""
+        """End the process, which forgets tokens, sessions and the headset's connection."""
         self._obstruct(FaultKind.RESTART)
         self._listener.close_all(_GOING_AWAY)
         self._account.forget_tokens()
@@ -353,7 +353,7 @@ class SimulatedCortex(VirtualDevice):
         self._headset.reset()
 
     def _come_up(self) -> None:
-        """Start the process again; it is ready a little after its port is open."""
+        """Restart the process; it is ready shortly after its port is open."""
         self._manners.is_starting = True
         self._clear_way(FaultKind.RESTART)
         self._starting = self._loop.call_later(self._timing.starting_s, self._ready)

@@ -1,4 +1,4 @@
-"""A headset as Cortex sees it: looked for, connected to, switched off, lost."""
+"""A headset as seen by Cortex: search, connection, power and loss."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _FIELDS = ("ACCX", "ACCY", "ACCZ", "MAGX", "MAGY", "MAGZ")
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What a headset of one model and firmware measures.
+    """Properties of a headset of one model and firmware.
 
     Attributes
     ----------
     prefix
-        Of the headset's id, as in ``INSIGHT-A1B2C3D4``.
+        Prefix of the headset's id, as in ``INSIGHT-A1B2C3D4``.
     mode
-        As ``settings.mode`` names it.
+        Value of ``settings.mode``.
     electrodes
-        In the order of the columns.
+        Electrodes in the order of the columns.
     eeg_rate, eeg_bits
-        Samples a second and resolution of the converter.
+        Samples per second and resolution of the ADC.
     motion_rate
-        Samples a second; 0 = the motion sensor is switched off.
+        Samples per second; 0 if the motion sensor is off.
     has_gyroscope
-        Older firmware: angular rates in place of the quaternion.
+        Whether it sends angular rates instead of the quaternion, as in older firmware.
     firmware
-        Version as the headset object has it.
+        Version as in the headset object.
     """
 
     prefix: str
@@ -57,7 +57,7 @@ class Model:
 
     @property
     def resolution_uv(self) -> float:
-        """One step of the converter [uV]."""
+        """One step of the ADC [uV]."""
         return _FULL_SCALE_UV / 2**self.eeg_bits
 
 
@@ -89,9 +89,9 @@ class Release:
     Parameters
     ----------
     version
-        As ``getCortexInfo`` has it, such as ``4.8.32``.
+        As in ``getCortexInfo``, such as ``4.8.32``.
     metrics
-        Layout of ``met``; None = the one that this version usually has.
+        Layout of ``met``; None for the usual one of this version.
     """
 
     version: str
@@ -99,21 +99,21 @@ class Release:
 
     @property
     def must_scan(self) -> bool:
-        """Tell whether headsets are looked for only when a client asks for it."""
+        """Whether Cortex searches for headsets only on request."""
         return self._at_least(3, 7)
 
     @property
     def names_metrics(self) -> bool:
-        """Tell whether the session object lists the performance metrics."""
+        """Whether the session object lists the performance metrics."""
         return self._at_least(3)
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """Streams that can be had."""
+        """Available streams."""
         return ("eeg", "mot", "pow", "met", "dev", *(("eq",) if self._at_least(2, 7) else ()))
 
     def columns(self, stream: str, model: Model) -> Columns:
-        """Columns of a stream, as the reply to a subscription lists them."""
+        """Return the columns of a stream, as in the reply to a subscription."""
         match stream:
             case "eeg":
                 markers = ("MARKERS",) if self._at_least(2, 1) else ()
@@ -161,22 +161,22 @@ class Release:
 def _with_activity(names: list[str]) -> Columns:
     columns: Columns = []
     for name in names:
-        # The long-term excitement is the one that is never inactive.
+        # Only the long-term excitement is never inactive.
         columns += [name] if name == "lex" else [f"{name}.isActive", name]
     return columns
 
 
 Announcement = str | dict[str, str]
-"""A warning's message: a text, or what happened to which headset or session."""
+"""A warning's message: a text, or an object about a headset or session."""
 
 
 def warning(code: int, message: Announcement) -> str:
-    """Write a warning."""
+    """Return a warning as JSON."""
     return json.dumps({"jsonrpc": "2.0", "warning": {"code": code, "message": message}})
 
 
 Warn = Callable[[int, Announcement], None]
-"""Tells every client of a warning: its code and message."""
+"""Sends a warning with code and message to all clients."""
 
 _WRONG_INFORMATION, _CANNOT_CONNECT, _TIMED_OUT = 100, 101, 102
 _LOST, _CONNECTED, _SCAN_FINISHED = 103, 104, 142
@@ -190,7 +190,7 @@ _BEHAVIOURS = {
 
 
 class Status(Enum):
-    """Of a headset in the list; one that is not in the list is ABSENT."""
+    """Status of a headset in the list; ABSENT if it is not in the list."""
 
     ABSENT = ""
     DISCOVERED = "discovered"
@@ -200,18 +200,18 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long Cortex takes [s]; a real one scans for 20 s.
+    """Durations of Cortex's actions [s]; a real one scans for 20 s.
 
     Attributes
     ----------
     found_s, scan_s
-        From the begin of a scan until a headset is found, and until the scan ends.
+        From the start of a scan until a headset is found, and until the scan ends.
     connect_s
-        Until a connection stands.
+        Until a connection is established.
     silence_s
-        Without data until a headset counts as lost.
+        Time without data until a headset counts as lost.
     starting_s
-        Until a restarted service is ready.
+        Time until a restarted service is ready.
     """
 
     found_s: float = 0.2
@@ -227,11 +227,11 @@ class Headset:
     Parameters
     ----------
     is_virtual
-        A headset of the vendor's own simulator, whose end Cortex never notices.
+        Whether it is the vendor's simulator, whose end Cortex never detects.
     must_scan
-        False: it is in the list without a scan.
+        If False, it is in the list without a scan.
     loop
-        For its timers.
+        Event loop for its timers.
     lost
         Called when the connection has ended.
     """
@@ -265,11 +265,11 @@ class Headset:
 
     @property
     def delivers(self) -> bool:
-        """Tell whether its data reach Cortex."""
+        """Whether its data reach Cortex."""
         return self.is_on and self.status is Status.CONNECTED
 
     def describe(self) -> dict[str, Any]:
-        """Return the headset object of the API; before the connection it says little."""
+        """Return the headset object of the API, which has few fields before the connection."""
         known = self.status is Status.CONNECTED
         model = self.model
         return {
@@ -295,19 +295,19 @@ class Headset:
         }
 
     def reset(self) -> None:
-        """Be as unknown to Cortex as after its start."""
+        """Reset to the state after a start of Cortex."""
         self.cancel()
         self.status = Status.ABSENT if self._must_scan else Status.DISCOVERED
 
     def cancel(self) -> None:
-        """Let nothing happen any more that is still to come."""
+        """Cancel all timers."""
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
         self._stop_waiting()
 
     def scan(self) -> None:
-        """Look for the headset."""
+        """Start a scan."""
         self._later(self._timing.found_s, self._found)
         self._later(self._timing.scan_s, self._scanned)
 
@@ -320,11 +320,11 @@ class Headset:
         self._later(self._timing.connect_s, self._connected)
 
     def fail_next_connect(self, code: int) -> None:
-        """Let the next connection end with this warning."""
+        """Let the next connection attempt fail with this warning."""
         self._connect_failure = code
 
     def refuse_connect(self, headset_id: str) -> None:
-        """Tell that there is no headset of this id to connect to."""
+        """Warn that there is no headset with this id."""
         self._say(_WRONG_INFORMATION, headset_id)
 
     def disconnect(self) -> None:
@@ -334,7 +334,7 @@ class Headset:
             self._lost()
 
     def switch_off(self, *, is_noticed: bool) -> None:
-        """Send nothing from now on; Cortex notices only by the silence, or never."""
+        """Stop sending; Cortex only detects the silence, or nothing."""
         self.is_on = False
         if self.status is Status.DISCOVERED:
             self.status = Status.ABSENT
@@ -342,7 +342,7 @@ class Headset:
             self._silence = self._loop.call_later(self._timing.silence_s, self._give_up)
 
     def switch_on(self) -> None:
-        """Send again; a headset that was given up must be found and connected to again."""
+        """Resume sending; a headset that counts as lost must be found and connected again."""
         self.is_on = True
         self._stop_waiting()
         if self.status is Status.ABSENT and not self._must_scan:

@@ -1,4 +1,4 @@
-"""The server's socket and its clients, with everything that can befall a connection."""
+"""The server's socket and clients, with the faults of connections."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _FAR_AHEAD = datetime.datetime(2073, 11, 8, tzinfo=datetime.UTC)
 
 
 class Leaf(Enum):
-    """What the server shows to a client that trusts the authority."""
+    """Kind of certificate that the server presents."""
 
     VALID = auto()
     EXPIRED = auto()
     WRONG_NAME = auto()
     UNTRUSTED = auto()
-    """Signed by an authority that the client does not know."""
+    """Signed by an authority that the client does not trust."""
 
 
 class Authority:
@@ -48,8 +48,8 @@ class Authority:
     Parameters
     ----------
     has_key_usage
-        False: its certificate lacks the keyUsage extension, as that of the vendor
-        does; OpenSSL's strict mode, the default from Python 3.13 on, refuses it.
+        If False, its certificate lacks the keyUsage extension, like the vendor's; OpenSSL's strict
+        mode, the default from Python 3.13 on, rejects it.
     """
 
     def __init__(self, *, has_key_usage: bool) -> None:
@@ -61,7 +61,7 @@ class Authority:
         return self._authority.cert_pem.bytes()
 
     def server_context(self, leaf: Leaf) -> ssl.SSLContext:
-        """TLS of a server on this machine."""
+        """Return the TLS context of a local server."""
         signer = trustme.CA() if leaf is Leaf.UNTRUSTED else self._authority
         certificate = signer.issue_cert(
             "cortex.invalid" if leaf is Leaf.WRONG_NAME else _HOST,
@@ -96,11 +96,11 @@ def _without_key_usage() -> trustme.CA:
 
 
 _CLOSE_TIMEOUT_S = 1.0
-# What TLS has not handed on to the socket; it hands on all, until the socket has enough.
+# Limit of data in TLS that the socket has not accepted yet.
 _ROOM_BYTES = 1 << 15
-# So high that the library never holds a writer back: `_ROOM_BYTES` limits the samples.
+# So high that the library never blocks a writer; `_ROOM_BYTES` limits the samples.
 _WRITE_LIMIT_BYTES = 1 << 24
-# Whoever runs a virtual service wants to read what its clients say, not what it says.
+# For debugging a virtual service, only its clients' messages are interesting.
 _wire_log = logging.getLogger("websockets.server.virtual_cortex")
 _wire_log.setLevel(logging.WARNING)
 
@@ -114,17 +114,17 @@ class Client:
 
     @property
     def is_open(self) -> bool:
-        """Tell whether the connection stands."""
+        """Whether the connection is open."""
         return self._connection.state is State.OPEN
 
     @property
     def has_room(self) -> bool:
-        """Tell whether a sample can be sent now; all else is sent to slow readers too."""
+        """Whether a sample can be sent now; other messages are sent to slow readers, too."""
         unsent = self._connection.transport.get_write_buffer_size()
         return self.is_open and not self._is_stalled and unsent < _ROOM_BYTES
 
     def send(self, message: str | bytes) -> None:
-        """Send a text or a binary message, if anything can be sent."""
+        """Send a text or binary message, unless closed or stalled."""
         if self.is_open and not self._is_stalled:
             broadcast((self._connection,), message)
 
@@ -135,22 +135,22 @@ class Client:
                 await self._connection.send(pieces)
 
     def stall(self) -> None:
-        """Send nothing, read nothing, not even a ping."""
+        """Stop sending and reading, including pings."""
         self._is_stalled = True
         self._connection.transport.pause_reading()
 
     def resume(self) -> None:
-        """End a `stall`; what the client said meanwhile is read now."""
+        """End a `stall`; messages received meanwhile are read now."""
         self._is_stalled = False
         if self._connection.state is not State.CLOSED:
             self._connection.transport.resume_reading()
 
     def abort(self) -> None:
-        """Break the connection off, as a process does that is killed."""
+        """Abort the connection, like a killed process."""
         break_off(self._connection.transport)
 
     async def close(self, code: int) -> None:
-        """Close by the protocol."""
+        """Close with the WebSocket closing handshake."""
         await self._connection.close(code)
 
 
@@ -160,14 +160,14 @@ class Listener:
     Parameters
     ----------
     hear
-        Gets each message of a client.
+        Called with each message of a client.
     gone
-        Gets each client whose connection has ended.
+        Called with each client whose connection has ended.
 
     Attributes
     ----------
     clients
-        Those whose opening handshake is done.
+        Clients that have finished the opening handshake.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Listener:
 
     @property
     def port(self) -> int:
-        """TCP port, the same over all openings; 0 before the first."""
+        """TCP port, which stays the same when reopened; 0 before the first opening."""
         return self._port.number
 
     def open(self) -> None:
@@ -199,24 +199,24 @@ class Listener:
         self._spawn(self._serve_on(listening))
 
     def shut(self) -> None:
-        """Refuse connections from now on; those that stand are left alone."""
+        """Refuse new connections; existing ones stay."""
         self._is_open = False
         if self._server is not None:
             self._server.close(close_connections=False)
             self._server = None
 
     def abort_all(self) -> None:
-        """Break every connection off."""
+        """Abort all connections."""
         for client in self.clients:
             client.abort()
 
     def close_all(self, code: int) -> None:
-        """Close every connection by the protocol."""
+        """Close all connections with the closing handshake."""
         for client in self.clients:
             self._spawn(client.close(code))
 
     def stall(self) -> None:
-        """Be half-open: connections stand, nothing is answered, no handshake is done."""
+        """Stall all connections: nothing is answered, and no handshake is completed."""
         self._awake.clear()
         for client in self.clients:
             client.stall()
@@ -228,7 +228,7 @@ class Listener:
             client.resume()
 
     def send_in_pieces(self, pieces: Sequence[str]) -> None:
-        """Send every client one message in several frames."""
+        """Send one message in several frames to every client."""
         for client in self.clients:
             self._spawn(client.send_in_pieces(pieces))
 

@@ -1,4 +1,4 @@
-"""The conversation of a virtual Cortex: requests, their replies, and how it misbehaves."""
+"""Requests and replies of a virtual Cortex, with their faults."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _METRIC_NAMES = {"attention": "Attention", "eng": "Engagement"}
 
 
 class Methods:
-    """What a client can ask for, by the method's name.
+    """The API methods that a client can call.
 
     Parameters
     ----------
     account, headset, sessions, release
-        What the methods act upon.
+        Objects that the methods use.
     neighbours
-        Ids of other headsets in the list that nobody can connect to.
+        Ids of other headsets in the list that cannot be connected.
     subscribed
         Called when a stream has a new subscriber.
     """
@@ -82,7 +82,7 @@ class Methods:
         }
 
     def call(self, method: str, client: Client, params: Params) -> Result:
-        """Carry a request out and return its result.
+        """Execute a request and return its result.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class Methods:
         if not headset.status.value and not self._neighbours:
             raise RpcError(Code.NO_HEADSET)
         is_wanted = wanted in {None, headset.headset_id}
-        # A headset that was switched off stays "connected" until its silence is noticed.
+        # A headset that was switched off stays "connected" until its silence is detected.
         if not is_wanted or headset.status is not Status.CONNECTED or not headset.is_on:
             raise RpcError(Code.HEADSET_UNAVAILABLE)
 
@@ -249,14 +249,14 @@ _STRANGER = "00000000-0000-0000-0000-000000000000"
 
 
 def damaged_message(rng: np.random.Generator, session_id: str) -> str | bytes:
-    """One damaged message.
+    """Return one damaged message.
 
     Parameters
     ----------
     rng
         Chooses the kind of damage.
     session_id
-        A session of the client that gets it, so that only the damage is wrong.
+        A valid session of the receiving client, so that only the damage is wrong.
     """
     eeg: list[object] = [1, 0, 1, 1, 1, 1, 1, 0, 0, []]
     sample: dict[str, object] = {"eeg": eeg, "sid": session_id, "time": 1.0}
@@ -287,24 +287,24 @@ _WITHOUT_BLUETOOTH = {"code": 31, "message": "Cortex may not use Bluetooth."}
 
 @dataclass(slots=True)
 class Manners:
-    """How the server answers.
+    """Behaviour of the server's answers.
 
     Attributes
     ----------
     late_s
-        Every answer is so late.
+        Delay of every answer.
     delays_s
-        Answers to a method are so much later still, and so may overtake each other.
+        Additional delays by method, so answers may overtake each other.
     refusal
-        Error code for whatever leads to data; None = not refused.
+        Error code for requests that lead to data; None if not refused.
     is_starting
-        Nothing but the version can be had yet.
+        Whether only the version is available yet.
     lacks_bluetooth
-        The list of headsets carries the note that Bluetooth is not permitted.
+        Whether the list of headsets contains the note that Bluetooth is denied.
     errors
-        Codes for the next requests of a method.
+        Error codes for the next requests by method.
     withheld, doubled
-        Methods whose next request gets no answer, or two.
+        Methods whose next request gets no answer or two answers.
     """
 
     late_s: float = 0.0
@@ -317,7 +317,7 @@ class Manners:
     doubled: set[str] = field(default_factory=set[str])
 
     def check(self, method: str) -> None:
-        """Refuse a request that is to be refused, before it has any effect.
+        """Raise the error of a request that must be refused, before it has any effect.
 
         Raises
         ------
@@ -332,17 +332,17 @@ class Manners:
 
 
 class Replies:
-    """Reads requests, has them carried out and answers them.
+    """Parses, executes and answers requests.
 
     Parameters
     ----------
     loop
-        For late answers.
+        Event loop for delayed answers.
 
     Attributes
     ----------
     calls
-        Names of the methods that were asked for, in order.
+        Names of the methods called, in order.
     """
 
     def __init__(self, methods: Methods, manners: Manners, loop: asyncio.AbstractEventLoop) -> None:
@@ -352,7 +352,7 @@ class Replies:
         self._loop = loop
 
     def hear(self, client: Client, message: str | bytes) -> None:
-        """Take one message of a client."""
+        """Process one message of a client."""
         try:
             request = json.loads(message)
         except ValueError:

@@ -1,4 +1,4 @@
-"""Samples on their way: measured in time, written to whoever subscribed, noted as truth."""
+"""Data streams: measures samples on time, sends them to subscribers, and records the truth."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
 Sample = dict[str, Any]
-"""Values by column; None where there is none."""
+"""Values by column; None for missing values."""
 Integers = NDArray[np.int64]
 Signal = Callable[[Integers, Floats], list[Sample]]
-"""Samples of given numbers since power-on and true times since the wearer's begin [s]."""
+"""Returns samples for numbers since power-on and true times of the wearer [s]."""
 
 _OFFSET_UV = 4200.0
 _BANDS_UV2_HZ = {"theta": 5.0, "alpha": 6.0, "betaL": 2.4, "betaH": 1.1, "gamma": 0.4}
@@ -41,7 +41,7 @@ class Signals:
     Parameters
     ----------
     model, wearer, seed
-        What measures whom; the seed is of contact quality and offsets.
+        Headset model and wearer; the seed determines contact quality and offsets.
     """
 
     def __init__(self, model: Model, wearer: Wearer, seed: int) -> None:
@@ -54,7 +54,7 @@ class Signals:
         self._offsets = _OFFSET_UV + rng.uniform(-80, 80, len(model.electrodes))
 
     def sources(self) -> dict[str, tuple[float, Signal]]:
-        """Return rate [Hz] and signal of each stream that this headset has."""
+        """Return rate [Hz] and signal of each stream of this headset."""
         sources: dict[str, tuple[float, Signal]] = {
             "eeg": (self._model.eeg_rate, self.eeg),
             "pow": (8, self.band_power),
@@ -67,7 +67,7 @@ class Signals:
         return sources
 
     def eeg(self, numbers: Integers, t: Floats) -> list[Sample]:
-        """Measure the EEG on its direct voltage [uV], in whole steps of the converter."""
+        """Measure the EEG with its DC offset [uV], in whole ADC steps."""
         wearer, step = self._wearer, self._model.resolution_uv
         potentials = np.stack(
             [
@@ -90,10 +90,10 @@ class Signals:
         ]
 
     def motion(self, numbers: Integers, t: Floats) -> list[Sample]:
-        """Move the head, which nods and turns: attitude, acceleration [g], field [uT].
+        """Measure a nodding and turning head: orientation, acceleration [g], field [uT].
 
-        Q0 is the scalar of a rotation from the body to the world, in which the
-        acceleration at rest lies along -Z.
+        Q0 is the scalar part of the rotation from body to world coordinates, in which the
+        acceleration at rest is along -Z.
         """
         yaw, yaw_rate = _swing(t, 0.5, 11.0)
         pitch, pitch_rate = _swing(t, 0.2, 7.0)
@@ -126,7 +126,7 @@ class Signals:
         return _rows(columns)
 
     def metrics(self, numbers: Integers, t: Floats) -> list[Sample]:
-        """Rate the mind, 0 to 1; the interest cannot always be told."""
+        """Return performance metrics, 0 to 1; the interest is sometimes missing."""
         samples: list[Sample] = []
         for number, time_s in zip(numbers.tolist(), t.tolist(), strict=True):
             sample: Sample = {}
@@ -139,7 +139,7 @@ class Signals:
         return samples
 
     def device(self, numbers: Integers, t: Floats) -> list[Sample]:
-        """Grade the battery (0-4), the radio (0-1) and each contact (0-4)."""
+        """Return grades of the battery (0-4), the radio (0-1) and each contact (0-4)."""
         del t
         return [
             {
@@ -153,7 +153,7 @@ class Signals:
         ]
 
     def eeg_quality(self, numbers: Integers, t: Floats) -> list[Sample]:
-        """Grade each channel's signal (0-4) and of all together [percent]."""
+        """Return grades of each channel's signal (0-4) and the overall quality [percent]."""
         del t
         return [
             {
@@ -184,19 +184,19 @@ def _swing(t: Floats, amplitude: float, period_s: float) -> tuple[Floats, Floats
 
 
 def _quaternion(yaw: Floats, pitch: Floats) -> dict[str, Floats]:
-    """Combine a turn about the vertical with a nod about y, from the body to the world."""
+    """Combine yaw about the vertical and pitch about y, from body to world coordinates."""
     cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
     return {"Q0": cy * cp, "Q1": -sy * sp, "Q2": cy * sp, "Q3": sy * cp}
 
 
 def _angular_rates(yaw_rate: Floats, pitch_rate: Floats) -> dict[str, Floats]:
-    """Count about a zero of 8192; the vendor documents no scale."""
+    """Return counts around a zero of 8192; the vendor documents no scale."""
     rates = {"GYROX": np.zeros(yaw_rate.shape), "GYROY": pitch_rate, "GYROZ": yaw_rate}
     return {n: np.rint(_GYROSCOPE_ZERO + _GYROSCOPE_SCALE * rate) for n, rate in rates.items()}
 
 
 def _to_body(vector: tuple[Floats, ...], yaw: Floats, pitch: Floats) -> tuple[Floats, ...]:
-    """Rotate a vector of the world into the body."""
+    """Convert a vector from world to body coordinates."""
     x, y, z = vector
     ahead = np.cos(yaw) * x + np.sin(yaw) * y
     aside = -np.sin(yaw) * x + np.cos(yaw) * y
@@ -229,20 +229,20 @@ _DECLARED_AS = {
 
 @dataclass(slots=True)
 class Mishaps:
-    """What befalls the next EEG samples; the numbers count down.
+    """Faults of the next EEG samples; the numbers count down.
 
     Attributes
     ----------
     unannounced
-        Samples of every stream have a column that no subscription told of.
+        Number of samples of every stream with an unannounced column.
     lost
-        Are not sent.
+        Number of samples not sent.
     interpolated
-        Are marked as filled in.
+        Number of samples marked as interpolated.
     repeated
-        Are sent twice.
+        Number of samples sent twice.
     markers
-        Objects that go with one sample each.
+        Markers, each for one sample.
     """
 
     unannounced: bool = False
@@ -252,11 +252,11 @@ class Mishaps:
     markers: deque[dict[str, Any]] = field(default_factory=deque[dict[str, Any]])
 
     def lose(self, count: int) -> None:
-        """Send none of the next samples."""
+        """Do not send the next samples."""
         self.lost += count
 
     def interpolate(self, count: int) -> None:
-        """Mark the next samples as filled in."""
+        """Mark the next samples as interpolated."""
         self.interpolated += count
 
     def repeat(self, count: int) -> None:
@@ -264,14 +264,14 @@ class Mishaps:
         self.repeated += count
 
     def mark(self, label: str, value: int) -> None:
-        """Put a marker into the next sample."""
+        """Add a marker to the next sample."""
         self.markers.append(
             {"extras": {}, "isStop": False, "label": label, "port": "Software",
              "type": "instance", "value": value}
         )  # fmt: skip
 
     def alter(self, sample: Sample) -> Sample:
-        """Mark a sample as it has to be."""
+        """Return a sample with its interpolation mark and marker, if any."""
         if self.interpolated:
             self.interpolated -= 1
             sample = sample | {"INTERPOLATED": 1}
@@ -280,13 +280,13 @@ class Mishaps:
         return sample
 
     def loses(self) -> bool:
-        """Tell whether the next sample gets lost."""
+        """Return whether the next sample is lost, and count it."""
         lost = self.lost > 0
         self.lost -= lost
         return lost
 
     def copies(self) -> int:
-        """How many times the next sample is sent."""
+        """Return how many times the next sample is sent, and count it."""
         repeated = self.repeated > 0
         self.repeated -= repeated
         return 1 + repeated
@@ -294,28 +294,28 @@ class Mishaps:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a stream depends on.
+    """The environment of a stream.
 
     Attributes
     ----------
     oscillator
-        Gives sample ``k`` the device time ``k / rate``.
+        Device clock: sample ``k`` is at device time ``k / rate``.
     begin_s
         LSL time at which the wearer's time is 0.
     jitter_s
-        Bound of the delay on the way.
+        Maximum transport delay.
     rng
-        Of the delays.
+        Random generator of the delays.
     delivers
         Whether the headset's data reach Cortex.
     subscribed
-        Who gets a stream.
+        Returns the subscribers of a stream.
     is_due
-        Whether a session gets the sample of this number and stream.
+        Returns whether a session gets this sample of a stream.
     stamp
-        Time on the clock of Cortex [unix s] at a device time [s].
+        Converts a device time [s] to Cortex's clock [Unix s].
     changes
-        Counts what makes samples that were computed ahead wrong.
+        Counter of changes that invalidate precomputed samples.
     """
 
     oscillator: Oscillator
@@ -336,7 +336,7 @@ class Stream:
     Parameters
     ----------
     mishaps
-        All but ``unannounced`` for EEG only.
+        Except ``unannounced``, for EEG only.
     """
 
     def __init__(
@@ -363,11 +363,11 @@ class Stream:
         )
 
     def wake(self) -> None:
-        """Look for subscribers."""
+        """Check for subscribers."""
         self._is_wanted.set()
 
     async def run(self) -> None:
-        """Deliver for ever; sleep while nobody is subscribed."""
+        """Deliver samples until cancelled, but only while there are subscribers."""
         while True:
             await self._is_wanted.wait()
             self._is_wanted.clear()
@@ -376,7 +376,7 @@ class Stream:
                 number = await self._run_block(number)
 
     async def _run_block(self, number: int) -> int:
-        """Measure a block ahead of time, deliver each sample in time; return the next number."""
+        """Measure a block in advance, and deliver each sample on time; return the next number."""
         stage = self._stage
         changes = stage.changes()
         numbers = number + np.arange(max(1, round(_AHEAD_S * self._rate)))
@@ -410,7 +410,7 @@ class Stream:
             return
         if is_eeg:
             sample = self._mishaps.alter(sample)
-        # Noted before it is sent: what a client has read is among the truth.
+        # Recorded before sending, so that everything a client has read is in the truth.
         self._note(true_s, sample)
         copies = self._mishaps.copies() if is_eeg else 1
         for session, client in takers:
@@ -433,7 +433,7 @@ class Stream:
 
 
 def _declared(columns: Columns) -> dict[str, str]:
-    """Columns that are sent, by their label in the declaration."""
+    """Return the sent columns by their label in the declaration."""
     flat: list[str] = []
     for column in columns:
         flat += column if isinstance(column, list) else [column]

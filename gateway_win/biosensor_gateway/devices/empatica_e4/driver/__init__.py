@@ -1,4 +1,4 @@
-"""The conversation with the E4 streaming server: find, bind, subscribe, pass on."""
+"""Driver for the Empatica E4, which connects through the E4 streaming server."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from biosensor_gateway.transports.dialogue import Dialogue, Heard
 
 PATIENCE_S = 5.0
 SHOWN = 60
-"""Characters of a line of no use that the log shows."""
+"""Number of characters of an unusable line shown in the log."""
 RADIO_GRACE_S = 30.0
 LIST_TIMEOUT_S, BIND_TIMEOUT_S, RADIO_TIMEOUT_S = 3.0, 5.0, 30.0
 DISCOVERABLE_MINUTES = "208"
-"""How long a wristband may be looked for after its radio was lost; what other clients use."""
+"""How long a lost wristband stays discoverable; the value used by other clients."""
 
 _ALREADY_BOUND = "same connection"
 _log = structlog.get_logger("biosensor_gateway.empatica_e4")
@@ -62,7 +62,7 @@ class _Conversation:
         self._reported_bytes = 0
 
     async def open(self) -> None:
-        """Connect; see :meth:`ByteLink.open` for what it raises."""
+        """Connect; raises like :meth:`ByteLink.open`."""
         try:
             await self._link.open()
         except TransportError as error:
@@ -94,11 +94,11 @@ class _Conversation:
         return reply
 
     def tell(self, command: str, *arguments: str) -> None:
-        """Send a request whose reply nobody waits for."""
+        """Send a request without waiting for the reply."""
         self._link.write(request(command, *arguments))
 
     async def stream(self, listener: Callable[[Sequence[Heard[Message]]], None]) -> None:
-        """Pass on all messages since `open`, those of a read at a time.
+        """Pass on all messages since `open`, grouped by read.
 
         Raises
         ------
@@ -108,13 +108,13 @@ class _Conversation:
         await self._dialogue.stream(listener)
 
     def take_dropped_bytes(self) -> int:
-        """Return how many bytes were dropped since the last call."""
+        """Return the number of bytes dropped since the last call."""
         new = self._protocol.dropped_bytes - self._reported_bytes
         self._reported_bytes = self._protocol.dropped_bytes
         return new
 
     async def close(self) -> None:
-        """Unbind without waiting, and close; never raises."""
+        """Unbind without waiting for the reply, and close; never raises."""
         self.tell("device_disconnect")
         await self._dialogue.close()
         await self._link.close()
@@ -129,7 +129,8 @@ class _Conversation:
 
 
 def _answers(message: Reply, command: str) -> bool:
-    # The vendor's documentation answers either list request with either word.
+    # According to the vendor's documentation, either list request may be answered with either
+    # word.
     return message.command == command or (command in _LISTS and message.command in _LISTS)
 
 
@@ -155,7 +156,7 @@ class E4Settings(DeviceSettings):
 class E4Driver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # A wristband out of reach is silent for longer than its streams may be.
+    # A wristband out of range is silent for longer than the limit of its streams.
     silence_limit_s = RADIO_GRACE_S + 10.0
 
     def __init__(self, settings: E4Settings, sink: Sink, emitter: E4Emitter) -> None:
@@ -169,7 +170,7 @@ class E4Driver:
         self._giving_up: asyncio.TimerHandle | None = None
 
     async def connect(self) -> Connected:
-        """Bind this TCP connection to the wristband and subscribe every stream."""
+        """Bind this TCP connection to the wristband and subscribe to every stream."""
         await self._talk.open()
         self._device = (await self._listed() or await self._discovered()).device
         await self._bind()
@@ -178,7 +179,7 @@ class E4Driver:
         if answers:
             await self._pause("OFF")
         else:
-            # It may have paused without a word.
+            # The pause may have taken effect even without a reply.
             self._talk.tell("pause", "OFF")
         self._emitter.new_epoch()
         info = DeviceInfo(serial_number=self._device.upper())
@@ -186,7 +187,7 @@ class E4Driver:
         return Connected(info, denied=denied, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes."""
+        """Emit data received since connecting."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._talk.stream(self._take))
             tasks.create_task(self._require_radio())
@@ -204,8 +205,8 @@ class E4Driver:
             raise TransportError(TransportReason.SILENT, message) from error
 
     async def close(self) -> None:
-        """Unbind, which makes the server close the connection, and close."""
-        # The rest of a line at the connection's end, and what made no sense before streaming.
+        """Unbind, after which the server closes the connection, and close."""
+        # Includes a partial line at the end, and invalid lines before streaming.
         self._sink.dropped_bytes += self._talk.take_dropped_bytes()
         await self._talk.close()
 
@@ -214,7 +215,7 @@ class E4Driver:
         return self._chosen(reply.devices)
 
     async def _discovered(self) -> Wristband:
-        """Connect the wristband's radio, which a server without its window leaves to clients."""
+        """Connect the wristband's radio, which a server without a window leaves to its clients."""
         reply = await self._talk.ask("device_discover_list", timeout_s=LIST_TIMEOUT_S)
         found = self._chosen(reply.devices)
         if found is None:
@@ -251,9 +252,9 @@ class E4Driver:
             raise TransportError(TransportReason.ABSENT, message)
 
     async def _pause(self, switch: str) -> bool:
-        """Keep data from coming between replies, or end that; return whether there was a reply.
+        """Pause or resume data; return whether there was a reply.
 
-        It is a nicety: replies are found among data, too.
+        A pause is optional, because replies are also recognised among data.
         """
         try:
             await self._talk.ask("pause", switch, timeout_s=LIST_TIMEOUT_S)
@@ -268,7 +269,7 @@ class E4Driver:
         Raises
         ------
         ProtocolError
-            ``REFUSED`` if all are; ``NO_REPLY``.
+            ``REFUSED`` if all are refused; ``NO_REPLY``.
         """
         refused: dict[Stream, str] = {}
         for stream in streams:
@@ -283,7 +284,7 @@ class E4Driver:
         return refused
 
     def _take(self, found: Sequence[Heard[Message]]) -> None:
-        """Act on what came, in its order: an event divides the samples around it."""
+        """Process messages in order, because an event separates the samples before and after it."""
         self._sink.dropped_bytes += self._talk.take_dropped_bytes()
         samples: list[Sample] = []
         arrival = found[-1].arrival_s if found else 0.0
@@ -317,7 +318,7 @@ class E4Driver:
             self._sink.excuse(*DATA_NAMES.values())
         else:
             _log.info("the wristband is back", device=self._device)
-        # Samples of the old link that are still on their way keep the old mapping.
+        # Samples of the old link that arrive before this event keep the old mapping.
         if event is RadioEvent.RESTORED:
             self._emitter.new_epoch()
 
@@ -330,26 +331,26 @@ class E4Driver:
             self._giving_up = loop.call_later(limit_s, self._is_given_up.set)
 
     async def _require_radio(self) -> None:
-        """Raise ``LOST`` when waiting for the wristband has no sense any more."""
+        """Raise ``LOST`` when the wristband has been out of range for too long."""
         await self._is_given_up.wait()
         message = f"wristband {self._device} stays out of reach; bring it to the dongle"
         raise TransportError(TransportReason.LOST, message)
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], E4Driver]:
-    """Share one emitter between all connections: it follows losses across them."""
+    """Share one emitter between all connections, to estimate losses across them."""
     own = own_settings(E4Settings, settings)
     emitter = E4Emitter(sink)
     return lambda: E4Driver(own, sink, emitter)
 
 
 async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
-    """Ask the servers of the settings, or the usual one, for their wristbands.
+    """Return the wristbands of the servers in the settings, or of the default server.
 
     Raises
     ------
     TransportError, ProtocolError
-        A server does not answer.
+        If a server does not answer.
     """
     servers = {_server(settings) for settings in configured} or {(DEFAULT_HOST, DEFAULT_PORT)}
     found: list[Found] = []
@@ -364,7 +365,7 @@ def _server(settings: DeviceSettings) -> tuple[str, int]:
 
 
 async def _wristbands(host: str, port: int) -> Iterable[Wristband]:
-    """Those that the server streams, and those that it could."""
+    """Return the wristbands that the server streams or could stream."""
     talk = _Conversation(host, port)
     try:
         await talk.open()

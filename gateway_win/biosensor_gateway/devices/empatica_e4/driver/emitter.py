@@ -1,4 +1,4 @@
-"""Turns the lines of the E4 server into samples of the declared streams."""
+"""Converts the lines of the E4 server to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -23,28 +23,27 @@ DATA_NAMES = {
     Stream.TMP: "st",
     Stream.BAT: "bat",
 }
-# All others are late by design: conductance comes in bursts, intervals after 5.6 s.
+# Other streams are late by design: conductance comes in bursts, intervals after 5.6 s.
 _CLOCKED = (Stream.BVP, Stream.ACC)
 _OFF_WRIST_SAMPLES = 8
 _MAX_EARLY = 4096
 _TAG = "button"
 
-# The server counts samples and derives their stamps from that count, so what is lost between
-# wristband and dongle leaves no gap: later stamps merely run late. But the wristband samples at a
-# known rate, so the samples that should have come in the time since the first one are known. Delays
-# make that deficit larger for a while, never smaller; its minimum over a window is what will never
-# come.
+# The server derives timestamps from its sample count, so a loss between wristband and dongle
+# leaves no gap: later timestamps merely lag. But since the wristband's rate is known, the expected
+# number of samples since the first one is known. Delays increase this deficit temporarily but
+# never decrease it, so its minimum over a window is the number of samples lost.
 WINDOW_S = 10.0
 NOTICEABLE_S = 0.05
-"""Below, it may be the way's delays, and is left to the windows to come."""
+"""A smaller deficit may be due to delays, and is left to later windows."""
 DRIFT_LIMIT_S = 0.005
-"""What a window may lack by drift between the two clocks: 200 ppm make 2 ms of it."""
+"""Deficit of a window that clock drift may explain: 200 ppm cause 2 ms."""
 BRIDGED_S = 60.0
-"""After a longer silence nobody knows whether the wristband measured at all."""
+"""After a longer silence it is unknown whether the wristband measured at all."""
 
 
 class LossEstimate:
-    """Follows one regular stream by the arrival of its samples.
+    """Estimates losses of one regular stream from the arrival of its samples.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ class LossEstimate:
         self.forget()
 
     def forget(self) -> None:
-        """Start over, as when the wristband was switched off."""
+        """Restart, for example after the wristband was switched off."""
         self._first_s: float | None = None
         self._count = 0
         self._accounted_s = 0.0
@@ -66,20 +65,20 @@ class LossEstimate:
         self._window_end_s = inf
 
     def begin_window(self) -> None:
-        """Start a window with the next samples, so that a known gap is told at its end."""
+        """Start a window with the next samples, so that a known gap is reported at its end."""
         self._accounted_s = min(self._accounted_s, self._least_s)
         self._least_s = inf
         self._window_end_s = inf
 
     def take(self, count: int, arrival_s: float) -> float | None:
-        """Take in samples; at the end of a window, return the seconds lost in it.
+        """Add samples; at the end of a window, return the seconds lost in it.
 
         Parameters
         ----------
         count
-            Samples that arrived together.
+            Number of samples that arrived together.
         arrival_s
-            LSL clock at their arrival.
+            LSL time of arrival.
         """
         if self._arrival_s is not None and arrival_s - self._arrival_s > BRIDGED_S:
             self.forget()
@@ -102,18 +101,18 @@ class LossEstimate:
         if lost_s >= NOTICEABLE_S:
             self._accounted_s += lost_s
             return lost_s
-        # A negative loss is a first sample that came late: the base line was too high.
+        # A negative loss means that the first sample was late, so the baseline was too high.
         self._accounted_s += min(lost_s, DRIFT_LIMIT_S)
         return 0.0
 
 
 class E4Emitter:
-    """Turns samples into streams; one instance a wristband, over all its connections.
+    """Converts samples to streams; one instance per wristband, over all its connections.
 
     Attributes
     ----------
     log
-        Also for what is to be said once, and not at every connection.
+        Log of the device; its once-only messages appear once, not once per connection.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -130,13 +129,13 @@ class E4Emitter:
         self._owed = dict.fromkeys(RATES_HZ, 0.0)
 
     def new_epoch(self) -> None:
-        """Expect stamps that count from a new radio link."""
+        """Expect timestamps that count from a new radio link."""
         self._restart_clock()
         self._gap_is_known = True
         self._estimate.begin_window()
 
     def switched_off(self) -> None:
-        """Expect nothing to have been measured since the last sample."""
+        """Note that nothing was measured since the last sample."""
         self._estimate.forget()
 
     def take(self, samples: Iterable[Sample], arrival_s: float) -> None:
@@ -145,7 +144,7 @@ class E4Emitter:
         Parameters
         ----------
         arrival_s
-            LSL clock at their arrival.
+            LSL time of arrival.
         """
         fresh = [sample for sample in samples if self._is_new(sample)]
         clocked = [sample.time_s for sample in fresh if sample.stream in _CLOCKED]
@@ -167,7 +166,7 @@ class E4Emitter:
         self._sink.restart_clock()
 
     def _is_new(self, sample: Sample) -> bool:
-        """Tell a line from its repetition."""
+        """Whether a sample is not a repetition of the last one."""
         if self._last_times.get(sample.stream) == sample.time_s:
             return False
         self._last_times[sample.stream] = sample.time_s
@@ -185,7 +184,7 @@ class E4Emitter:
         elif stream is Stream.BAT:
             values = [(100 * fraction,) for (fraction,) in values]
         elif stream is Stream.GSR:
-            # Exactly 0 is what open electrodes give.
+            # Open electrodes give exactly 0.
             values = [(conductance or math.nan,) for (conductance,) in values]
         self._sink.emit(DATA_NAMES[stream], values, times)
         if stream is Stream.GSR:
@@ -195,7 +194,7 @@ class E4Emitter:
         for (conductance,), time in zip(values, times, strict=True):
             self._open_samples = self._open_samples + 1 if math.isnan(conductance) else 0
             worn = self._open_samples < _OFF_WRIST_SAMPLES
-            # At the start, a few open samples do not tell yet.
+            # At the start, a few open samples are not conclusive.
             if worn != self._worn and not (worn and self._open_samples):
                 self._worn = worn
                 self._emit_quality(time)
@@ -209,7 +208,7 @@ class E4Emitter:
         if lost_s:
             self._count_lost(lost_s)
             if not self._gap_is_known:
-                # The stamps run late by what was lost.
+                # The timestamps lag by the loss.
                 self._restart_clock()
         self._gap_is_known = False
 

@@ -1,8 +1,8 @@
-"""The text protocol of the E4 streaming server, both ways; pure.
+"""The text protocol of the E4 streaming server: requests and parsing, without I/O.
 
-The grammar is that of the vendor's documentation of 2019 and of bytes captured from a
-server on a Windows with a decimal comma. The decimal mark follows the server's locale
-and may change when it restarts, so both are read, always.
+The grammar is from the vendor's documentation of 2019, and from data captured on a Windows system
+with a decimal comma. The decimal mark depends on the server's locale and may change when it
+restarts, so both are always accepted.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from enum import Enum, unique
 
 MAX_LINE_BYTES = 65536
 MAX_TIME_S = 1e11
-"""No clock reads more."""
+"""Upper limit of valid clock times."""
 
 
 @unique
 class Stream(Enum):
-    """Streams by the word that subscribes them; heart rate comes with the intervals."""
+    """Streams by the word for their subscription; heart rate is sent with the intervals."""
 
     ACC = "acc"
     BVP = "bvp"
@@ -50,7 +50,7 @@ class Flaw(Enum):
 
 @unique
 class RadioEvent(Enum):
-    """What the server says unasked of a wristband's radio link."""
+    """Events of a wristband's radio link that the server reports."""
 
     LOST = "ble_lost"
     RESTORED = "ble_restored"
@@ -64,10 +64,10 @@ class Sample:
     Attributes
     ----------
     time_s
-        Unix time: the server's clock at the first packet of the radio link, plus the
-        sample's number over the nominal rate.
+        Unix time: the server's time of the radio link's first packet, plus the sample's number
+        divided by the nominal rate.
     values
-        As on the wire: acc in 1/64 g, bat as a fraction, tag empty.
+        Values as sent: acc in 1/64 g, bat as a fraction, tag empty.
     """
 
     stream: Stream
@@ -102,7 +102,7 @@ class Reply:
     reason
         The server's free text if it refused.
     devices
-        Of a device list.
+        Entries of a device list.
     """
 
     command: str
@@ -138,7 +138,7 @@ _WORDS = {
     "E4_Gsr": Stream.GSR,
     "E4_Ibi": Stream.IBI,
     "E4_Hr": Stream.HR,
-    # The vendor's table has other names than the wire.
+    # The names in the vendor's table differ from those actually sent.
     "E4_Temperature": Stream.TMP,
     "E4_Temp": Stream.TMP,
     "E4_Battery": Stream.BAT,
@@ -170,17 +170,17 @@ _UNICODE_MINUS = "\N{MINUS SIGN}"
 
 
 def request(command: str, *arguments: str) -> bytes:
-    """Write a request; CRLF is what every server accepts."""
+    """Return a request; every server accepts CRLF."""
     return " ".join((command, *arguments)).encode("ascii") + b"\r\n"
 
 
 class E4Protocol:
-    """Cuts the byte stream into lines and reads them.
+    """Splits the byte stream into lines and parses them.
 
     Attributes
     ----------
     dropped_bytes
-        Bytes of lines that made no sense, line ends not counted.
+        Bytes of invalid lines, without line ends.
     """
 
     def __init__(self) -> None:
@@ -190,11 +190,11 @@ class E4Protocol:
 
     @property
     def buffered(self) -> int:
-        """Bytes that wait for the end of their line."""
+        """Number of bytes of the incomplete line."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take in bytes and return what the completed lines mean, in order."""
+        """Add bytes and return the messages of the completed lines, in order."""
         messages: list[Message] = []
         *ends, rest = data.split(b"\n")
         for end in ends:
@@ -203,7 +203,7 @@ class E4Protocol:
         return messages
 
     def finish(self) -> list[Message]:
-        """Give up the unterminated rest at the end of a connection; it is never a sample."""
+        """Discard the incomplete line at the end of a connection, which is never a sample."""
         rest = bytes(self._buffer)
         self._buffer.clear()
         self._skipping = False
@@ -248,10 +248,10 @@ class E4Protocol:
 
 
 def read_line(line: str) -> Message:
-    """Return what a line means, without its end; never raises."""
+    """Parse a line without its line end; never raises."""
     text = line.strip()
     for pattern, event in _EVENTS:
-        # Before replies: "connection" and "device" are no commands.
+        # Checked before replies, because "connection" and "device" are not commands.
         if found := pattern.fullmatch(text):
             return Event(event, found[1].lower())
     words = text.split()
@@ -262,7 +262,7 @@ def read_line(line: str) -> Message:
     if words[0].startswith("E4_"):
         return _sample(words, text)
     if words[0] == "device_disconnect":
-        # One version of the server is said to leave the R out.
+        # One version of the server is reported to omit the R.
         return _reply(words, text)
     return Malformed(Flaw.UNKNOWN_LINE, text)
 
@@ -314,7 +314,7 @@ def _plain_reply(command: str, rest: list[str], text: str) -> Message:
 
 
 def _reply_with_subject(command: str, rest: list[str], text: str) -> Message:
-    """Read a reply whose first word is a stream, or the ON and OFF of a pause."""
+    """Parse a reply whose first word is a stream, or the ON or OFF of a pause."""
     if not rest:
         return Malformed(Flaw.UNKNOWN_REPLY, text)
     if rest[0] in ("ERR", "ERROR"):

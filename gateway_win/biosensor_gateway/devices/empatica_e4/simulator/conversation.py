@@ -1,4 +1,4 @@
-"""The server's port: its clients, their requests, and how it answers."""
+"""The server's port, its clients, and the answers to their requests."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ _ROOM_BYTES = 1 << 20
 _REQUEST_BYTES = 4096
 
 Hear = Callable[["Client", str], None]
-"""Gets each request of a client, a line without its end."""
+"""Called with each request of a client, a line without its line end."""
 
 
 class Client(asyncio.Protocol):
-    """A client, with what it is bound and subscribed to.
+    """A client with its binding and subscriptions.
 
     Parameters
     ----------
     listener
-        Is told that it came and went.
+        Notified when it connects and disconnects.
     hear
-        Gets its requests.
+        Called with its requests.
 
     Attributes
     ----------
     bound_to
         Id of a wristband, or empty.
     subscriptions
-        Words of streams.
+        Subscription words of streams.
     glue
-        Through which all goes that it gets.
+        Buffer for all data sent to it.
     """
 
     def __init__(self, listener: Listener, hear: Hear) -> None:
@@ -56,7 +56,7 @@ class Client(asyncio.Protocol):
 
     @property
     def has_room(self) -> bool:
-        """Tell whether a line can be sent now."""
+        """Whether a line can be sent now."""
         transport = self._transport
         if transport is None or transport.is_closing() or self._is_stalled:
             return False
@@ -64,29 +64,29 @@ class Client(asyncio.Protocol):
 
     @property
     def is_holding(self) -> bool:
-        """Tell whether the rest of a torn line is held back."""
+        """Whether the rest of a torn line is being held back."""
         return self._held is not None
 
     def wants(self, device_id: str, subscription: str) -> bool:
-        """Tell whether it is to get a stream of a wristband now."""
+        """Whether it is subscribed to a stream of a wristband now."""
         return (
             self.bound_to == device_id and subscription in self.subscriptions and not self.is_paused
         )
 
     def bind(self, device_id: str) -> None:
-        """Bind to a wristband, or to none if it is empty; all subscriptions end."""
+        """Bind to a wristband, or unbind if empty; all subscriptions end."""
         self.bound_to = device_id
         self.subscriptions.clear()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Become one of the listener's clients, unless it has closed meanwhile."""
+        """Register with the listener, unless it was closed meanwhile."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         if not self._listener.let_in(self):
             self.reset()
 
     def data_received(self, data: bytes) -> None:
-        """Pass on whole lines; they may end CRLF or LF."""
+        """Pass on complete lines, which may end with CRLF or LF."""
         *lines, self._unfinished = (self._unfinished + data).split(b"\n")
         if len(self._unfinished) > _REQUEST_BYTES:
             self.reset()
@@ -94,7 +94,7 @@ class Client(asyncio.Protocol):
             self._hear(self, line.decode("ascii", "replace").strip())
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Be no client any more."""
+        """Unregister from the listener."""
         del exc
         self._transport = None
         self.glue.forget()
@@ -102,43 +102,43 @@ class Client(asyncio.Protocol):
         self._listener.let_go(self)
 
     def write(self, data: bytes) -> None:
-        """Send, if anything can be sent."""
+        """Send data, unless the connection is closed or stalled."""
         if self._held is not None:
             self._held += data
         else:
             self.glue.write(data)
 
     def write_torn(self, data: bytes, at: int, pause_s: float) -> None:
-        """Send the first ``at`` bytes, and the rest and all that follows after a pause."""
+        """Send the first ``at`` bytes, and everything else after a pause."""
         self.write(data[:at])
         self._held = bytearray(data[at:])
         asyncio.get_running_loop().call_later(pause_s, self._send_held)
 
     def stall(self) -> None:
-        """Send nothing and read nothing."""
+        """Stop sending and reading."""
         self._is_stalled = True
         if self._transport is not None:
             self._transport.pause_reading()
 
     def resume(self) -> None:
-        """End a `stall`; what was asked meanwhile is read now."""
+        """End a `stall`; requests received meanwhile are read now."""
         self._is_stalled = False
         if self._transport is not None and not self._transport.is_closing():
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Close after what is still to be sent."""
+        """Close after sending all pending data."""
         if self._transport is not None:
             self._transport.close()
 
     async def end(self) -> None:
-        """Close without what is still to be sent, and wait until it is closed."""
+        """Discard pending data, close, and wait until closed."""
         if self._transport is not None:
             self._transport.abort()
             await self._ended.wait()
 
     def reset(self) -> None:
-        """Break the connection off with an RST, as a process does that is killed."""
+        """Abort the connection with an RST, like a killed process."""
         if self._transport is not None:
             break_off(self._transport)
 
@@ -161,17 +161,17 @@ _NOT_BOUND = "ERR You are not connected to any device"
 
 
 class Listener:
-    """A TCP server whose port stays its own while it is shut.
+    """A TCP server whose port stays reserved while it is shut.
 
     Parameters
     ----------
     hear
-        Gets each client's requests.
+        Called with each client's requests.
 
     Attributes
     ----------
     clients
-        Those that are connected.
+        Connected clients.
     """
 
     def __init__(self, hear: Hear) -> None:
@@ -183,37 +183,37 @@ class Listener:
 
     @property
     def port(self) -> int:
-        """TCP port, the same over all openings; 0 before the first."""
+        """TCP port, which stays the same when reopened; 0 before the first opening."""
         return self._port.number
 
     def open(self) -> None:
-        """Accept clients from now on.
+        """Start accepting clients.
 
         Raises
         ------
         TransportError
-            BUSY if the port cannot be had.
+            BUSY if the port is not available.
         """
         self._port.open()
 
     def glue(self, *, on: bool) -> None:
-        """Have what every client gets go together and cut anywhere, or as it is."""
+        """Send data to all clients joined and split at random places, or unchanged."""
         self._glues = on
         for client in self.clients:
             client.glue.switch(on=on)
 
     def shut(self) -> None:
-        """Refuse clients from now on, break off those that are connected, keep the port."""
+        """Refuse clients and abort existing connections, but keep the port."""
         self._port.shut()
         self.reset_all()
 
     def reset_all(self) -> None:
-        """Break every connection off."""
+        """Abort all connections."""
         for client in tuple(self.clients):
             client.reset()
 
     def stall(self) -> None:
-        """Send and read nothing; connections stand, and new ones are taken."""
+        """Stop sending and reading; connections stay, and new ones are accepted."""
         self._is_stalled = True
         for client in self.clients:
             client.stall()
@@ -225,19 +225,19 @@ class Listener:
             client.resume()
 
     async def stop(self) -> None:
-        """Close every connection and give the port back."""
+        """Close all connections and release the port."""
         self._port.close()
         for client in tuple(self.clients):
             await client.end()
 
     def let_in(self, client: Client) -> bool:
-        """Take a client, unless the port was shut since it was accepted."""
+        """Register a client, unless the port was shut meanwhile."""
         if not self._port.is_open:
             return False
         self.clients.add(client)
         client.glue.switch(on=self._glues)
-        # In Python 3.11.2, which Debian 12 has, asyncio reads from a new connection although that
-        # was paused as it was made, so it is paused right after.
+        # In Python 3.11.2 (Debian 12), asyncio reads from a new connection even if it was paused
+        # on creation, so it is paused again right after.
         asyncio.get_running_loop().call_soon(self._stall_new, client)
         return True
 
@@ -260,22 +260,22 @@ class Listener:
 
 @dataclass(slots=True)
 class Manners:
-    """How willing the server is.
+    """Behaviour of the server's answers.
 
     Attributes
     ----------
     late_s
-        Answers come so late; what was asked is done at once.
+        Delay of answers; requests are executed at once.
     refuses_binding
-        ``device_connect`` is an error.
+        Whether ``device_connect`` fails.
     refused_streams
-        So is a subscription to these.
+        Streams to which subscriptions fail.
     withheld
         Commands whose next request gets no answer.
     never_answered
-        Commands that never get an answer, and whether they are carried out all the same.
+        Commands that never get an answer, and whether they are executed anyway.
     hides_all
-        Lists are empty.
+        Whether lists are empty.
     """
 
     late_s: float = 0.0
@@ -287,23 +287,23 @@ class Manners:
 
 
 _RADIO_CONNECT_S = 0.3
-"""From a client's request for a radio link to the link."""
+"""Time from a client's request for a radio link to the link."""
 
 
 class Commands:
-    """Carries requests out.
+    """Executes requests.
 
     Parameters
     ----------
     wristbands
-        All that there are, by id in small letters.
+        All wristbands by lower-case id.
     connect
-        Makes the radio link of a wristband.
+        Creates the radio link of a wristband.
 
     Attributes
     ----------
     requests
-        Every line that a client sent, in order.
+        All lines from clients, in order.
     """
 
     def __init__(
@@ -329,7 +329,7 @@ class Commands:
         }
 
     def hear(self, client: Client, request: str) -> None:
-        """Carry a request out and answer it."""
+        """Execute a request and answer it."""
         if not request:
             return
         self.requests.append(request)
@@ -449,7 +449,7 @@ class Commands:
 
 
 def _patience_s(arguments: list[str]) -> float | None:
-    """Seconds that a lost wristband stays discoverable; None for a wrong argument."""
+    """Return how long a lost wristband stays discoverable; None for an invalid argument."""
     if not arguments:
         return 0.0
     if not arguments[0].isdecimal() or int(arguments[0]) > _LONGEST_PATIENCE_MIN:

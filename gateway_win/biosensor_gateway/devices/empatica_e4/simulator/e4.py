@@ -72,7 +72,7 @@ _FOREIGN = NumberFormat(decimal_mark="٫", digits="٠١٢٣٤٥٦٧٨٩")  # noq
 
 
 def damaged_line(rng: np.random.Generator) -> bytes:
-    """One damaged line, with its end."""
+    """Return one damaged line with its line end."""
     kind = int(rng.integers(len(_DAMAGED) + 2))
     if kind < len(_DAMAGED):
         return _DAMAGED[kind] + b"\r\n"
@@ -88,9 +88,9 @@ class Tear:
     Attributes
     ----------
     pause_s
-        Between the two parts.
+        Pause between the two parts.
     in_line_end
-        Between CR and LF, else in the middle.
+        Whether it is torn between CR and LF, else in the middle.
     """
 
     pause_s: float
@@ -99,20 +99,20 @@ class Tear:
 
 @dataclass(slots=True)
 class Mishaps:
-    """What befalls the next lines of data; the numbers count down.
+    """Faults of the next data lines; the numbers count down.
 
     Attributes
     ----------
     foreign
-        Lines have the digits and marks of another script.
+        Number of lines with digits and marks of another script.
     doubled
-        Are written twice.
+        Number of lines written twice.
     glued
-        Pairs without a line end between them, which nobody can tell apart.
+        Number of line pairs without a line end between them, which cannot be separated.
     tears
-        One a line.
+        Tears, one per line.
     cut
-        Lines that end in the middle, and the connection with them.
+        Number of lines that end in the middle, together with the connection.
     """
 
     foreign: bool = False
@@ -123,14 +123,14 @@ class Mishaps:
 
 
 class Delivery:
-    """Takes what the wristbands send on to clients.
+    """Sends the wristbands' data to clients.
 
     Parameters
     ----------
     clients
-        Who is connected.
+        Connected clients.
     style
-        How numbers are written.
+        Number format.
     """
 
     def __init__(self, clients: Collection[Client], style: NumberFormat) -> None:
@@ -161,7 +161,7 @@ class Delivery:
     ) -> None:
         takers = [client for client in wanted if client.has_room]
         if not takers or self._is_to_be_spoilt or self.mishaps.foreign:
-            # Noted before it is sent: what a client has read is in the truth.
+            # Recorded before sending, so that everything a client has read is in the truth.
             _note_unsent(wristband, (sample,))
             self._spoil(line, takers)
             return
@@ -174,7 +174,7 @@ class Delivery:
 
     def _write(self, line: bytes, takers: list[Client]) -> None:
         tears = self.mishaps.tears
-        # One after the other: while a rest is held back, no other line is torn.
+        # One at a time: while the rest of a line is held back, no other line is torn.
         is_next = bool(tears) and not any(client.is_holding for client in takers)
         tear = tears.pop(0) if is_next else None
         for client in takers:
@@ -189,7 +189,7 @@ class Delivery:
         return bool(self._glue_to or self.mishaps.glued or self.mishaps.cut)
 
     def _spoil(self, line: bytes, takers: list[Client]) -> None:
-        """Send what is left of a line that comes to nothing."""
+        """Send a line in damaged form."""
         if not takers:
             return
         if self._glue_to:
@@ -219,7 +219,7 @@ EXPECTED = Expected(
         FaultKind.REPEAT: "each interval comes with the time of its beat",
         Untidiness.RATE: ONE_RATE,
     },
-    # A loss is a time, told to 0.05 s, and some samples come six at a time.
+    # Losses are estimated as a time, to 0.05 s, and some samples arrive in groups of six.
     loss_tolerance=LossTolerance(always={"bvp": 4, "acc": 2, "gsr": 6, "st": 6}),
 )
 
@@ -227,27 +227,28 @@ _DENIABLE = ("bvp", "acc", "gsr", "tmp")
 
 
 class SimulatedE4(VirtualDevice):
-    """An E4 streaming server, on a port of its own, with one wristband or more.
+    """An E4 streaming server, on its own port, with one or more wristbands.
 
-    Faults hit the first wristband.
+    Faults affect the first wristband.
 
     Parameters
     ----------
     device_id
-        Of the first wristband.
+        Id of the first wristband.
     others
-        Ids of further ones; each has a wearer of another seed.
+        Ids of further wristbands; each has a wearer with a different seed.
     automatic
-        The server connects wristbands by itself, as its window has it by default;
-        False: clients do, as where it was started without its window.
+        Whether the server connects wristbands by itself, like one with a window by default; if
+        False, clients must do it, as with a server without a window.
     allowed
-        The first wristband is registered to the owner of the server's key.
+        Whether the first wristband is registered to the owner of the server's key.
     style
-        Of numbers, after the Windows locale; a restart changes the decimal mark.
+        Number format of the Windows locale; a restart changes the decimal mark.
     timing
         When samples leave the wristbands; their jitter is ``jitter_s``.
     **specimen
-        As for every virtual device: see `Specimen`. Each wristband's oscillator drifts so.
+        As for every virtual device: see `Specimen`. The drift applies to each wristband's
+        oscillator.
     """
 
     sensor = "empatica_e4"
@@ -301,15 +302,15 @@ class SimulatedE4(VirtualDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Where it listens, which wristband."""
+        """Host, port and wristband id."""
         return self.settings_of(self._first.device_id)
 
     def settings_of(self, device_id: str) -> Mapping[str, Any]:
-        """Return what `settings` is for another wristband."""
+        """Return the settings for another wristband."""
         return {"host": LOOPBACK, "port": self._listener.port, "device": device_id}
 
     def truth_of(self, device_id: str) -> Truth:
-        """Return what was sent on of one wristband."""
+        """Return the truth of one wristband."""
         return self._wristbands[device_id.lower()].truth
 
     async def _start(self) -> None:
@@ -319,7 +320,7 @@ class SimulatedE4(VirtualDevice):
         self._come_up()
 
     async def _stop(self) -> None:
-        # A restart that is under way comes to nothing.
+        # Cancels a restart in progress.
         self._is_over, self._is_up = True, False
         self._disconnect_all()
         await self._listener.stop()
@@ -333,14 +334,14 @@ class SimulatedE4(VirtualDevice):
         self._attend(self._wristbands.values())
 
     def _go_down(self) -> None:
-        """End the process; its successor runs under another locale."""
+        """End the process; the next one runs with another locale."""
         self._is_up = False
         self._listener.shut()
         self._disconnect_all()
         self._delivery.style = self._delivery.style.with_other_mark()
 
     def _attend(self, wristbands: Iterable[Wristband]) -> None:
-        """Connect wristbands that can be, if the server does that by itself."""
+        """Connect available wristbands, if the server does that by itself."""
         if not (self._is_automatic and self._is_up):
             return
         for each in wristbands:
@@ -370,7 +371,7 @@ class SimulatedE4(VirtualDevice):
         self._listener.reset_all()
 
     def _lose(self) -> None:
-        """Let the first wristband go out of the radio's reach, and tell its clients."""
+        """Move the first wristband out of range, and notify its clients."""
         was_connected = self._first.is_connected
         self._first.lose()
         if was_connected:
@@ -389,7 +390,7 @@ class SimulatedE4(VirtualDevice):
             self._send_raw(b"E4_Unknown 1700000000.5 1.0\r\n")
 
     def _deny(self) -> None:
-        """Send one of the signals to nobody, another one each time."""
+        """Refuse subscriptions to one signal, a different one each time."""
         self._manners.refused_streams.add(next(self._to_deny))
         self._break_links()
 
@@ -397,7 +398,7 @@ class SimulatedE4(VirtualDevice):
         self._manners.refused_streams.clear()
 
     def _forget(self, _: float) -> None:
-        """Send no client any stream until it subscribes again; all stay bound."""
+        """Forget all subscriptions but keep the bindings."""
         for client in self._listener.clients:
             client.subscriptions.clear()
 
@@ -428,7 +429,7 @@ class SimulatedE4(VirtualDevice):
 
 
 def _further(first: Specimen, number: int) -> Specimen:
-    """Return one that somebody else wears."""
+    """Return the specimen of a further wristband, with a different wearer."""
     return Specimen(
         seed=first.seed + number,
         drift_ppm=first.drift_ppm,

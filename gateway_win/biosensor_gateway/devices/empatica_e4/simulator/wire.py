@@ -1,4 +1,4 @@
-"""The samples that travel from a wristband to the server."""
+"""Samples from a wristband, and their encoding by the server."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _STAMP_DIGITS = 15
 
 @dataclass(frozen=True, slots=True)
 class NumberFormat:
-    """The marks of a locale.
+    """The number format of a locale.
 
     Parameters
     ----------
     decimal_mark
         ``,`` or ``.``.
     minus_sign
-        ``-``, or U+2212 as some locales have it.
+        ``-``, or U+2212 in some locales.
     digits
-        From nought to nine.
+        Digits from 0 to 9.
     """
 
     decimal_mark: str = ","
@@ -36,11 +36,11 @@ class NumberFormat:
     digits: str = "0123456789"
 
     def value(self, number: float) -> str:
-        """Write a measured value: single precision, G7."""
+        """Format a measured value: single precision, G7."""
         return self._localised(f"{as_sent(number):.{_VALUE_DIGITS}g}")
 
     def stamp(self, unix_s: float) -> str:
-        """Write a time: double precision, G15, which is steps of 10 us."""
+        """Format a time: double precision, G15, with a resolution of 10 us."""
         return self._localised(f"{unix_s:.{_STAMP_DIGITS}g}")
 
     def with_other_mark(self) -> NumberFormat:
@@ -53,7 +53,7 @@ class NumberFormat:
 
 
 def as_sent(number: float) -> float:
-    """Round a value to what `NumberFormat.value` can say; never -0."""
+    """Round a value to the precision of `NumberFormat.value`; never -0."""
     return float(f"{float(np.float32(number)):.{_VALUE_DIGITS}g}") + 0.0
 
 
@@ -61,20 +61,20 @@ COUNTS_PER_G = 64
 
 
 class Stream(NamedTuple):
-    """One stream of the wire.
+    """One stream of the server.
 
     Attributes
     ----------
     word
-        That begins its lines.
+        First word of its lines.
     subscription
         Word that clients subscribe to.
     data_name
-        Of the declaration.
+        Declared data name.
     rate_hz
-        By which the server numbers its samples; None for what comes with its own time.
+        Nominal rate for the server's timestamps; None for samples with their own time.
     declared
-        Makes values of the declaration from those of the wire.
+        Converts sent values to declared units.
     """
 
     word: str
@@ -115,9 +115,9 @@ class Sample(NamedTuple):
     measured_s
         True time [s, LSL clock].
     after_s
-        Seconds of the wristband's oscillator since its radio link began.
+        Seconds of the wristband's oscillator since the start of its radio link.
     values
-        Of the wire, as exact as it can say them.
+        Values as sent, with the precision of the format.
     """
 
     stream: Stream
@@ -131,23 +131,23 @@ class Sample(NamedTuple):
         return self.stream.declared(self.values)
 
     def line(self, stamp_s: float, style: NumberFormat) -> bytes:
-        """Write the sample's line, with its end."""
+        """Return the sample's line with its line end."""
         numbers = (style.value(value) for value in self.values)
         return (" ".join((self.stream.word, style.stamp(stamp_s), *numbers)) + "\r\n").encode()
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Packet:
-    """Samples that travel together, ordered by when they arrive at the server.
+    """Samples sent together; packets are ordered by arrival at the server.
 
     Attributes
     ----------
     arrives_s
-        On the LSL clock.
+        Arrival on the LSL clock.
     number
-        Decides between packets that arrive together.
+        Breaks ties between packets that arrive together.
     samples
-        All of one subscription, in the order of their lines.
+        Samples of one subscription, in the order of their lines.
     """
 
     arrives_s: float
@@ -174,7 +174,7 @@ class WallClock:
         self._ahead_s = time.time() - lsl()
 
     def at(self, lsl_s: float) -> float:
-        """Return the unix time at an LSL time."""
+        """Return the Unix time at an LSL time."""
         return lsl_s + self._ahead_s
 
     def jump(self, seconds: float) -> None:
@@ -183,10 +183,10 @@ class WallClock:
 
 
 class Stamps:
-    """Stamps of one radio link.
+    """Timestamps of one radio link.
 
-    The first packet's arrival, plus a sample's number by the nominal rate. Samples
-    that do not arrive have no number, so what follows them is stamped too early.
+    A timestamp is the first packet's arrival plus the sample's number divided by the nominal rate.
+    Lost samples are not numbered, so later timestamps are too early.
     """
 
     def __init__(self, clock: WallClock) -> None:
@@ -195,7 +195,7 @@ class Stamps:
         self._numbers: Counter[str] = Counter()
 
     def stamp(self, sample: Sample, arrives_s: float) -> float:
-        """Return the stamp of a sample that arrives now; each may be asked once."""
+        """Return the timestamp of a sample that arrives now; call this once per sample."""
         if self._reference_s is None:
             self._reference_s = self._clock.at(arrives_s)
         rate_hz = sample.stream.rate_hz

@@ -1,4 +1,4 @@
-"""One wristband as the server sees it: advertising, connected by radio, lost, off."""
+"""One wristband as seen by the server: advertising, connected, lost or off."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ Rows = list[tuple[float, ...]]
 _BVP_SCALE = 120.0
 _AMBIENT_C = 24.5
 _OPEN = 0.0
-"""How the wire says that the electrodes touch no skin."""
+"""Value sent while the electrodes have no skin contact."""
 
 
 class Signals:
-    """The sensors of one wristband; every time is that of the wearer [s].
+    """The sensors of one wristband; all times are the wearer's [s].
 
     Attributes
     ----------
     battery
-        Charge, 0 to 1.
+        Battery level, 0 to 1.
     """
 
     def __init__(self, wearer: Wearer) -> None:
@@ -56,14 +56,14 @@ class Signals:
         self._wearer = wearer
 
     def read(self, stream: Stream, t: Floats) -> Rows:
-        """Return what a regular stream reads at some times, as the wire can say it."""
+        """Return the values of a regular stream at given times, rounded as in the format."""
         if stream is ACC:
             counts = np.rint(self._wearer.acceleration_g(t) * COUNTS_PER_G)
             return [tuple(row) for row in np.clip(counts, -128, 127).tolist()]
         return [(as_sent(value),) for value in self._read_one(stream, t).tolist()]
 
     def beats_between(self, begin_s: float, end_s: float) -> Sequence[float]:
-        """Return when pulse waves reach the wrist, if there is one."""
+        """Return the times of pulse waves at the wrist; none if it is not worn."""
         if not self.is_worn:
             return []
         peaks = self._wearer.beats_between(begin_s - PULSE_TRANSIT_S, end_s - PULSE_TRANSIT_S)
@@ -77,7 +77,7 @@ class Signals:
         if stream is GSR:
             return self._wearer.skin_conductance_us(t) if self.is_worn else np.full(t.shape, _OPEN)
         assert stream is TEMPERATURE
-        # The sensor reads in steps of 0.02 degrees.
+        # The sensor has a resolution of 0.02 degrees.
         celsius = self._wearer.skin_temperature_c(t) if self.is_worn else _ambient(t)
         return np.rint(celsius * 50) / 50
 
@@ -92,19 +92,19 @@ _BEAT_TICKS_HZ = 64
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When samples leave.
+    """When samples are sent.
 
     Attributes
     ----------
     burst
-        Samples of GSR and of temperature that come together.
+        Number of GSR and temperature samples sent together.
     beat_delay_s
-        How late a beat's HR and IBI are.
+        Delay of a beat's HR and IBI.
     bvp_delay_s
-        How much later than GSR and temperature BVP and acceleration come; 0.065 would
-        fit what was recorded, and no client can know it.
+        Delay of BVP and acceleration relative to GSR and temperature; 0.065 would match
+        recordings, but a client cannot detect it.
     jitter_s
-        Bound of a packet's delay by the radio.
+        Maximum radio delay of a packet.
     """
 
     burst: int = 6
@@ -115,16 +115,16 @@ class Timing:
 
 
 class RadioLink:
-    """One radio link, from its beginning; the wristband streams from then on.
+    """One radio link; the wristband streams from its start on.
 
     Parameters
     ----------
     begin_s
         LSL time at which the wearer's time is 0.
     rng
-        Of the radio's delays.
+        Random generator of the radio's delays.
     arrive
-        Gets each packet when it is due at the server.
+        Called with each packet when it arrives at the server.
     """
 
     def __init__(
@@ -153,11 +153,11 @@ class RadioLink:
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     def end(self) -> None:
-        """Measure and send no more; what is on its way does not arrive."""
+        """Stop measuring and sending; packets in transit do not arrive."""
         self._task.cancel()
 
     def tag(self) -> None:
-        """Send that the button was pressed."""
+        """Send a tag, because the button was pressed."""
         now = self._oscillator.clock()
         self._dispatch((Sample(TAG, now, self._oscillator.at(now) - self._origin_s, ()),), 0.0)
 
@@ -166,7 +166,7 @@ class RadioLink:
             self._measure(block * _BLOCK_S, (block + 1) * _BLOCK_S)
             end_s = self._true_time((block + 1) * _BLOCK_S)
             while self._on_its_way and self._on_its_way[0].arrives_s <= end_s:
-                # What arrives earlier may set out meanwhile: a tag.
+                # An earlier packet, such as a tag, may be added during the wait.
                 await asyncio.sleep(
                     max(0.0, self._on_its_way[0].arrives_s - self._oscillator.clock())
                 )
@@ -174,7 +174,7 @@ class RadioLink:
             await asyncio.sleep(max(0.0, end_s - self._oscillator.clock()))
 
     def _measure(self, from_s: float, to_s: float) -> None:
-        """Measure a block of device time since the link began, a moment ahead of time."""
+        """Measure a block of device time since the start of the link, shortly in advance."""
         for stream in self._per_packet:
             self._measure_regular(stream, from_s, to_s)
         self._measure_beats(from_s, to_s)
@@ -219,7 +219,7 @@ class RadioLink:
         self._dispatch((Sample(stream, self._true_time(after_s), after_s, values),), 0.0)
 
     def _dispatch(self, samples: tuple[Sample, ...], delay_s: float) -> None:
-        """Let samples leave when the last is measured; a stream's packets keep their order."""
+        """Send samples when the last one is measured; a stream's packets stay in order."""
         name = samples[0].stream.word
         due_s = samples[-1].measured_s + delay_s + self._rng.uniform(0, self._timing.jitter_s)
         arrives_s = max(due_s, self._last_arrival_s.get(name, due_s))
@@ -241,22 +241,22 @@ class Wristband:
     device_id
         Six hexadecimal digits.
     specimen
-        Who wears it, and what its oscillator is like.
+        Its wearer and the properties of its oscillator.
     is_allowed
-        It is registered to the owner of the server's key.
+        Whether it is registered to the owner of the server's key.
     truth
-        Of what the server sends on.
+        Truth of the data sent by the server.
     deliver
-        Gets the packets that arrive, and those that would have during a radio loss.
+        Called with packets that arrive, and with those lost while out of range.
 
     Attributes
     ----------
     oscillator
-        From the wristband's first moment on.
+        Oscillator of the wristband since the beginning.
     stamps
-        Of the present or last radio link.
+        Timestamps of the current or last radio link.
     is_left_alone
-        A client had its link ended: the server does not connect it by itself.
+        Whether a client ended its link, so the server does not reconnect it by itself.
     """
 
     def __init__(
@@ -288,7 +288,7 @@ class Wristband:
         self._loses_until_s = 0.0
 
     def begin(self, clock: WallClock) -> None:
-        """Let time begin: for the wearer, the oscillator and on the server's PC."""
+        """Start the time of the wearer, the oscillator and the server's PC."""
         self._begin_s = clock.lsl()
         self.oscillator = Oscillator(clock.lsl, self._drift_ppm, self._begin_s)
         self._clock = clock
@@ -296,21 +296,21 @@ class Wristband:
 
     @property
     def is_connected(self) -> bool:
-        """Tell whether its radio link stands."""
+        """Whether it has a radio link."""
         return self._link is not None and not self._is_lost
 
     @property
     def is_lost(self) -> bool:
-        """Tell whether it was connected and its radio is out of reach, or was."""
+        """Whether it was connected and then went out of range."""
         return self._is_lost
 
     @property
     def is_advertising(self) -> bool:
-        """Tell whether a radio link can be made."""
+        """Whether a radio link is possible."""
         return self._is_on and self._is_in_reach and not self.is_connected
 
     def connect(self, patience_s: float = inf) -> None:
-        """Make a radio link; it streams from now on, by a new reference.
+        """Create a radio link, from which it streams with a new time reference.
 
         Parameters
         ----------
@@ -326,12 +326,12 @@ class Wristband:
         )
 
     def disconnect(self) -> None:
-        """End the radio link in order; the wristband advertises again."""
+        """End the radio link properly; the wristband advertises again."""
         self._end_link()
         self._is_lost = False
 
     def lose(self) -> None:
-        """Be out of the radio's reach; what is measured meanwhile never arrives."""
+        """Move it out of range; data measured meanwhile never arrive."""
         self._is_in_reach = False
         if self.is_connected:
             self._is_lost = True
@@ -340,29 +340,29 @@ class Wristband:
                 self._gives_up = loop.call_later(self._patience_s, self._give_up)
 
     def come_back(self) -> None:
-        """Be in reach again."""
+        """Move it back into range."""
         self._is_in_reach = True
 
     def turn_off(self) -> None:
-        """Be turned off by the button."""
+        """Turn it off by its button."""
         self._give_up()
 
     def turn_on(self) -> None:
-        """Be turned on by the button."""
+        """Turn it on by its button."""
         self._is_on = True
 
     def press_button(self) -> None:
-        """Send a tag, if a radio link stands."""
+        """Send a tag, if there is a radio link."""
         if self._link is not None:
             self._link.tag()
 
     def lose_packets(self, share: float, seconds: float) -> None:
-        """Lose a share of the packets, from 0 to 1, on the radio; their stamps show no gap."""
+        """Lose a fraction of the packets, 0 to 1, on the radio; the timestamps show no gap."""
         self._lost_share = share
         self._loses_until_s = self._clock.lsl() + seconds
 
     def loses(self, packet: Packet) -> bool:
-        """Tell whether a packet of a regular stream gets lost on the radio."""
+        """Whether a packet of a regular stream is lost on the radio."""
         if packet.samples[0].stream.rate_hz is None or packet.arrives_s > self._loses_until_s:
             return False
         return self._rng.random() < self._lost_share
