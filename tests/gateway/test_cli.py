@@ -100,6 +100,8 @@ def test_config_init_writes_settings_that_config_check_accepts(run: Run, setting
     written = run("config", "init")
     assert (written.code, written.err) == (0, "")
     assert str(settings) in written.out
+    if os.name == "posix":
+        assert settings.parent.stat().st_mode & 0o077 == 0
     checked = run("config", "check")
     assert checked == (0, f"{settings}: 0 devices, no problem found\n", "")
 

@@ -30,13 +30,17 @@ def record(state: Path) -> Record:
 
 
 @pytest.mark.seam
-def test_it_records_until_it_is_stopped(record: Record, sources: Sources, tmp_path: Path) -> None:
+def test_it_records_until_it_is_stopped(
+    record: Record, sources: Sources, state: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "OneDrive"
     folder.mkdir()
     start = ("start", "--here", "--folder", str(folder), "--participant", "P07")
     begun = record(*start, "--json")
     assert begun.code == 0, begun.err
     file = begun.json["file"]
+    # It has made the state folder, into which nobody else looks.
+    assert state.stat().st_mode & 0o077 == 0
     assert (begun.json["by"], Path(file).parents[3]) == ("gateway", folder)
     # Nobody's agent has them, and they are recorded all the same.
     assert {each["name"] for each in begun.json["foreign"]} == {"chest", "wrist"}

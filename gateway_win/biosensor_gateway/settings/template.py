@@ -75,7 +75,8 @@ def write_template(path: Path, device_models: Mapping[str, type[DeviceSettings]]
     """
     content = template(device_models)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        # On macOS it is the state folder, too, into which nobody else may look.
+        path.parent.mkdir(0o700, parents=True, exist_ok=True)
     except OSError as error:
         message = f"cannot make the folder {path.parent}: {error.strerror or error}"
         raise ConfigError(ConfigReason.UNREADABLE, message) from error

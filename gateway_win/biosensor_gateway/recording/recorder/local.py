@@ -294,7 +294,7 @@ class _Starter:
         """Return the wanted but not required streams that are not recorded, and remarks."""
         with contextlib.suppress(OSError):
             # A failure is reported when the program is started.
-            self._folder.path.mkdir(parents=True, exist_ok=True)
+            state_file.make_folder(self._folder.path)
         programs, tried = find_programs(self._folder.path)
         left = [*programs]
         while True:
