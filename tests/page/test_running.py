@@ -117,6 +117,30 @@ def test_it_is_ended_by_a_command_and_its_windows_say_so(
     expect(page.get_by_role("heading", name="The page has ended")).to_be_visible()
 
 
+# A page with a thread that never comes back, as one that waits in liblsl; it may take a second.
+NEVER_ENDS = """
+import threading
+from biosensor_gateway.page import agent_page
+from biosensor_gateway.cli import main
+agent_page.ENDS_WITHIN_S = 1.0
+threading.Thread(target=threading.Event().wait).start()
+main()
+"""
+
+
+def test_one_that_hangs_ends_all_the_same(programs: Programs) -> None:
+    command = [sys.executable, "-c", NEVER_ENDS, "page", "--no-open"]
+    hanging = subprocess.Popen(command, env=programs.environment, stdout=subprocess.PIPE)
+    with hanging:
+        assert hanging.stdout is not None
+        assert STARTED.search(hanging.stdout.readline().decode())
+        assert programs.call("page", "--end") == "the page has ended\n"
+        try:
+            assert hanging.wait(DEADLINE_S / 2) == 0
+        finally:
+            hanging.kill()
+
+
 def test_it_ends_after_its_last_window_but_not_while_an_agent_runs(
     programs: Programs, window: OpenWindow
 ) -> None:

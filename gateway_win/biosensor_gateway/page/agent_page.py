@@ -14,6 +14,7 @@ from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError, GatewayError
 from biosensor_gateway.page.instance import (
     ADDRESS,
@@ -23,7 +24,7 @@ from biosensor_gateway.page.instance import (
     only_server,
     reachable,
 )
-from biosensor_gateway.page.server import PageServer, cancelled, responsive
+from biosensor_gateway.page.server import ENDS_WITHIN_S, PageServer, cancelled, responsive
 from biosensor_gateway.system.browser import WayIn
 
 if TYPE_CHECKING:
@@ -120,6 +121,8 @@ class AgentPage:
                 if self._share_port is not None:
                     begin(self._show())
                 await ended
+                # With exit code 0, because it has been asked to end, or is not needed any more.
+                end_within(ENDS_WITHIN_S, code=0)
         finally:
             await cancelled(running)
 

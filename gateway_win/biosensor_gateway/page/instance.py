@@ -31,7 +31,7 @@ LOCK_FILE = "page.lock"
 
 _START_S = 30.0
 """How long a page may take to listen on a busy computer."""
-_END_S = 10.0
+_END_S = 15.0
 _ASK_AGAIN_S = 0.1
 
 

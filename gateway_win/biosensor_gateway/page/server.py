@@ -25,7 +25,7 @@ from biosensor_gateway.page.static_files import Front
 from biosensor_gateway.system.browser import WayIn, way_in
 
 HOST = "127.0.0.1"
-_ENDS_WITHIN_S = 10.0
+ENDS_WITHIN_S = 10.0
 """Limit for the whole end: windows are notified, and a replay has its own limit."""
 _SWITCH_S = 0.0005
 _SIGNALS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM]
@@ -164,7 +164,7 @@ class _Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """Note the signal; see uvicorn."""
         if not self.should_exit:
-            end_within(_ENDS_WITHIN_S)
+            end_within(ENDS_WITHIN_S)
         super().handle_exit(sig, frame)
 
 
