@@ -1,1 +1,1 @@
-"""The world that virtual devices share: wearer, oscillator, faults and links."""
+"""What virtual devices share: world, wearer, oscillator, faults and links."""

@@ -49,7 +49,7 @@ def pack_name(name: str) -> bytes:
 
 @dataclass
 class Advertised:
-    """What was heard of one device, an advertisement and its scan response together."""
+    """The combined contents of a device's advertisement and scan response."""
 
     rssi_dbm: int = -127
     name: str | None = None
@@ -57,7 +57,7 @@ class Advertised:
     manufacturer_data: dict[int, bytes] = field(default_factory=dict[int, bytes])
 
     def hear(self, data: bytes, rssi_dbm: int) -> None:
-        """Take an advertisement or a scan response in."""
+        """Add an advertisement or a scan response."""
         self.rssi_dbm = rssi_dbm
         for kind, content in AdvertisingData.from_bytes(data).ad_structures:
             if kind == _Kind.COMPLETE_LOCAL_NAME:
@@ -77,7 +77,7 @@ class Advertised:
 
 
 def uuid_string(uuid: UUID) -> str:
-    """Return a UUID as bleak and BlueZ write it: 128 bits, in small letters."""
+    """Return a UUID in the form of bleak and BlueZ: 128 bits, in lower case."""
     return normalize_uuid_str(uuid.to_hex_str("-"))
 
 

@@ -1,8 +1,8 @@
-"""The serial port of a virtual device: a pseudo-terminal, or TCP where there are none.
+"""The serial port of a virtual device: a pseudo-terminal, or TCP if not available.
 
-Neither tells that a host opened the port, as a Bluetooth module does not tell it to its
-firmware: a device speaks after the first command. That a host left ends the radio link and
-is told.
+Neither reports that a host opened the port, just as a Bluetooth module does not report it to its
+firmware, so a device only sends after the first command. A host that closes the port ends the
+radio link, which is reported.
 """
 
 from __future__ import annotations
@@ -35,18 +35,16 @@ _READ_SIZE = 4096
 class PtyPort:
     """A pseudo-terminal under one stable path.
 
-    Every `open` makes a new terminal; the path is a symbolic link to it and does not
-    exist while the port is down.
+    Every `open` creates a new terminal; the path is a symbolic link to it and does not exist while
+    the port is closed.
 
     Parameters
     ----------
     heard, left
-        Called with the host's bytes, and when a host closed the port; not after
-        `hang_up`.
+        Called with the host's bytes, and when a host closes the port; not after `hang_up`.
     buffer_bytes
-        What is kept for a host that does not read, beyond the 16-20 KiB that the
-        operating system keeps. A radio's buffer is small; a test that must not lose a
-        byte at high speed takes a large one.
+        Buffer for a host that does not read, in addition to the operating system's 16-20 KiB. A
+        radio's buffer is small; a test that must not lose data at high speed needs a large one.
     """
 
     def __init__(
@@ -69,7 +67,7 @@ class PtyPort:
         return str(self._path)
 
     def open(self) -> None:
-        """Make a terminal and point the path at it.
+        """Create a terminal, and let the path point to it.
 
         Raises
         ------
@@ -86,16 +84,16 @@ class PtyPort:
         tty.setraw(self._handle)
         os.set_blocking(self._handle, False)
         self._path.symlink_to(os.ttyname(host_end))
-        # Held open by us, it would not show that a host closes it.
+        # If we kept it open, a host's closing could not be detected.
         os.close(host_end)
         self._await_host(self._handle)
 
     def write(self, data: bytes) -> bool:
-        """Take all of ``data`` or nothing."""
+        """Accept all of ``data`` or nothing."""
         return self._glue.write(data)
 
     def glue(self, *, on: bool) -> None:
-        """Have what is written go together and cut anywhere, or as it is."""
+        """Join data and split it at random places, or send it unchanged."""
         self._glue.switch(on=on)
 
     def _send(self, data: bytes) -> bool:
@@ -111,17 +109,17 @@ class PtyPort:
         return True
 
     def drained(self) -> bool:
-        """Tell whether the host has read all that was written."""
+        """Whether the host has read everything."""
         if sys.platform == "win32" or not self._hosted:
             return True
-        # What waits to be read can be asked at the end where it is read.
+        # The number of unread bytes is only available at the reading end.
         host_end = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         unread = struct.unpack("i", fcntl.ioctl(host_end, termios.FIONREAD, bytes(4)))[0]
         os.close(host_end)
         return not self._unsent and unread == 0
 
     def hang_up(self) -> None:
-        """Close the terminal and remove its path; what the host has not read is lost."""
+        """Close the terminal and remove its path; unread data are lost."""
         self._glue.flush()
         self._stop_watching()
         self._path.unlink(missing_ok=True)
@@ -131,7 +129,7 @@ class PtyPort:
         self._unsent.clear()
 
     def dispose(self) -> None:
-        """Hang up and remove the path's folder."""
+        """Close the port and remove the path's folder."""
         self.hang_up()
         shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -140,7 +138,7 @@ class PtyPort:
         return self._folder / "port"
 
     def _await_host(self, handle: int) -> None:
-        """Look whether a host has the port open: of that there is no event."""
+        """Poll whether a host has opened the port, because there is no event for it."""
         if _host_is_gone(handle):
             self._host_check = self._loop.call_later(_HOST_CHECK_S, self._await_host, handle)
             return
@@ -152,7 +150,7 @@ class PtyPort:
             data = os.read(handle, _READ_SIZE)
         except BlockingIOError:
             return
-        except OSError:  # how a terminal says that its other end was closed
+        except OSError:  # raised when the terminal's other end was closed
             self._stop_watching()
             self._forget(handle)
             self._await_host(handle)
@@ -162,15 +160,15 @@ class PtyPort:
             self._heard(data)
 
     def _forget(self, handle: int) -> None:
-        """Throw away what is buffered and what no host has read."""
+        """Discard buffered and unread data."""
         self._glue.forget()
         self._unsent.clear()
         if sys.platform != "win32":
-            # All that the host has written was heard; what there is now is another one's.
+            # Everything the host wrote was read, so what is left now is from another host.
             termios.tcflush(handle, termios.TCOFLUSH)
 
     def _flush(self, handle: int) -> None:
-        """Send of what is buffered as much as there is room for."""
+        """Send as much of the buffered data as possible."""
         try:
             while self._unsent:
                 del self._unsent[: os.write(handle, self._unsent)]
@@ -192,44 +190,44 @@ def _host_is_gone(handle: int) -> bool:
         return True
     poll = select.poll()
     poll.register(handle, select.POLLIN)
-    # Bytes of a host that has already left are still to be heard.
+    # Data of a host that has already closed the port must still be read.
     return any(event & select.POLLHUP and not event & select.POLLIN for _, event in poll.poll(0))
 
 
-# The smallest that systems allow, near what a pseudo-terminal keeps.
+# The smallest size that systems allow, similar to that of a pseudo-terminal.
 _SEND_BUFFER_BYTES = 4096
 
 
 class AsyncSerialPort(Protocol):
-    """The device's end of a serial port; every method is for the loop's thread."""
+    """The device's end of a serial port; all methods must run in the loop's thread."""
 
     @property
     def name(self) -> str:
-        """What a host opens; the same over hang-ups."""
+        """The port's name for the host, which stays the same when reopened."""
         ...
 
     def open(self) -> None:
-        """Become reachable."""
+        """Open the port."""
         ...
 
     def write(self, data: bytes) -> bool:
-        """Take the whole of ``data`` without blocking; False without host or room."""
+        """Accept all of ``data`` without blocking; return False without a host or room."""
         ...
 
     def glue(self, *, on: bool) -> None:
-        """Have what is written go together and cut anywhere, from now on, or as it is."""
+        """Join data and split it at random places from now on, or send it unchanged."""
         ...
 
     def drained(self) -> bool:
-        """Tell whether nothing is left that a host could still read, as far as is known."""
+        """Whether a host has read everything, as far as known."""
         ...
 
     def hang_up(self) -> None:
-        """Cut the link and be unreachable until `open`; unread bytes are lost."""
+        """Close the link until `open` is called; unread data are lost."""
         ...
 
     def dispose(self) -> None:
-        """Hang up and remove what is left of the port; it cannot be opened again."""
+        """Close and remove the port permanently."""
         ...
 
 
@@ -240,43 +238,42 @@ def serial_port(
     buffer_bytes: int,
     tcp: bool = sys.platform == "win32",
 ) -> AsyncSerialPort:
-    """Make the port of a virtual device; call it in the device's loop.
+    """Create the port of a virtual device; call this in the device's event loop.
 
     Parameters
     ----------
     heard, left
-        Called with the host's bytes, and when a host closed the port; not after
+        Called with the host's bytes, and when a host closes the port; not after
         `AsyncSerialPort.hang_up`.
     buffer_bytes
-        What is kept for a host that does not read, beyond what the operating system keeps.
+        Buffer for a host that does not read, in addition to the operating system's.
     tcp
-        A TCP server instead of a pseudo-terminal, which pyserial opens as
-        ``socket://127.0.0.1:PORT``; by default where there is none.
+        Use a TCP server instead of a pseudo-terminal, which pyserial opens as
+        ``socket://127.0.0.1:PORT``; default on systems without pseudo-terminals.
 
     Raises
     ------
     TransportError
-        BUSY if no port of loopback can be had.
+        BUSY if no port of the loopback interface is available.
     """
     return TcpSerialPort(heard, left, buffer_bytes) if tcp else PtyPort(heard, left, buffer_bytes)
 
 
 class TcpSerialPort:
-    """A TCP server on loopback in the place of a serial port; one host at a time.
+    """A TCP server on the loopback interface instead of a serial port, for one host at a time.
 
     Parameters
     ----------
     heard, left
-        Called with the host's bytes, and when a host closed the port; not after
-        `hang_up`.
+        Called with the host's bytes, and when a host closes the port; not after `hang_up`.
     buffer_bytes
-        What is kept for a host that does not read, beyond what the system's buffers
-        hold, which are larger on some.
+        Buffer for a host that does not read, in addition to the system's buffers, whose sizes
+        differ.
 
     Raises
     ------
     TransportError
-        BUSY if no port of loopback can be had.
+        BUSY if no port of the loopback interface is available.
     """
 
     def __init__(
@@ -292,44 +289,44 @@ class TcpSerialPort:
 
     @property
     def name(self) -> str:
-        """URL of the port, as `serial.serial_for_url` takes it."""
+        """URL of the port for `serial.serial_for_url`."""
         return f"socket://{LOOPBACK}:{self._port.number}"
 
     def open(self) -> None:
-        """Accept a host."""
+        """Start accepting a host."""
         self._port.open()
 
     def write(self, data: bytes) -> bool:
-        """Take all of ``data`` or nothing."""
+        """Accept all of ``data`` or nothing."""
         return self._glue.write(data)
 
     def glue(self, *, on: bool) -> None:
-        """Have what is written go together and cut anywhere, or as it is."""
+        """Join data and split it at random places, or send it unchanged."""
         self._glue.switch(on=on)
 
     def drained(self) -> bool:
-        """Tell whether everything was handed to the system."""
+        """Whether everything was passed to the system."""
         return self._host is None or self._host.drained()
 
     def hang_up(self) -> None:
-        """Close the connection and refuse others; the port's number stays taken."""
+        """Close the connection and refuse others; the port number stays reserved."""
         self._glue.flush()
         self._port.shut()
         self._abort_host()
 
     def dispose(self) -> None:
-        """Hang up and give the port's number back."""
+        """Close the port and release its number."""
         self._glue.forget()
         self._port.close()
         self._abort_host()
 
     def received(self, host: _Host, data: bytes) -> None:
-        """Pass on the present host's bytes."""
+        """Pass on the current host's bytes."""
         if host is self._host:
             self._heard(data)
 
     def disconnected(self, host: _Host) -> None:
-        """Note that a host went away by itself."""
+        """Process a host's disconnection."""
         if host is self._host:
             self._host = None
             self._glue.forget()
@@ -362,23 +359,23 @@ class _Host(asyncio.Protocol):
         self._connecting = loop.create_task(loop.connect_accepted_socket(lambda: self, connection))
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the connection, if it is still wanted."""
+        """Accept the connection, unless it was aborted meanwhile."""
         if isinstance(transport, asyncio.Transport):
             self._transport = transport
             if self._aborted:
                 transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        """Pass on what the host says."""
+        """Pass on the host's data."""
         self._port.received(self, data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Note that the host is gone."""
+        """Process the end of the connection."""
         del exc
         self._port.disconnected(self)
 
     def write(self, data: bytes) -> bool:
-        """Take all of ``data`` or nothing."""
+        """Accept all of ``data`` or nothing."""
         if self._transport is None or self._transport.is_closing():
             return False
         waiting = self._transport.get_write_buffer_size()
@@ -388,11 +385,11 @@ class _Host(asyncio.Protocol):
         return True
 
     def drained(self) -> bool:
-        """Tell whether nothing waits for room in the system's buffers."""
+        """Whether no data wait for room in the system's buffers."""
         return self._transport is None or not self._transport.get_write_buffer_size()
 
     def abort(self) -> None:
-        """End the connection at once, or as soon as it is made."""
+        """End the connection at once, or as soon as it is established."""
         self._aborted = True
         if self._transport is not None:
             self._transport.abort()

@@ -1,9 +1,8 @@
-"""A platform backend of bleak whose radio is virtual.
+"""A bleak backend with a virtual radio.
 
-While `virtual_bluetooth` lasts, code that uses plain ``BleakScanner`` and
-``BleakClient`` talks to virtual devices, and sees what it would see on Windows, macOS
-or Linux: a local disconnect calls back as well as a lost link, requests fail when the
-link goes, and so on.
+While `virtual_bluetooth` is active, code with plain ``BleakScanner`` and ``BleakClient`` connects
+to virtual devices, which behave as on Windows, macOS or Linux: a local disconnect calls back like
+a lost link, requests fail when the link is lost, and so on.
 """
 
 from __future__ import annotations
@@ -45,12 +44,12 @@ _Ts = TypeVarTuple("_Ts")
 
 
 async def in_world(world: World, coroutine: Coroutine[Any, Any, _T]) -> _T:
-    """Run a coroutine in the world's loop; to cancel this is to cancel it.
+    """Run a coroutine in the world's event loop; cancelling this cancels it.
 
     Raises
     ------
     BleakError
-        Whatever went wrong, as bleak's own backends would put it.
+        For any error, as in bleak's own backends.
     """
     try:
         return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(coroutine, world.loop))
@@ -63,7 +62,7 @@ async def in_world(world: World, coroutine: Coroutine[Any, Any, _T]) -> _T:
 def tell(
     loop: asyncio.AbstractEventLoop, function: Callable[[*_Ts], object], *arguments: *_Ts
 ) -> None:
-    """Have a function called soon in another loop; if that is closed, nobody listens."""
+    """Call a function soon in another event loop, unless that is closed."""
     with suppress(RuntimeError):
         loop.call_soon_threadsafe(function, *arguments)
 
@@ -83,7 +82,7 @@ class VirtualClient(BaseBleakClient):
     central
         The adapter.
     address_or_ble_device, services, disconnected_callback, timeout
-        As ``BleakClient`` hands them on.
+        As passed by ``BleakClient``.
     """
 
     def __init__(
@@ -121,7 +120,7 @@ class VirtualClient(BaseBleakClient):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link stands."""
+        """Whether the link is established."""
         return self._connected
 
     async def connect(self, pair: bool, **kwargs: object) -> None:
@@ -130,9 +129,9 @@ class VirtualClient(BaseBleakClient):
         Raises
         ------
         BleakDeviceNotFoundError
-            If only an address is known, and it is not heard in time.
+            If only an address is known and it is not received in time.
         TimeoutError
-            If a device that a scan found does not connect in time.
+            If a device found by a scan does not connect in time.
         BleakError
         """
         if self._connected:
@@ -140,7 +139,7 @@ class VirtualClient(BaseBleakClient):
         if not self._scanned:
             await self._find()
         with ExitStack() as failed:
-            # The link may have come about in the moment of giving up.
+            # The link may have been established at the moment of giving up.
             failed.callback(tell, self._world.loop, self._close_unwanted)
             async with asyncio.timeout(self._timeout):
                 loop = asyncio.get_running_loop()
@@ -152,16 +151,16 @@ class VirtualClient(BaseBleakClient):
         self._connected = True
 
     async def disconnect(self) -> None:
-        """End the connection; without effect if there is none."""
+        """End the connection, if there is one."""
         if link := self._link:
             await in_world(self._world, link.disconnect())
 
     async def pair(self, *_args: object, **_kwargs: object) -> None:
-        """Pair, Just Works."""
+        """Pair with Just Works."""
         await self._ask(GattLink.pair)
 
     async def unpair(self) -> None:
-        """Forget the bond, and disconnect."""
+        """Delete the bond, and disconnect."""
         await self._ask(GattLink.unpair)
 
     async def read_gatt_char(
@@ -219,7 +218,7 @@ class VirtualClient(BaseBleakClient):
         link = self._link
         if link is None or not self._connected:
             raise BleakError("Not connected")
-        # A request that is on the air cannot be taken back; the next one waits for it.
+        # A request that was sent cannot be cancelled; the next one waits for it.
         return await asyncio.shield(in_world(self._world, request(link)))
 
     async def _find(self) -> None:
@@ -284,12 +283,12 @@ def _services(link: GattLink, wanted: set[str] | None) -> BleakGATTServiceCollec
 
 @contextmanager
 def virtual_bluetooth(radio: Radio) -> Generator[None]:
-    """Have bleak, in every loop and thread of this process, use a virtual radio.
+    """Let bleak use a virtual radio, in all event loops and threads of this process.
 
     Raises
     ------
     RuntimeError
-        If this version of bleak picks its backends otherwise than is known here.
+        If this version of bleak selects its backends in an unknown way.
     """
     central = radio.world.await_(Central.on_the_air(radio))
     backends = partial(VirtualScanner, central), partial(VirtualClient, central), BaseBleakAdapter
@@ -303,15 +302,15 @@ def virtual_bluetooth(radio: Radio) -> Generator[None]:
 class VirtualScanner(BaseBleakScanner):
     """A scan on a virtual adapter.
 
-    As on every platform, what was heard of a device adds up: the first callback may
-    lack what comes with the scan response, usually the name.
+    As on every platform, data of a device are accumulated: the first callback may lack data of the
+    scan response, usually the name.
 
     Parameters
     ----------
     central
         The adapter.
     detection_callback, service_uuids, scanning_mode
-        As ``BleakScanner`` hands them on.
+        As passed by ``BleakScanner``.
     """
 
     def __init__(
@@ -329,7 +328,7 @@ class VirtualScanner(BaseBleakScanner):
         self._known: dict[str, Advertised] = {}
 
     async def start(self) -> None:
-        """Begin to scan."""
+        """Start the scan."""
         if self._listener:
             raise BleakError("Scanner already started")
         self.seen_devices = {}

@@ -1,4 +1,4 @@
-"""Has bleak use other backends than that of the system."""
+"""Makes bleak use other backends than the system's."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import bleak.backends.client
 import bleak.backends.scanner
 
 Backends = tuple[object, object, object]
-"""What makes a scanner, a client and an adapter."""
+"""Functions that create a scanner, a client and an adapter."""
 
 _BACKEND_ID = "virtual"
 _PICKERS: dict[str, ModuleType] = {
@@ -26,7 +26,7 @@ _PICKERS: dict[str, ModuleType] = {
 
 @contextmanager
 def standing_in(backends: Backends) -> Generator[None]:
-    """Have bleak use these, in every loop and thread of this process.
+    """Let bleak use these backends, in all event loops and threads of this process.
 
     Raises
     ------

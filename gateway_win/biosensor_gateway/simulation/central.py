@@ -1,7 +1,7 @@
-"""A computer's Bluetooth LE adapter on the virtual air: scan, connect, GATT requests.
+"""A virtual Bluetooth LE adapter of a computer: scans, connections, GATT requests.
 
-Host stacks are built on it: a backend of bleak, a fake BlueZ. All of it lives in the
-world's loop.
+Host stacks are built on it: a bleak backend and a fake BlueZ. Everything runs in the world's event
+loop.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _COMMAND_HEADER = 3
 
 
 class _GattClient(Protocol):
-    """What is used of bumble's client, whose annotations leave type arguments out."""
+    """The used part of bumble's client, whose annotations lack type arguments."""
 
     async def request_mtu(self, mtu: int) -> int: ...
     async def discover_services(self) -> list[ServiceProxy]: ...
@@ -47,28 +47,28 @@ class _GattClient(Protocol):
 
 
 class GattLink:
-    """A connection whose services are known; made by `open`.
+    """A connection with discovered services, created by `open`.
 
-    Every request may raise ``bumble.att.ATT_Error`` when the device answers with an
-    ATT error, TransportError ``LOST`` when the link is or gets lost, and ``SILENT``
-    when the device does not answer within the 30 s of the ATT specification.
+    Every request may raise ``bumble.att.ATT_Error`` if the device answers with an ATT error,
+    TransportError ``LOST`` if the link is lost, and ``SILENT`` if the device does not answer
+    within the 30 s of the ATT specification.
 
     Attributes
     ----------
     address
-        Of the device.
+        Address of the device.
     services
-        With characteristics and descriptors.
+        Services with characteristics and descriptors.
     lost
-        Whether the link is gone.
+        Whether the link is lost.
     on_lost
-        Called when it goes, whoever ended it, before any request fails of it.
+        Called when the link ends for any reason, before requests fail.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.address = connection.peer_address.to_string(with_type_qualifier=False)
         self.services: list[ServiceProxy] = []
-        # It may have gone between the event and this.
+        # The link may have been lost since the event.
         self.lost = connection.device.lookup_connection(connection.handle) is not connection
         self.on_lost: list[Callable[[], None]] = []
         self._connection = connection
@@ -83,7 +83,7 @@ class GattLink:
         Raises
         ------
         TransportError
-            ``LOST``. Whatever is raised, the connection has been ended.
+            ``LOST``. After any error, the connection has been closed.
         """
         link = cls(connection)
         preparing = asyncio.ensure_future(link._prepare(mtu))
@@ -100,11 +100,11 @@ class GattLink:
 
     @property
     def max_command_bytes(self) -> int:
-        """How much fits into a write without response."""
+        """Maximum size of a write without response."""
         return self.mtu - _COMMAND_HEADER
 
     async def request(self, awaitable: Awaitable[_T]) -> _T:
-        """Await something that the device has to answer."""
+        """Wait for an answer of the device."""
         if self.lost:
             if asyncio.iscoroutine(awaitable):
                 awaitable.close()
@@ -121,7 +121,7 @@ class GattLink:
 
     async def read(self, attribute: CharacteristicProxy[bytes] | DescriptorProxy) -> bytes:
         """Read a value of any length."""
-        # bumble's server does not check permissions, so its answer is given here.
+        # bumble's server does not check this property, so the error is raised here.
         if not _has(attribute, _Properties.READ):
             raise att.ATT_Error(att.ErrorCode.READ_NOT_PERMITTED, attribute.handle)
         return await self.request(self._client.read_value(attribute.handle))
@@ -149,7 +149,7 @@ class GattLink:
     async def subscribe(
         self, characteristic: CharacteristicProxy[bytes], on_value: OnValue
     ) -> None:
-        """Have notifications, or else indications, given to ``on_value`` from now on."""
+        """Subscribe to notifications, or else indications, with ``on_value`` as callback."""
         previous = self._on_value.pop(characteristic.handle, None)
         if previous:
             await self.request(self._client.unsubscribe(characteristic, previous))
@@ -157,12 +157,12 @@ class GattLink:
         await self.request(self._client.subscribe(characteristic, on_value))
 
     async def unsubscribe(self, characteristic: CharacteristicProxy[bytes]) -> None:
-        """Have no more of them; without effect where there are none."""
+        """Unsubscribe, if subscribed."""
         if on_value := self._on_value.pop(characteristic.handle, None):
             await self.request(self._client.unsubscribe(characteristic, on_value))
 
     async def pair(self) -> None:
-        """Pair (Just Works) and encrypt the link; without effect if it is encrypted.
+        """Pair (Just Works) and encrypt the link, unless it is encrypted.
 
         Raises
         ------
@@ -178,12 +178,12 @@ class GattLink:
             raise ProtocolError(ProtocolReason.REFUSED, message) from error
 
     async def unpair(self) -> None:
-        """Forget the bond and disconnect."""
+        """Delete the bond and disconnect."""
         await self._forget_bond()
         await self.disconnect()
 
     async def disconnect(self) -> None:
-        """End the connection; without effect if it is gone, and not to be cancelled."""
+        """End the connection if it still exists; cannot be cancelled."""
         if not self.lost:
             await asyncio.shield(self._connection.disconnect())
 
@@ -227,7 +227,7 @@ def _has(attribute: CharacteristicProxy[bytes] | DescriptorProxy, wanted: _Prope
 
 
 _CONNECT_S = 1.0
-"""A device that was just heard connects within this, or it went away again."""
+"""Time within which a device just received connects, unless it is gone."""
 
 
 class Heard(NamedTuple):
@@ -238,7 +238,7 @@ class Heard(NamedTuple):
     data
         Its payload, undecoded.
     is_response
-        Whether it answers a scan request.
+        Whether it is a scan response.
     """
 
     address: str
@@ -255,12 +255,12 @@ class _Events(Protocol):
 
 
 class Central:
-    """One adapter, with any number of scans and links at the same time.
+    """One adapter, with any number of concurrent scans and links.
 
     Parameters
     ----------
     radio
-        The air, which also decides whether the adapter is switched on.
+        The radio, which also determines whether the adapter is on.
     device
         From ``radio.host()``.
     """
@@ -273,24 +273,24 @@ class Central:
         self._connect_lock = asyncio.Lock()
         self._tasks: set[asyncio.Task[Any]] = set()
         radio.on_switched_off.append(self._listeners.clear)
-        # bumble would put advertisement and scan response together; host stacks do that.
+        # bumble would combine advertisement and scan response, but host stacks do that themselves.
         events = cast("_Events", device.host)
         events.remove_listener("advertising_report", device.on_advertising_report)
         device.host.on("advertising_report", self._on_report)
 
     @classmethod
     async def on_the_air(cls, radio: Radio) -> Central:
-        """Return an adapter that is powered."""
+        """Return an adapter that is on."""
         return cls(radio, await radio.host())
 
     async def close(self) -> None:
-        """Leave the air; links are lost, scans hear nothing more."""
+        """Switch off; links are lost and scans end."""
         self.radio.on_switched_off.remove(self._listeners.clear)
         self._listeners.clear()
         await self.radio.release(self._device)
 
     def require_power(self) -> None:
-        """Refuse when Bluetooth is switched off.
+        """Raise an error if Bluetooth is switched off.
 
         Raises
         ------
@@ -301,7 +301,7 @@ class Central:
             raise TransportError(TransportReason.UNAVAILABLE, "Bluetooth is switched off")
 
     async def listen(self, listener: Listener) -> None:
-        """Scan actively; the listener gets all that is heard.
+        """Start an active scan; the listener gets all advertisements and scan responses.
 
         Raises
         ------
@@ -317,13 +317,13 @@ class Central:
             raise
 
     async def unlisten(self, listener: Listener) -> None:
-        """End a scan; without effect where there is none."""
+        """End a scan, if there is one."""
         if listener in self._listeners:
             self._listeners.remove(listener)
         await self._uncancelled(self._update_scan())
 
     async def wait_for(self, address: str) -> None:
-        """Wait until a device is heard; cancel it to give up.
+        """Wait until a device is received; cancel it to give up.
 
         Raises
         ------
@@ -346,15 +346,15 @@ class Central:
         self.require_power()
 
     async def connect(self, address: str) -> GattLink:
-        """Connect as soon as the device is heard, and discover its services.
+        """Connect as soon as the device is received, and discover its services.
 
-        It waits for ever; cancel it to give up.
+        It waits without a limit; cancel it to give up.
 
         Raises
         ------
         TransportError
-            ``UNAVAILABLE`` if Bluetooth is switched off, ``LOST`` if the device went
-            away while its services were discovered.
+            ``UNAVAILABLE`` if Bluetooth is switched off, ``LOST`` if the link was lost during the
+            discovery of services.
         """
         while True:
             await self.wait_for(address)
@@ -379,7 +379,7 @@ class Central:
             self._spawn(connection.disconnect())
 
     async def _uncancelled(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        # A command to the controller whose answer nobody awaits confuses bumble.
+        # bumble does not tolerate the cancellation of a command to the controller.
         await asyncio.shield(self._spawn(coroutine))
 
     def _spawn(self, coroutine: Coroutine[Any, Any, _T]) -> asyncio.Task[_T]:

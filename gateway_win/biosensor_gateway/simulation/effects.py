@@ -1,4 +1,4 @@
-"""Begins and ends faults of a virtual device."""
+"""Defines the effects of faults on virtual devices."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Effect(Generic[_T]):
-    """What one kind of fault does to a device, or to a part of one.
+    """The effect of one kind of fault on a device or a part of it.
 
-    Both functions run in the world's loop and must not block.
+    Both functions run in the world's event loop and must not block.
 
     Attributes
     ----------
     begin
-        Takes what is hit, and the fault's value.
+        Called with the affected object and the fault's value.
     end
-        Takes what is hit; None for what happens at once.
+        Called with the affected object; None for instantaneous faults.
     """
 
     begin: Callable[[_T, float], None]
@@ -31,23 +31,23 @@ class Effect(Generic[_T]):
 
 
 Effects = Mapping[Kind, Effect[_T]]
-"""By kind, for each fault that something can have."""
+"""Effects of all possible faults by kind."""
 
 
 def lasting(begin: Callable[[_T], None], end: Callable[[_T], None]) -> Effect[_T]:
-    """Return the effect of a fault whose value says only how long it lasts."""
+    """Return the effect of a fault whose value is only its duration."""
     return Effect(lambda hit, _: begin(hit), end)
 
 
 def on_part(path: str, effects: Effects[Any]) -> dict[Kind, Effect[Any]]:
-    """Return the effects on a device of which one part is hit.
+    """Return the effects on a device from those on one of its parts.
 
     Parameters
     ----------
     path
-        Names from the device to the part, with dots between.
+        Attribute path from the device to the part, with dots.
     effects
-        Those on the part.
+        Effects on the part.
     """
     part = attrgetter(path)
 
@@ -64,17 +64,17 @@ def on_part(path: str, effects: Effects[Any]) -> dict[Kind, Effect[Any]]:
 def flag(
     path: str, value: bool = True, *, then: Callable[[Any], None] | None = None
 ) -> Effect[Any]:
-    """Return the effect that an attribute has a value for as long as the fault lasts.
+    """Return the effect of setting an attribute for the duration of the fault.
 
     Parameters
     ----------
     path
-        Names from what is hit to the attribute, with dots between; without effect where one on
-        the way is None.
+        Attribute path from the affected object, with dots; no effect if an object on the path is
+        None.
     value
-        During the fault; the opposite afterwards.
+        Value during the fault; the opposite is set afterwards.
     then
-        Called with what is hit once the fault has begun, to break a link for instance.
+        Called with the affected object after the start, for example to break a link.
     """
 
     def begin(hit: object, _: float) -> None:
@@ -92,16 +92,16 @@ def level(
     read: Callable[[float], float] = float,
     then: Callable[[Any], None] | None = None,
 ) -> Effect[Any]:
-    """Return the effect that an attribute has the value of the fault.
+    """Return the effect of setting an attribute to the fault's value.
 
     Parameters
     ----------
     usual
-        Its value afterwards; None where the fault happens once.
+        Value to set afterwards; None for instantaneous faults.
     read
-        Makes the attribute's value of the fault's.
+        Converts the fault's value to the attribute's.
     path, then
-        As of `flag`.
+        As for `flag`.
     """
 
     def begin(hit: object, value: float) -> None:
@@ -113,7 +113,7 @@ def level(
 
 
 def restart(path: str) -> Effect[Any]:
-    """Return the effect that a `PowerSwitch` holds a device off, and switches it on again."""
+    """Return the effect of switching a device off and on with its `PowerSwitch`."""
     switch, kind = attrgetter(path), FaultKind.RESTART
     return lasting(lambda hit: switch(hit).hold_off(kind), lambda hit: switch(hit).release(kind))
 
@@ -124,5 +124,5 @@ def _set(hit: object, path: str, value: object) -> None:
         hit = getattr(hit, name)
         if hit is None:
             return
-    getattr(hit, last)  # a misspelt name is an error, not a new attribute
+    getattr(hit, last)  # raises an error for a misspelt name
     setattr(hit, last, value)

@@ -1,4 +1,4 @@
-"""The facts that an agent can know of a virtual device; the suites of all sensors go by it."""
+"""What an agent can know about a virtual device, as expected by the tests of all sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ USUALLY_IMPOSSIBLE: Mapping[Kind, str] = MappingProxyType(
         FaultKind.STEP_BACK: "no value of it is made of counts",
     }
 )
-"""What devices of most kinds cannot have, and why."""
+"""Faults that most kinds of devices cannot have, with reasons."""
 NO_INTERVALS = "it tells no intervals between beats"
 NO_RATE = "none of its signals has a rate"
 ONE_RATE = "each of its signals has one rate, which no setting changes"
@@ -25,14 +25,14 @@ SAYS_WHAT_IT_IS = "each message comes by a characteristic of its own, which says
 
 
 class Contact(NamedTuple):
-    """The channel that tells whether the device is worn.
+    """The channel that shows whether the device is worn.
 
     Attributes
     ----------
     data_name, channel
         The stream, and the channel's column.
     off
-        What it holds while the device is not worn.
+        Its value while the device is not worn.
     """
 
     data_name: str
@@ -41,31 +41,31 @@ class Contact(NamedTuple):
 
 
 class Gap(Enum):
-    """What a device did while it was not connected, as far as a host can know."""
+    """What a device did while disconnected, as far as a host can know."""
 
     MEASURED = "measured"
-    """All that the gap had room for is lost."""
+    """It measured, so all samples in the gap are lost."""
     STOPPED = "stopped"
-    """Nothing is lost but what was on its way."""
+    """It stopped, so only samples in transit are lost."""
     UNKNOWN = "unknown"
-    """It stopped at some moment in the gap."""
+    """It stopped at an unknown time in the gap."""
 
 
 @dataclass(frozen=True, slots=True)
 class LossTolerance:
-    """By how many samples an agent's count of those that are lost may be wrong.
+    """Allowed error of an agent's count of lost samples.
 
     Attributes
     ----------
     always
-        By data name, where not even a loss within a connection is counted exactly.
+        By data name, if even losses within a connection are not counted exactly.
     over_break
-        Besides, when the connection broke or the device forgot to send.
+        In addition, after a lost connection or a device that stopped sending.
     over_restart
-        By data name, in place of `over_break` when the device was restarted.
+        By data name, instead of `over_break` after a restart of the device.
     by_arrival
-        Whether what comes first behind a break is placed by when it came: the agent then takes
-        what holds a packet up beside the break for a part of it, or for the end of it.
+        Whether the first packet after a break is placed by its arrival, so that its delay is
+        mistaken for a part or the end of the break.
     """
 
     always: Mapping[str, int] = field(default_factory=dict[str, int])
@@ -74,7 +74,7 @@ class LossTolerance:
     by_arrival: bool = False
 
     def of(self, data_name: str, *, is_break: bool, is_restart: bool) -> int:
-        """Return so many samples of one stream; a restart is a break, too."""
+        """Return the allowed error for one stream; a restart is also a break."""
         over_break = self.over_break if is_break else 0
         if is_restart:
             over_break = self.over_restart.get(data_name, over_break)
@@ -83,33 +83,32 @@ class LossTolerance:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What of a device's state, times and losses arrives, and how well it is known.
+    """What an agent can know about a device's state, times and losses, and how exactly.
 
     Attributes
     ----------
     contact
-        Where it shows whether the device is worn; None = in the channel with the role
-        ``CONTACT``.
+        Channel that shows whether the device is worn; None for the one with the role ``CONTACT``.
     without_contact
-        Data names that have no value off the body: NaN in its place if they are regular, else
-        nothing.
+        Data names without values off the body: NaN if regular, else no samples.
     by_agent
-        Data names of what the agent computes, or decides when to send: no truth of the wire.
+        Data names that the agent computes or schedules, so they are not in the truth.
     unstamped_s
-        By data name what the device does not stamp, and how uncertain its time is in seconds,
-        besides the delay of the link.
+        Streams without device timestamps, with the uncertainty of their times in seconds, in
+        addition to the link's delay.
     gaps
-        By fault, where the device does not measure all the time that it is not connected.
+        By fault, if the device does not measure all the time while disconnected.
     loss_tolerance
-        How well losses can be counted.
+        Allowed error of counted losses.
     impossible
-        By fault, why the real device cannot have it; what its link makes impossible, the link says.
+        By fault, why the real device cannot have it, in addition to those impossible with its
+        link.
     deniable
-        So many of its signals at least can be refused one by one, if any can.
+        Minimum number of signals that can be refused one by one, if any.
     bundles_s
-        So long may what it sends wait and come together, and its clock is not taken for set.
+        Longest delay of bundled data that is not mistaken for a clock that was set.
     is_linked
-        Whether a host connects to it; else it is heard, or it is not.
+        Whether a host connects to it, instead of only receiving it.
     """
 
     contact: Contact | None = None

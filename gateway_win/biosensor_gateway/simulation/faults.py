@@ -1,9 +1,9 @@
-"""Faults that a virtual device can be given, and how a command line writes them.
+"""Faults of virtual devices, and their notation on the command line.
 
-``[SENSOR:]KIND[:VALUE]@START``, for instance ``drop:5s@10s`` (the link is gone for
-five seconds, ten seconds after the start), ``polar_h10:off_body:20s@15s``,
-``low_battery:4%@5s``, ``drift:150ppm@0s``, ``garbage:64@10s``; ``hr:120bpm@30s`` is no fault,
-but happens to whoever wears it.
+``[SENSOR:]KIND[:VALUE]@START``, for instance ``drop:5s@10s`` (the link is lost for five seconds,
+ten seconds after the start), ``polar_h10:off_body:20s@15s``, ``low_battery:4%@5s``,
+``drift:150ppm@0s``, ``garbage:64@10s``; ``hr:120bpm@30s`` is not a fault but a change of the
+wearer.
 """
 
 from __future__ import annotations
@@ -18,70 +18,70 @@ from biosensor_common.errors import ConfigError, ConfigReason, did_you_mean
 
 @unique
 class FaultKind(Enum):
-    """What can go wrong with a device; the value's unit is in brackets."""
+    """Faults of a device, with the unit of the value in brackets."""
 
     DROP = "drop"
-    """The link breaks and cannot be had again for so long [s]."""
+    """The link breaks and cannot be restored for this time [s]."""
     STALL = "stall"
-    """The link stands, but nothing is sent or heard for so long [s]."""
+    """The link stays, but nothing is sent or received for this time [s]."""
     GARBAGE = "garbage"
-    """So many random bytes, or damaged messages, where the transport can carry them."""
+    """This many random bytes or damaged messages, if the transport can carry them."""
     REFUSE = "refuse"
-    """The device breaks the link, then refuses every command for so long [s]."""
+    """The device breaks the link, then refuses every command for this time [s]."""
     DENY = "deny"
-    """The device breaks the link, then refuses one of its signals for so long [s]."""
+    """The device breaks the link, then refuses one of its signals for this time [s]."""
     REPEAT = "repeat"
-    """It tells the last beats of each packet in the next one again, for so long [s]."""
+    """It repeats the last beats of each packet in the next one, for this time [s]."""
     STEP_BACK = "step_back"
-    """What it counts steps back by so many, once."""
+    """Its counts step back by this number, once."""
     LATE = "late"
-    """The device breaks the link, then for 30 s answers every command so late [s]."""
+    """The device breaks the link, then delays all answers by this time for 30 s [s]."""
     FORGET = "forget"
-    """It stays connected and forgets what was switched on: only what keeps it alive still comes."""
+    """It stays connected but forgets what was enabled, and only sends keep-alive messages."""
     UNREADABLE = "unreadable"
-    """Data come in a form that nobody can read, as of another version, for so long [s]."""
+    """Data have an unknown format, as from another version, for this time [s]."""
     RESTART = "restart"
-    """The device or its server ends and starts again after so long [s]; all modes are lost."""
+    """The device or its server ends and restarts after this time [s]; all modes are lost."""
     LOW_BATTERY = "low_battery"
     """The battery has this much left [percent]."""
     OFF_BODY = "off_body"
-    """The wearer takes the sensor off for so long [s]."""
+    """The wearer takes the sensor off for this time [s]."""
     DRIFT = "drift"
-    """The device's oscillator runs fast by so much [ppm]."""
+    """The device's oscillator runs fast by this amount [ppm]."""
 
 
 OF_A_KIND = frozenset({FaultKind.DENY, FaultKind.REPEAT, FaultKind.STEP_BACK})
-"""Only devices of some kinds can have these; the others need not say why they cannot."""
+"""Faults of some kinds of devices only; others need not give reasons for not having them."""
 
 
 @unique
 class Untidiness(Enum):
-    """What devices of some kinds do besides, though nothing is wrong with them."""
+    """Disturbances of some kinds of devices that are not faults."""
 
     APART = "apart"
-    """Now and then a channel of a sensor is read a sample later than the others [s]."""
+    """Sometimes a channel of a sensor is read one sample later than the others [s]."""
     OVERTAKEN = "overtaken"
-    """Each third message comes behind the next one [s]."""
+    """Every third message arrives after the next one [s]."""
     GLUED = "glued"
-    """Answers come two at a time, and in pieces that are cut anywhere [s]."""
+    """Answers are joined in pairs and split at random places [s]."""
     RATE = "rate"
-    """It starts again and measures so often, which is not what its settings say [Hz]; for 30 s."""
+    """It restarts and measures at this rate, different from its settings [Hz]; for 30 s."""
     BUNDLED = "bundled"
-    """What it sends waits for so long and comes together [s]; for 30 s."""
+    """Its data are delayed by up to this time and arrive together [s]; for 30 s."""
     STRAY = "stray"
-    """So many messages that are like its own, and mean nothing."""
+    """This many messages that resemble its own but are meaningless."""
     NAMELESS = "nameless"
     """It advertises no name [s]."""
     READDRESSED = "readdressed"
-    """The link breaks, and it has another address [s]; then again, back to its own."""
+    """The link breaks and it changes its address [s]; then it breaks again to change back."""
 
 
 @unique
 class OfWearer(Enum):
-    """What happens to the person, and to no device."""
+    """Changes of the wearer instead of a device."""
 
     HEART_RATE = "hr"
-    """The heart comes to beat so often, within ten seconds [1/min]."""
+    """The heart rate changes to this value within ten seconds [1/min]."""
 
 
 Kind = FaultKind | Untidiness | OfWearer
@@ -114,9 +114,9 @@ _RANGES: dict[Kind, tuple[float, float]] = {
     Untidiness.STRAY: (0.0, 1e6),
     Untidiness.RATE: (1.0, 1000.0),
     Untidiness.BUNDLED: (0.0, 60.0),
-    # In which a beat is one beat to every sensor.
+    # Range in which every sensor detects each beat exactly once.
     OfWearer.HEART_RATE: (30.0, 200.0),
-    # Far beyond any oscillator, and far from one that stands still.
+    # Far more than any oscillator, and far less than one that stops.
     FaultKind.DRIFT: (-100_000.0, 100_000.0),
 }
 _SECONDS = "s"
@@ -136,7 +136,7 @@ class Fault:
     Attributes
     ----------
     value
-        In the unit of the kind; for those in seconds, infinity never ends.
+        In the unit of the kind; infinite seconds never end.
     """
 
     kind: Kind
@@ -144,21 +144,21 @@ class Fault:
 
     def __post_init__(self) -> None:
         low, high = _RANGES.get(self.kind, (0.0, math.inf))
-        # NaN is in no range.
+        # NaN is not in any range.
         if not low <= self.value <= high:
             raise ValueError(f"a fault {self.kind.value} of {self.value:g} makes no sense")
 
 
 @dataclass(frozen=True, slots=True)
 class ScheduledFault:
-    """A fault, when it begins and whom it hits.
+    """A fault with its start and the affected sensor.
 
     Attributes
     ----------
     start_s
         Seconds after the virtual devices were started.
     sensor
-        Only this one; empty for every device that can have the fault.
+        The affected sensor; empty for every device that can have the fault.
     """
 
     fault: Fault
@@ -167,7 +167,7 @@ class ScheduledFault:
 
 
 def parse_fault(text: str) -> ScheduledFault:
-    """Read a fault as the command line has it.
+    """Parse a fault in command line notation.
 
     Raises
     ------

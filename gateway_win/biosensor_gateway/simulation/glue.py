@@ -1,4 +1,4 @@
-"""Joins what a device writes, and cuts it anywhere, as what carries a stream of bytes does."""
+"""Joins a device's data and splits it at random places, as byte streams may do."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import numpy as np
 from biosensor_gateway.simulation.effects import Effect, lasting
 
 _TOGETHER_S = 0.02
-"""So long bytes wait for others; those behind a cut wait once more."""
+"""Time for which bytes wait for others; those after a split wait again."""
 _LONGEST_TAIL = 24
 
 
 class Glue:
-    """Hands bytes on at once, or together and cut; for the loop's thread.
+    """Passes bytes on unchanged, or joined and split; must run in the loop's thread.
 
     Parameters
     ----------
     send
-        Takes all of them or nothing, which it tells.
+        Accepts all bytes or nothing; returns which.
     """
 
     def __init__(self, send: Callable[[bytes], bool]) -> None:
@@ -33,16 +33,16 @@ class Glue:
         self._turn: asyncio.TimerHandle | None = None
 
     def switch(self, *, on: bool) -> None:
-        """Join and cut from now on, or do not."""
+        """Switch joining and splitting on or off."""
         self._is_on = on
         if not on:
             self.flush()
 
     def write(self, data: bytes) -> bool:
-        """Take all of ``data`` or nothing."""
+        """Accept all of ``data`` or nothing."""
         if not self._is_on:
             return self._send(data)
-        # Whether there is room, and anybody who listens, tells what goes now.
+        # The first byte is sent now, which shows whether there is room and a listener.
         if not self._held and not self._send(data[:1]):
             return False
         self._held += data if self._held else data[1:]
@@ -52,14 +52,14 @@ class Glue:
         return True
 
     def flush(self) -> None:
-        """Send all that waits."""
+        """Send all waiting bytes."""
         held = bytes(self._held)
         self.forget()
         if held:
             self._send(held)
 
     def forget(self) -> None:
-        """Send nothing of what waits."""
+        """Discard all waiting bytes."""
         self._held.clear()
         if self._turn is not None:
             self._turn.cancel()
@@ -77,7 +77,7 @@ class Glue:
 
 
 def glued(path: str) -> Effect[Any]:
-    """Return the effect that what a device has to write with, if any, joins and cuts."""
+    """Return the effect of switching a device's `glue` on, if it has a port."""
     port = attrgetter(path)
 
     def switch(hit: object, *, on: bool) -> None:

@@ -1,4 +1,4 @@
-"""The oscillator of a virtual device: its own time against the true one."""
+"""The oscillator of a virtual device: converts between true and device time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Oscillator:
     clock
         The true time, on the LSL clock.
     drift_ppm
-        Positive is fast: more device seconds than true ones.
+        Positive for fast: more device seconds than true ones.
     start_s
         True time of power-on on the LSL clock; now by default.
     """
@@ -28,32 +28,32 @@ class Oscillator:
 
     @property
     def drift_ppm(self) -> float:
-        """How fast the oscillator runs now."""
+        """Current drift of the oscillator."""
         return (self._rate - 1) * 1e6
 
     def now(self) -> float:
-        """Device seconds since power-on."""
+        """Return device seconds since power-on."""
         return self.at(self.clock())
 
     def at(self, true_s: float) -> float:
-        """Device seconds at a true time on the LSL clock, not before the last `set_drift`."""
+        """Return device seconds at an LSL time, not before the last `set_drift`."""
         return self._device_s + (true_s - self._true_s) * self._rate
 
     def true_time(self, device_s: float) -> float:
-        """LSL time at which the device's clock shows ``device_s``."""
+        """Return the LSL time at which the device's clock shows ``device_s``."""
         return self._true_s + (device_s - self._device_s) / self._rate
 
     async def reach(self, device_s: float) -> float:
-        """Wait until the device's clock shows ``device_s``; return the true time of it."""
+        """Wait until the device's clock shows ``device_s``; return the true time."""
         left = self.true_time(device_s) - self.clock()
         if left <= 0:
             return self.true_time(device_s)
         await asyncio.sleep(left)
-        # The oscillator may have changed its speed meanwhile.
+        # The drift may have changed during the wait.
         return await self.reach(device_s)
 
     def set_drift(self, ppm: float) -> None:
-        """Run at another speed from now on; the past stays as it was."""
+        """Change the drift from now on."""
         now = self.clock()
         self._device_s, self._true_s = self.at(now), now
         self._rate = 1 + ppm * 1e-6

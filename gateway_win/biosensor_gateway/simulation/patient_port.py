@@ -1,7 +1,7 @@
-"""A serial port that lets its host read what it was sent before the link breaks.
+"""A serial port that lets its host read pending data before the link breaks.
 
-What a host has not yet read is lost when a port hangs up. Of a busy one that is as much as it
-is behind, and of a device that stops measuring then nobody can know how much that was.
+Data that a host has not read are lost when a port closes. With a busy host this is an unknown
+amount, which could not be distinguished from a device that stopped measuring.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from collections.abc import Callable
 from biosensor_gateway.simulation.async_serial import serial_port
 
 _CHECK_S = 0.02
-"""So long the system may take before it says of what was written that it is unread."""
+"""Time that the system may need to report written data as unread."""
 _PATIENCE_S = 1.0
 
 
 class PatientPort:
-    """The device's end of a serial port, as `AsyncSerialPort` is; for the loop's thread.
+    """The device's end of a serial port; an `AsyncSerialPort` for the loop's thread.
 
     Parameters
     ----------
@@ -43,35 +43,35 @@ class PatientPort:
 
     @property
     def name(self) -> str:
-        """What a host opens; the same over hang-ups."""
+        """The port's name for the host, which stays the same when reopened."""
         return self._port.name
 
     def open(self) -> None:
-        """Become reachable, at once or as soon as it has hung up."""
+        """Open the port, at once or as soon as it has closed."""
         if self._hanging_up is None:
             self._port.open()
         else:
             self._opens_again = True
 
     def write(self, data: bytes) -> bool:
-        """Take the whole of ``data`` without blocking; False without host or room."""
+        """Accept all of ``data`` without blocking; return False without a host or room."""
         taken = self._hanging_up is None and self._port.write(data)
         if taken:
             self._written_s = self._loop.time()
         return taken
 
     def glue(self, *, on: bool) -> None:
-        """Have what is written go together and cut anywhere, or as it is."""
+        """Join data and split it at random places, or send it unchanged."""
         self._port.glue(on=on)
 
     def drained(self) -> bool:
-        """Tell whether nothing is left that a host could still read, as far as is known."""
+        """Whether a host has read everything, as far as known."""
         return self._port.drained()
 
     def hang_up(self) -> None:
-        """Neither take nor hear anything more, and hang up once the host has read all.
+        """Stop sending and receiving, and close once the host has read everything.
 
-        One that does not read for a second loses the rest.
+        A host that does not read for a second loses the rest.
         """
         self._opens_again = False
         if self._hanging_up is None:
@@ -79,7 +79,7 @@ class PatientPort:
             self._hang_up_if_read()
 
     def dispose(self) -> None:
-        """Hang up at once and remove what is left of the port; it cannot be opened again."""
+        """Close and remove the port at once and permanently."""
         if self._hanging_up is not None:
             self._hanging_up.cancel()
         self._port.dispose()

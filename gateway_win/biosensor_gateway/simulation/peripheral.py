@@ -21,7 +21,7 @@ from bumble.keys import MemoryKeyStore
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio, Transceiver
 
-# bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
+# bumble's emulated advertiser treats its interval, in units of 0.625 ms, as milliseconds.
 _BUMBLE_UNITS = 0.625
 _NOTIFICATION_HEADER = 3
 _Bits = ClientCharacteristicConfigurationBits
@@ -30,16 +30,16 @@ _AUTHENTICATED = (
     | att.Attribute.Permissions.WRITE_REQUIRES_AUTHENTICATION
 )
 Protected = tuple[Service, Characteristic[bytes]]
-"""A characteristic that requires authentication, behind its service."""
+"""A characteristic that requires authentication, with its service."""
 
 
 class Bundles:
-    """Sends notifications at once, or has them wait for each other.
+    """Sends notifications at once, or delayed and together.
 
     Parameters
     ----------
     connection
-        Returns the one that stands.
+        Returns the current connection.
     """
 
     def __init__(self, connection: Callable[[], Connection | None]) -> None:
@@ -48,13 +48,13 @@ class Bundles:
         self._waiting: list[tuple[Connection, bytes]] = []
 
     def wait(self, seconds: float) -> None:
-        """Have them wait for so long and come together; 0 sends them at once."""
+        """Delay notifications by up to this time and send them together; 0 for no delay."""
         self._wait_s = seconds
         if not seconds:
             self.flush()
 
     def send(self, connection: Connection, pdu: bytes) -> None:
-        """Send one, now or later."""
+        """Send a notification, now or later."""
         if not self._wait_s:
             connection.send_l2cap_pdu(att.ATT_CID, pdu)
             return
@@ -63,7 +63,7 @@ class Bundles:
         self._waiting.append((connection, pdu))
 
     def flush(self) -> None:
-        """Send those that wait, if their host is still there."""
+        """Send waiting notifications, if their host is still connected."""
         waiting, self._waiting = self._waiting, []
         for connection, pdu in waiting:
             if connection is self._connection():
@@ -71,40 +71,39 @@ class Bundles:
 
 
 class Peripheral:
-    """One device on the air; every method is for the world's loop.
+    """One device with its radio; all methods must run in the world's event loop.
 
-    Flags, service UUIDs and manufacturer data are advertised, the complete local
-    name comes in the scan response. While connected it does not advertise.
+    Flags, service UUIDs and manufacturer data are advertised; the complete local name is in the
+    scan response. While connected it does not advertise.
 
     Parameters
     ----------
     radio
-        The air.
+        The radio.
     address
-        Its own Bluetooth address, six pairs of hexadecimal digits with colons.
+        Its Bluetooth address, six pairs of hexadecimal digits with colons.
     name
         The complete local name.
     service_uuids
-        Those advertised: 16 bits as ``"180d"``, or 128 bits.
+        Advertised UUIDs: 16 bits such as ``"180d"``, or 128 bits.
     manufacturer_data
-        By company identifier.
+        Manufacturer data by company identifier.
     rssi_dbm
-        How strong hosts hear it.
+        Signal strength as received by hosts.
     max_mtu
-        The largest ATT MTU that it grants.
+        Largest ATT MTU that it accepts.
     interval_ms
-        So often it advertises.
+        Interval between advertisements.
 
     Attributes
     ----------
     on_connected, on_disconnected
-        Called in the world's loop.
-    bundles: where notifications may wait for each other.
-    demand_pairing
-        Whether the characteristics whose permissions contain
-        ``READ_REQUIRES_AUTHENTICATION`` or ``WRITE_REQUIRES_AUTHENTICATION`` answer
-        ATT error 0x05 until the host has paired (subscribing counts as writing).
-        Counts from the next connection on; off, these permissions mean nothing.
+        Called in the world's event loop.
+    bundles: sends notifications, possibly delayed. demand_pairing
+        Whether characteristics with the permissions ``READ_REQUIRES_AUTHENTICATION`` or
+        ``WRITE_REQUIRES_AUTHENTICATION`` answer ATT error 0x05 until the host has paired
+        (subscribing counts as writing). Takes effect with the next connection; if off, these
+        permissions have no effect.
     """
 
     def __init__(
@@ -153,25 +152,25 @@ class Peripheral:
 
     @property
     def is_heard(self) -> bool:
-        """Whether it is on the air, for whoever listens."""
+        """Whether hosts can receive it."""
         return self._transceiver is not None and self._transceiver.audible
 
     @property
     def rssi_dbm(self) -> int:
-        """How strong hosts hear it [dBm]."""
+        """Signal strength as received by hosts [dBm]."""
         return self._rssi_dbm
 
     @property
     def host_mtu(self) -> int:
-        """The ATT MTU in use; 23 while nobody is connected."""
+        """The ATT MTU in use; 23 without a connection."""
         return self._connection.att_mtu if self._connection else att.ATT_DEFAULT_MTU
 
     @property
     def stalled(self) -> bool:
-        """Whether nothing is sent or heard although the link stands; settable.
+        """Whether nothing is sent or received although the link is up; settable.
 
-        What the host asks meanwhile is answered when this ends, as a link layer
-        delivers late rather than never.
+        Requests received meanwhile are answered when this ends, because a link layer delivers late
+        rather than never.
         """
         return self._stalled
 
@@ -188,7 +187,7 @@ class Peripheral:
         Raises
         ------
         ValueError
-            If pairing is demanded but no characteristic asks for it, or if it is on.
+            If pairing is demanded but no characteristic requires it, or if it is on.
         """
         if self._device:
             raise ValueError(f"{self.name} is already switched on")
@@ -219,9 +218,9 @@ class Peripheral:
         )
 
     async def power_off(self) -> None:
-        """Switch off: the link is lost, and nothing is on the air.
+        """Switch off, which ends the link and advertising.
 
-        What `notify` accepted before still arrives.
+        Values already accepted by `notify` still arrive.
         """
         if self._device and self._transceiver:
             device, self._device = self._device, None
@@ -234,23 +233,23 @@ class Peripheral:
             await self._indications.ended()
 
     def subscribed(self, characteristic: Characteristic[bytes]) -> bool:
-        """Whether the host wants notifications or indications of this."""
+        """Whether the host is subscribed to notifications or indications."""
         return self._subscription(characteristic) != _Bits.DEFAULT
 
     def forget_subscription(self, characteristic: Characteristic[bytes]) -> None:
-        """Take it that the connected host has never subscribed to this."""
+        """Forget the connected host's subscription."""
         if self._device and self._connection:
             subscribers = self._device.gatt_server.subscribers.get(self._connection, {})
             subscribers.pop(characteristic.handle, None)
 
     async def notify(self, characteristic: Characteristic[bytes], value: bytes) -> bool:
-        """Send a notification, or an indication and wait until it is confirmed.
+        """Send a notification, or send an indication and wait for its confirmation.
 
         Returns
         -------
         bool
-            Whether it was sent; a host that stays connected gets it for certain, and of an
-            indication that is cut off only the confirmation is missing.
+            Whether it was sent. A host that stays connected certainly gets it; if an indication is
+            interrupted, only its confirmation is missing.
 
         Raises
         ------
@@ -272,20 +271,20 @@ class Peripheral:
         return await self._indications.send(connection, characteristic, value)
 
     def deny(self, uuids: Iterable[UUID]) -> None:
-        """Let nobody read these characteristics or subscribe to them, and again all others."""
+        """Deny reads of and subscriptions to these characteristics only."""
         self._denied = frozenset(uuids)
         if self._device:
             deny_characteristics(self._device.gatt_server, self._services, self._denied)
 
     def set_nameless(self, nameless: bool) -> None:
-        """Advertise no name from now on, or the name again."""
+        """Stop or resume advertising the name."""
         self._scan_response = b"" if nameless else pack_name(self.name)
         if self._device and self._transceiver:
             self._device.scan_response_data = self._scan_response
             self._transceiver.le_legacy_advertiser.scan_response_data = self._scan_response
 
     def set_address(self, address: str) -> None:
-        """Be on the air under this address from now on; a connection to another one is lost."""
+        """Change the address; a connection to another address is lost."""
         self._address_on_air = address
         if self._connection:
             self.drop()
@@ -294,27 +293,27 @@ class Peripheral:
             self._take_address()
 
     def set_advertising(self, on: bool) -> None:
-        """Advertise, when not connected, or do not."""
+        """Switch advertising on or off."""
         self._advertising = on
         self._update_audible()
 
     def set_rssi(self, dbm: int) -> None:
-        """Come closer or go away."""
+        """Set the signal strength."""
         self._rssi_dbm = dbm
         if self._transceiver:
             self._transceiver.rssi_dbm = dbm
 
     def set_manufacturer_data(self, manufacturer_data: Mapping[int, bytes]) -> None:
-        """Advertise other manufacturer data from now on."""
+        """Change the advertised manufacturer data."""
         self._advertisement = pack_advertisement(self._uuids, manufacturer_data)
         if self._device and self._transceiver:
             self._device.advertising_data = self._advertisement
             self._transceiver.le_legacy_advertiser.advertising_data = self._advertisement
 
     def drop(self) -> None:
-        """Lose the link as by supervision timeout; not on the air until `restore`.
+        """Lose the link by supervision timeout; out of range until `restore`.
 
-        What `notify` accepted before still arrives.
+        Values already accepted by `notify` still arrive.
         """
         self._dropped = True
         self.bundles.flush()
@@ -324,7 +323,7 @@ class Peripheral:
             self._break_when_sent()
 
     def restore(self) -> None:
-        """Be on the air again."""
+        """Move it back into range."""
         self._dropped = False
         self._update_audible()
 
@@ -362,7 +361,7 @@ class Peripheral:
             )
 
     def _on_connection(self, connection: Connection) -> None:
-        # What is authenticated already answers every host.
+        # An authenticated connection may access all characteristics.
         connection.authenticated = not self.demand_pairing
         self._connection = connection
         connection.on(Connection.EVENT_DISCONNECTION, partial(self._on_disconnection, connection))
@@ -381,14 +380,14 @@ class Peripheral:
 
 
 class Indications:
-    """Puts one after the other on the link, and tells of each whether it got there.
+    """Sends indications one at a time, and reports whether each was sent.
 
-    For the world's loop.
+    All methods must run in the world's event loop.
 
     Parameters
     ----------
     may_send
-        Whether the device can still send this on that connection.
+        Returns whether the device can still send on that connection.
     """
 
     def __init__(self, may_send: Callable[[Connection, Characteristic[bytes]], bool]) -> None:
@@ -399,20 +398,20 @@ class Indications:
     async def send(
         self, connection: Connection, characteristic: Characteristic[bytes], value: bytes
     ) -> bool:
-        """Indicate a value, and wait until it is confirmed or the link has ended.
+        """Send an indication, and wait until it is confirmed or the link has ended.
 
         Returns
         -------
         bool
-            Whether it was put on the link. The host has it then, also where its confirmation
-            is held up or cut off.
+            Whether it was sent; the host has received it then, even if the confirmation is delayed
+            or lost.
         """
         was_put_out = False
 
         async def indicate() -> None:
             nonlocal was_put_out
             async with self._unconfirmed:
-                # It may have waited for another one, and the device have stopped meanwhile.
+                # The device may have stopped while this waited for another indication.
                 if self._may_send(connection, characteristic):
                     was_put_out = True
                     server = connection.gatt_server
@@ -424,28 +423,28 @@ class Indications:
         try:
             await asyncio.wait({task})
         finally:
-            # Without effect unless the sender itself is to end.
+            # No effect unless the sender itself is cancelled.
             task.cancel()
         if task.cancelled():
-            # What bumble notes of a connection that has ended would stay.
+            # Otherwise bumble would keep data of the ended connection.
             connection.gatt_server.on_disconnection(connection)
         else:
             task.result()
         return was_put_out
 
     def give_up(self) -> None:
-        """Wait for no confirmation any more: the link has ended."""
+        """Stop waiting for confirmations, because the link has ended."""
         for task in self._under_way:
             task.cancel()
 
     async def ended(self) -> None:
-        """Return when each sender knows what became of its own, after `give_up`."""
+        """After `give_up`, wait until all senders have their result."""
         if self._under_way:
             await asyncio.wait(self._under_way)
 
 
 class _Table(Protocol):
-    """What is used of bumble's service, whose annotation leaves a type argument out."""
+    """The used part of bumble's service, whose annotation lacks a type argument."""
 
     characteristics: list[Characteristic[bytes]]
 
@@ -457,9 +456,9 @@ def protected_characteristics(services: Sequence[Service]) -> list[Protected]:
 
 
 def protect_subscriptions(server: Server, protected: Iterable[Protected]) -> None:
-    """Ask of who subscribes to these characteristics what reading and writing them asks."""
+    """Apply the read and write permissions of these characteristics to subscriptions."""
     for service, characteristic in protected:
-        # bumble makes the descriptor by itself, open to everybody.
+        # bumble creates the descriptor automatically, without restrictions.
         subscription = server.get_descriptor_attribute(
             service.uuid, characteristic.uuid, _SUBSCRIPTION
         )
@@ -474,7 +473,7 @@ _UNWRITEABLE = att.Attribute.Permissions.WRITE_REQUIRES_AUTHORIZATION
 def deny_characteristics(
     server: Server, services: Iterable[Service], denied: frozenset[UUID]
 ) -> None:
-    """Answer who reads these characteristics or subscribes to them with an ATT error, 0x08."""
+    """Answer reads of and subscriptions to these characteristics with ATT error 0x08."""
     for service in services:
         for characteristic in cast("_Table", service).characteristics:
             subscription = server.get_descriptor_attribute(

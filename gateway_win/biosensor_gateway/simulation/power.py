@@ -1,4 +1,4 @@
-"""Keeps a device switched off for as long as anything wants it off."""
+"""Keeps a device switched off as long as there is any reason for it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from enum import Enum
 
 
 class PowerSwitch:
-    """Switches a device on while it is wanted and nothing holds it off.
+    """Keeps a device on while it is wanted and nothing holds it off.
 
-    For one loop's thread; what it calls never overlaps.
+    Must run in one loop's thread; its callbacks never overlap.
 
     Parameters
     ----------
     switch_on, switch_off
-        Carry it out.
+        Callbacks that switch the device.
     """
 
     def __init__(
@@ -30,7 +30,7 @@ class PowerSwitch:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def want(self, wanted: bool) -> None:
-        """Want the device on, or off; return when it is."""
+        """Request the device on or off, and wait until it is."""
         self._wanted = wanted
         await self._settle()
 
@@ -40,7 +40,7 @@ class PowerSwitch:
         self._settle_soon()
 
     def release(self, reason: Enum) -> None:
-        """Switch the device on again soon, unless something else holds it off."""
+        """Switch the device on again soon, unless there is another reason."""
         self._held_off_by.discard(reason)
         self._settle_soon()
 

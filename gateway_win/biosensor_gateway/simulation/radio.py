@@ -1,4 +1,4 @@
-"""The air between virtual Bluetooth LE devices and the computers that listen to them."""
+"""The radio medium between virtual Bluetooth LE devices and computers."""
 
 from __future__ import annotations
 
@@ -27,44 +27,44 @@ _REPORT = hci.HCI_LE_Advertising_Report_Event
 
 @dataclass
 class _Scannable(ll.AdvInd):
-    """An advertisement as it is heard: how strong, and what a scan request brings besides."""
+    """An advertisement with signal strength and scan response."""
 
     scan_response: bytes
     rssi_dbm: int
 
 
 class Transceiver(Controller):
-    """A controller on the air.
+    """A Bluetooth controller on the radio.
 
-    bumble's own repeats the advertisement as scan response, hears everything at
-    -50 dBm, cannot cancel a connection attempt and lets a central believe in a
-    connection that the peripheral did not accept.
+    bumble's own controller repeats the advertisement as scan response, receives everything at -50
+    dBm, cannot cancel a connection attempt, and reports a connection to a central even if the
+    peripheral did not accept it.
 
     Parameters
     ----------
     name
-        For logs.
+        Name in logs.
     air
-        The medium that it shares with others.
+        Radio medium shared with others.
 
     Attributes
     ----------
     rssi_dbm
-        How strong others hear it.
+        Signal strength as received by others.
     audible
-        Whether what it advertises is heard, and a connection to it comes about.
+        Whether others receive its advertisements and can connect.
     deaf
-        Whether it hears no advertisement.
+        Whether it does not receive advertisements.
     """
 
-    # Legacy advertising has a scan response of its own, which the sensors use.
+    # Legacy advertising has a separate scan response, which the sensors use.
     le_features = Controller.le_features & ~_EXTENDED
-    # One fragment per notification, and no burst of a device waits in its host.
+    # One fragment per notification, so that bursts of a device do not wait in its host.
     le_acl_data_packet_length = 0xFFFF
     total_num_le_acl_data_packets = 0xFF
 
     def __init__(self, name: str, air: LocalLink) -> None:
-        # bumble leaves a parameter without a type.
+        # bumble does not annotate a parameter.
         super().__init__(name, link=air)  # pyright: ignore[reportUnknownMemberType]
         self.air = air
         self.rssi_dbm = -58
@@ -75,7 +75,7 @@ class Transceiver(Controller):
 
     @property
     def stalled(self) -> bool:
-        """Whether data that arrives waits; it is delivered in order when this ends."""
+        """Whether received data are held; they are delivered in order when this ends."""
         return self._stalled
 
     @stalled.setter
@@ -87,7 +87,7 @@ class Transceiver(Controller):
                 self.on_link_acl_data(sender, transport, data)
 
     def lose_links(self) -> None:
-        """Lose every connection on both sides, as by supervision timeout."""
+        """Lose all connections on both sides by supervision timeout."""
         reason = hci.HCI_ErrorCode.CONNECTION_TIMEOUT_ERROR
         for connection in list(self.le_connections.values()):
             peer = self.air.find_le_controller(connection.peer_address)
@@ -96,12 +96,12 @@ class Transceiver(Controller):
                 peer.on_le_disconnected(other, reason)
 
     def on_le_disconnected(self, connection: AirConnection, reason: int) -> None:
-        """Forget what waits with the connection."""
+        """Discard held data with the connection."""
         self._held.clear()
         super().on_le_disconnected(connection, reason)
 
     def send_advertising_pdu(self, packet: ll.AdvertisingPdu) -> None:
-        """Add strength and scan response to an advertisement, or swallow it."""
+        """Add signal strength and scan response to an advertisement, or drop it."""
         if isinstance(packet, ll.AdvInd):
             if not self.audible:
                 return
@@ -124,7 +124,7 @@ class Transceiver(Controller):
             self.create_le_connection(pdu.advertiser_address)
 
     def on_le_connect_ind(self, packet: ll.ConnectInd) -> None:
-        """Accept a connection, or have the central notice that nobody did."""
+        """Accept a connection, or let the central detect that it was not accepted."""
         if packet.advertiser_address != self.random_address:
             return
         if self.audible and self.le_legacy_advertiser.enabled:
@@ -136,14 +136,14 @@ class Transceiver(Controller):
         )
 
     def on_ll_control_pdu(self, sender_address: hci.Address, packet: ll.ControlPdu) -> None:
-        """Ignore what crossed the end of its connection on the air."""
+        """Ignore packets that arrive after the end of their connection."""
         if sender_address in self.le_connections:
             super().on_ll_control_pdu(sender_address, packet)
 
     def on_link_acl_data(
         self, sender_address: hci.Address, transport: PhysicalTransport, data: bytes
     ) -> None:
-        """Take data of a connection, or hold it while stalled."""
+        """Process data of a connection, or hold them while stalled."""
         if sender_address not in self.le_connections:
             return
         if self._stalled:
@@ -154,7 +154,7 @@ class Transceiver(Controller):
     def on_hci_le_create_connection_cancel_command(
         self, _command: hci.HCI_SyncCommand[hci.HCI_StatusReturnParameters]
     ) -> hci.HCI_StatusReturnParameters:
-        """Give a connection attempt up (Core 5.4 Vol 4 Part E, 7.8.13)."""
+        """Cancel a connection attempt (Core 5.4 Vol 4 Part E, 7.8.13)."""
         if pending := self.pending_le_connection:
             self.pending_le_connection = None
             self.send_hci_packet(
@@ -184,29 +184,29 @@ class Transceiver(Controller):
 
 
 MAX_MTU = 517
-"""What BlueZ asks for; the largest attribute value (512 bytes) fits."""
+"""MTU requested by BlueZ, which fits the largest attribute value (512 bytes)."""
 _HOST_ADDRESS = "F0:00:00:00:00:{:02X}"
 _ENCRYPTION_KEY_ONLY = PairingDelegate.KeyDistribution.DISTRIBUTE_ENCRYPTION_KEY
 
 
 class Radio:
-    """The air; devices and hosts on it live in one world's loop.
+    """The radio medium; its devices and hosts run in one world's event loop.
 
     Parameters
     ----------
     host_mtu
-        The ATT MTU that hosts ask for; 23 leaves everybody with 20 bytes a packet.
+        ATT MTU requested by hosts; 23 leaves 20 bytes per packet.
 
     Attributes
     ----------
     air
-        The medium that the transceivers share.
+        Medium shared by the transceivers.
     on_switched_off
-        Called in the world's loop when the hosts' Bluetooth is switched off.
+        Called in the world's event loop when the hosts' Bluetooth is switched off.
     """
 
     def __init__(self, world: World, *, host_mtu: int = MAX_MTU) -> None:
-        # bumble words its messages before it asks whether anybody wants them.
+        # bumble formats its log messages before it checks their level.
         logging.getLogger("bumble").setLevel(logging.WARNING)
         self.world = world
         self.host_mtu = host_mtu
@@ -220,8 +220,7 @@ class Radio:
     def available(self) -> bool:
         """Whether the hosts' Bluetooth is switched on; settable from any thread.
 
-        Switched off, their connections are lost and their scans end for good; the
-        devices stay on the air.
+        When switched off, their connections are lost and their scans end; the devices stay on.
         """
         return self._available
 
@@ -231,7 +230,7 @@ class Radio:
         self.world.loop.call_soon_threadsafe(self._switch_hosts, available)
 
     async def host(self) -> Device:
-        """Return a new, powered central, for a host stack; give it back with `release`."""
+        """Return a new central that is on, for a host stack; return it with `release`."""
         self._hosts_made += 1
         transceiver = Transceiver(f"host {self._hosts_made}", self.air)
         address = _HOST_ADDRESS.format(self._hosts_made)
@@ -241,13 +240,13 @@ class Radio:
         return device
 
     async def release(self, host: Device) -> None:
-        """Switch a host off for good; its connections are lost."""
+        """Switch a host off permanently; its connections are lost."""
         await self.power_off(self._hosts.pop(host), host)
 
     async def power_on(
         self, transceiver: Transceiver, name: str, address: str, bonds: KeyStore | None = None
     ) -> Device:
-        """Boot a Bluetooth stack on a transceiver."""
+        """Start a Bluetooth stack on a transceiver."""
         config = DeviceConfiguration(name=name, address=Address(address))
         device = Device(config=config, host=Host(transceiver, transceiver))
         device.pairing_config_factory = _just_works
@@ -256,11 +255,11 @@ class Radio:
         return device
 
     async def power_off(self, transceiver: Transceiver, device: Device) -> None:
-        """Take a stack off the air, with its connections."""
+        """Switch off a stack with its connections."""
         transceiver.le_legacy_advertiser.stop()
         transceiver.lose_links()
         self.air.remove_controller(transceiver)
-        # Connections that end with the flush, not before it, would set off advertising again.
+        # Connections that end during the flush instead of before it would restart advertising.
         await asyncio.sleep(0)
         await device.power_off()
 
@@ -275,7 +274,7 @@ class Radio:
 
 
 def _just_works(_connection: Connection) -> PairingConfig:
-    """Pair without a display or keys to press; addresses are what they seem to be."""
+    """Return a pairing configuration without display and keys, with public addresses."""
     delegate = PairingDelegate(
         PairingDelegate.IoCapability.NO_OUTPUT_NO_INPUT,
         _ENCRYPTION_KEY_ONLY,

@@ -1,4 +1,4 @@
-"""The base of virtual Bluetooth LE devices: power, tasks, an oscillator, faults of the radio."""
+"""Base class of virtual Bluetooth LE devices: power, tasks, oscillator, radio faults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from biosensor_gateway.simulation.virtual_device import SpecimenOptions, Virtual
 from biosensor_gateway.simulation.world import World
 
 _CHANGING = "5E"
-"""Begins a resolvable private address, by its two highest bits: Core 5.4 Vol 6 Part B, 1.3.2.2."""
+"""Start of a resolvable private address (two highest bits): Core 5.4 Vol 6 Part B, 1.3.2.2."""
 
 RADIO_EFFECTS: Effects[Peripheral] = MappingProxyType(
     {
@@ -49,7 +49,7 @@ RADIO_EFFECTS: Effects[Peripheral] = MappingProxyType(
 
 
 class RadioDevice(VirtualDevice):
-    """A device on the air that answers a host and measures for it.
+    """A device with a radio that measures for a connected host.
 
     Parameters
     ----------
@@ -73,15 +73,15 @@ class RadioDevice(VirtualDevice):
 
     @abstractmethod
     def _services(self) -> Sequence[Service]:
-        """Return its GATT table."""
+        """Return its GATT services."""
 
     @abstractmethod
     def _halt(self) -> None:
-        """Measure no more, without a word."""
+        """Stop measuring silently."""
 
     @abstractmethod
     async def _send_garbage(self, amount: int) -> None:
-        """Send so much that makes no sense."""
+        """Send invalid data."""
 
     async def _start(self) -> None:
         await self._power.want(True)
@@ -103,7 +103,7 @@ class RadioDevice(VirtualDevice):
             task.cancel()
 
     def _run(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Run beside everything else, as long as the host is connected."""
+        """Run a coroutine in the background while the host is connected."""
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -113,7 +113,7 @@ class RadioDevice(VirtualDevice):
         self.truth.sent("rssi", [self.world.clock()], [(self._peripheral.rssi_dbm,)])
 
     def break_link(self) -> None:
-        """Lose the host, and be there again at once."""
+        """Break the link; it is connectable again at once."""
         self._peripheral.drop()
         self._peripheral.restore()
 

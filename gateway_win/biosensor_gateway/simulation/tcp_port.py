@@ -1,4 +1,4 @@
-"""A TCP port of loopback that stays a virtual device's own while it refuses everybody."""
+"""A TCP port of the loopback interface that stays reserved while it is closed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _RESET_AT_CLOSE = struct.pack("ii", 1, 0)
 
 
 class TcpPort:
-    """A port that can be opened and shut; its methods are for the world's loop.
+    """A port that can be opened and shut; all methods must run in the world's event loop.
 
     Parameters
     ----------
     connected
-        Gets each connection that was accepted, which does not block.
+        Called with each accepted, non-blocking connection.
     send_buffer_bytes
-        What the system keeps for whoever does not read; None = its usual size.
+        System buffer for clients that do not read; None for the default size.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class TcpPort:
 
     @property
     def number(self) -> int:
-        """The port's number, the same over all openings; 0 before `bind`."""
+        """The port number, which stays the same when reopened; 0 before `bind`."""
         return self._number
 
     @property
@@ -47,19 +47,19 @@ class TcpPort:
         return self._next_look is not None
 
     def bind(self) -> None:
-        """Take the port without listening on it: connections are refused.
+        """Reserve the port without listening, so connections are refused.
 
         Raises
         ------
         TransportError
-            BUSY if the port cannot be had.
+            BUSY if the port is not available.
         """
         if self._socket is None:
             self._socket = self._bound()
             self._number = int(self._socket.getsockname()[1])
 
     def open(self) -> None:
-        """Accept connections from now on.
+        """Start accepting connections.
 
         Raises
         ------
@@ -69,12 +69,12 @@ class TcpPort:
         if not self.is_open:
             self.bind()
             if self._socket is not None:
-                # Who comes before the first look waits in the backlog.
+                # Connections before the first accept wait in the backlog.
                 self._socket.listen()
                 self._look(self._socket)
 
     def shut(self) -> None:
-        """Refuse connections from now on, and keep the number; those that stand are left alone.
+        """Refuse new connections but keep the port number; existing connections stay.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class TcpPort:
             self.bind()
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         if self._next_look is not None:
             self._next_look.cancel()
             self._next_look = None
@@ -95,8 +95,8 @@ class TcpPort:
             self._socket = None
 
     def _look(self, listening: socket.socket) -> None:
-        # Not by asyncio's server: it loses who is accepted as it closes (`_attach` asserts that
-        # it is open), and so does a `sock_accept` that is cancelled.
+        # Not with asyncio's server, which loses connections accepted while it closes (`_attach`
+        # asserts that it is open), as does a cancelled `sock_accept`.
         loop = asyncio.get_running_loop()
         self._next_look = loop.call_later(_LOOK_EVERY_S, self._look, listening)
         with suppress(BlockingIOError, ConnectionAbortedError):
@@ -107,7 +107,7 @@ class TcpPort:
 
     def _bound(self) -> socket.socket:
         bound = socket.socket()
-        if sys.platform != "win32":  # there it would let others take the same port
+        if sys.platform != "win32":  # on Windows it would let others use the same port
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if self._send_buffer_bytes is not None:
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._send_buffer_bytes)
@@ -122,10 +122,10 @@ class TcpPort:
 
 
 class KeptPort:
-    """The number of a port of loopback that nobody else gets while the server on it is shut.
+    """Reserves a port number of the loopback interface while the server on it is closed.
 
-    For servers of others, which bind it themselves: the system hands a free port to whoever
-    connects next.
+    This is for servers that bind the port themselves, because the system would reuse a free port
+    for any new connection.
     """
 
     def __init__(self) -> None:
@@ -134,31 +134,32 @@ class KeptPort:
 
     @property
     def number(self) -> int:
-        """The same over all openings; 0 before `take`."""
+        """The port number, which stays the same; 0 before `take`."""
         return self._number
 
     def take(self) -> int:
-        """Keep a port from now on, and return its number."""
+        """Reserve a port, and return its number."""
         if self._place is None:
             self._place = socket.socket()
             if sys.platform != "win32":
-                # The server, which does so too, may have it as well: this one never listens.
+                # With this option on both sockets, the server can bind it, too; this one never
+                # listens.
                 self._place.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._place.bind((LOOPBACK, self._number))
             self._number = int(self._place.getsockname()[1])
-            if sys.platform == "win32":  # there the server could not have it
+            if sys.platform == "win32":  # on Windows the server could not bind it
                 self._place.close()
         return self._number
 
     def give_back(self) -> None:
-        """Keep it no longer."""
+        """Release the port."""
         if self._place is not None:
             self._place.close()
             self._place = None
 
 
 def break_off(transport: asyncio.Transport) -> None:
-    """End a connection with an RST, as a process does that is killed."""
+    """Abort a connection with an RST, like a killed process."""
     connection = transport.get_extra_info("socket")
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_AT_CLOSE)
     transport.abort()

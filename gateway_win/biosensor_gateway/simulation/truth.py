@@ -1,4 +1,4 @@
-"""Records what a virtual device measured, for a test to compare with what arrived."""
+"""Records a virtual device's measurements, for comparison with received data."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Samples(NamedTuple):
     Attributes
     ----------
     times : ndarray of float64, shape (n,)
-        When each was measured, on the LSL clock, without the device's drift.
+        LSL time of measurement, without the device's drift.
     values : ndarray of float64, shape (n, channels)
-        In the units of the stream's declaration, as exact as the wire format allows.
+        In declared units, with the precision of the sent format.
     """
 
     times: NDArray[np.float64]
@@ -27,13 +27,12 @@ class Samples(NamedTuple):
 
 
 class Truth:
-    """The samples that a device put on its link, by data name.
+    """The samples that a device has sent, by data name.
 
     Parameters
     ----------
     kept
-        How many of the last samples of each stream are kept; None = all, which is
-        for tests and not for days of running.
+        Maximum number of samples kept per stream; None for all, which is only for short tests.
     """
 
     def __init__(self, kept: int | None = None) -> None:
@@ -46,7 +45,7 @@ class Truth:
     def sent(
         self, data_name: str, times: Sequence[float], values: Sequence[Sequence[float]]
     ) -> None:
-        """Note samples that the link took."""
+        """Record samples that were sent."""
         with self._lock:
             known = self._sent.setdefault(data_name, deque(maxlen=self._kept))
             known.extend((time, tuple(row)) for time, row in zip(times, values, strict=True))
@@ -54,21 +53,21 @@ class Truth:
     def told(
         self, data_name: str, times: Sequence[float], values: Sequence[Sequence[float]]
     ) -> None:
-        """Note a state that the link took, if it is another one than before.
+        """Record a sent state, if it has changed.
 
-        Some devices tell theirs again and again; what there is to know is the change.
+        Some devices repeat their state; only changes matter.
         """
         if values != self._states.get(data_name):
             self._states[data_name] = values
             self.sent(data_name, times, values)
 
     def unsent(self, data_name: str, count: int) -> None:
-        """Note that so many samples were measured while streaming and could not be sent."""
+        """Count samples that were measured while streaming but not sent."""
         with self._lock:
             self._unsent[data_name] = self._unsent.get(data_name, 0) + count
 
     def samples(self, data_name: str) -> Samples:
-        """Return what was sent, oldest first."""
+        """Return the sent samples, oldest first."""
         with self._lock:
             rows = list(self._sent.get(data_name, ()))
         width = len(rows[0][1]) if rows else 0
@@ -76,12 +75,12 @@ class Truth:
         return Samples(np.array([time for time, _ in rows], np.float64), values)
 
     def unsent_count(self, data_name: str) -> int:
-        """Return how many samples were measured and never sent."""
+        """Return the number of samples measured but never sent."""
         with self._lock:
             return self._unsent.get(data_name, 0)
 
     @property
     def data_names(self) -> tuple[str, ...]:
-        """Streams that sent anything."""
+        """Data names of streams with any samples."""
         with self._lock:
             return tuple(self._sent)

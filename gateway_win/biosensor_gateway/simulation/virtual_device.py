@@ -1,4 +1,4 @@
-"""Base of all virtual devices: switched on, steered by faults, asked for the truth."""
+"""Base class of all virtual devices: power, faults and truth."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _NO_ADDRESS = "its settings say where it is, and that is not asked of the air"
 
 @unique
 class Link(Enum):
-    """What lies between a device and its driver."""
+    """Kind of link between a device and its driver."""
 
     BLUETOOTH_LE = "Bluetooth LE"
     SERIAL = "a serial port"
-    """Also that of Bluetooth Classic."""
+    """Includes Bluetooth Classic."""
     TCP = "TCP"
     WEB_SOCKET = "a WebSocket"
     UDP = "UDP"
@@ -70,7 +70,7 @@ IMPOSSIBLE: Mapping[Link, Mapping[Kind, str]] = MappingProxyType(
         },
     }
 )
-"""By link, what nothing on it can do, and why."""
+"""Faults that are impossible with each link, with reasons."""
 
 
 class SpecimenOptions(TypedDict, total=False):
@@ -84,20 +84,20 @@ class SpecimenOptions(TypedDict, total=False):
 
 
 class Specimen:
-    """One device of its kind: who wears it, and how far it is from a perfect one.
+    """The individual properties of a device: its wearer and its imperfections.
 
     Parameters
     ----------
     wearer
-        Who wears it; somebody made from ``seed`` by default.
+        The wearer; by default created from ``seed``.
     seed
-        Of delays and garbage.
+        Seed of delays and garbage.
     drift_ppm
-        By how much its oscillator runs too fast at first [ppm].
+        Initial drift of its oscillator, positive for fast [ppm].
     jitter_s
-        What it sends leaves up to so much late [s].
+        Maximum delay of sent data [s].
     kept
-        Limit of its truth [samples of each stream]; None = all.
+        Limit of its truth [samples per stream]; None for no limit.
     """
 
     __slots__ = ("drift_ppm", "jitter_s", "kept", "seed", "wearer")
@@ -130,18 +130,18 @@ _AT_ONCE: frozenset[Kind] = frozenset(
     }
 )
 _OF_FIXED_LENGTH: frozenset[Kind] = frozenset({FaultKind.LATE, Untidiness.RATE, Untidiness.BUNDLED})
-"""Their value says something else than how long they last."""
+"""Faults whose value is not their duration."""
 
 
 class Filled(NamedTuple):
-    """When a stream has data that does not have it from the first second on.
+    """When a stream has its first data, if not within the first second.
 
     Attributes
     ----------
     after_s
-        Seconds from the connection to its first sample, None if it never has one.
+        Seconds from the connection to its first sample; None for never.
     reason
-        Why not earlier, or never; a clause for a person.
+        Why not earlier, or never; a clause for the user.
     """
 
     after_s: float | None
@@ -149,47 +149,47 @@ class Filled(NamedTuple):
 
 
 class VirtualDevice(ABC):
-    """A virtual device that lives in a world's loop; a context manager.
+    """A virtual device in a world's event loop; a context manager.
 
-    The public methods may be called from any thread but the world's, and return
-    when they are carried out. A subclass implements the underscored ones, and what
-    its `effects` name; they all run in the world's loop.
+    Public methods may be called from any thread except the world's, and return when they have
+    finished. A subclass implements the private methods and the functions in its `effects`, which
+    run in the world's event loop.
 
     Parameters
     ----------
     world
-        Where it lives.
+        The world in which it runs.
     **specimen
         Parameters of its `Specimen`.
 
     Attributes
     ----------
     specimen
-        Who wears it, and how far it is from a perfect one.
+        Its wearer and its imperfections.
     truth
-        What it measured and sent.
+        Record of what it measured and sent.
     """
 
     sensor: ClassVar[str]
-    """Name of the sensor in the declarations."""
+    """Name of the sensor."""
     effects: ClassVar[Effects[Any]] = MappingProxyType({})
-    """What each fault does that it can have; those that last have an end."""
+    """Effects of its possible faults; those with a duration have an `end`."""
     faults: ClassVar[frozenset[FaultKind]] = frozenset()
-    """Which faults it can have: those of `effects`, besides its untidiness."""
+    """Its possible faults: those in `effects` without disturbances."""
     link: ClassVar[Link]
-    """By what it is reached."""
+    """Kind of link."""
     on_air: ClassVar[bool] = False
-    """Whether it is made with a :class:`~biosensor_gateway.simulation.radio.Radio`, too."""
+    """Whether its constructor also takes a :class:`~biosensor_gateway.simulation.radio.Radio`."""
     only_advertises: ClassVar[bool] = False
-    """Whether it measures into its advertisements, so that nothing connects to it."""
+    """Whether it only sends data in advertisements, so hosts do not connect."""
     filled: ClassVar[Mapping[str, Filled]] = MappingProxyType({})
-    """By data name, what takes its time; all else comes at once."""
+    """Streams that start late, by data name; all others start at once."""
     rates_hz: ClassVar[Mapping[str, float]] = MappingProxyType({})
-    """By data name, the rates that the device says when it is connected."""
+    """Rates that the device reports when connected, by data name."""
     each_own: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """Options of its constructor that differ between devices, with places for their number."""
+    """Constructor options that differ between devices, with placeholders for their number."""
     expected: ClassVar[Expected] = Expected()
-    """What an agent can know of it."""
+    """What an agent can know about it."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -212,14 +212,14 @@ class VirtualDevice(ABC):
 
     @classmethod
     def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Return the options that make it the device of a person.
+        """Return the constructor options for a person's device.
 
         Parameters
         ----------
         wearer
-            Who wears it.
+            The wearer.
         number
-            How many of its kind there are already, from which it can be told.
+            Number of existing devices of its kind, which makes it distinguishable.
         """
         own = {
             name: form.format(number=number, next=number + 1) for name, form in cls.each_own.items()
@@ -228,7 +228,7 @@ class VirtualDevice(ABC):
 
     @classmethod
     def impossible(cls) -> Mapping[Kind, str]:
-        """Return by fault why the real device cannot have it."""
+        """Return why the real device cannot have certain faults, by fault."""
         usual = {**USUALLY_IMPOSSIBLE, **IMPOSSIBLE[cls.link]}
         others = {kind: why for kind, why in usual.items() if kind not in cls.effects}
         return {**others, **cls.expected.impossible}
@@ -236,11 +236,11 @@ class VirtualDevice(ABC):
     @property
     @abstractmethod
     def settings(self) -> Mapping[str, Any]:
-        """Fields of the device's settings that lead a driver to it, once it is started."""
+        """Settings with which a driver finds it, after the start."""
 
     @property
     def environment(self) -> Mapping[str, str]:
-        """Environment variables that a driver needs, as for a virtual service's credentials."""
+        """Environment variables for a driver, such as a virtual service's credentials."""
         return {}
 
     def __enter__(self) -> Self:
@@ -256,29 +256,29 @@ class VirtualDevice(ABC):
         self.world.await_(self._stop())
 
     def apply(self, fault: Fault) -> None:
-        """Begin a fault; one that lasts some seconds ends by itself, or by `clear`.
+        """Start a fault; one with a duration ends by itself or with `clear`.
 
         Raises
         ------
         ValueError
-            If this device cannot have it.
+            If this device cannot have this fault.
         """
         self._require(fault)
         self.world.call(lambda: self._apply(fault))
 
     def schedule(self, fault: Fault, after_s: float) -> None:
-        """Begin a fault so many seconds from now.
+        """Start a fault after a delay.
 
         Raises
         ------
         ValueError
-            If this device cannot have it.
+            If this device cannot have this fault.
         """
         self._require(fault)
         self.world.call(lambda: self.world.loop.call_later(after_s, self._apply, fault))
 
     def clear(self, kind: Kind) -> None:
-        """End a fault now; without effect where there is none."""
+        """End a fault now, if it is active."""
         self.world.call(lambda: self._clear(kind))
 
     def _require(self, fault: Fault) -> None:
@@ -309,7 +309,7 @@ class VirtualDevice(ABC):
 
     @abstractmethod
     async def _start(self) -> None:
-        """Switch the device on; it can be found and connected to from now on."""
+        """Switch the device on, so that it can be found and connected."""
 
     @abstractmethod
     async def _stop(self) -> None:

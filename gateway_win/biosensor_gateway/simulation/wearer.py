@@ -1,9 +1,9 @@
-"""The person who wears the virtual devices: signals as pure functions of time.
+"""The wearer of virtual devices, whose signals are pure functions of time.
 
-Nothing here has a state: any sample can be computed without those before it, so a
-device and a test agree on the truth by the seed alone. A beat's phase is a closed
-form of time (a heart rate that respiration modulates). Times are seconds since the
-wearer's world began; every function takes and returns arrays.
+Nothing here has a state: any sample can be computed without the previous ones, so a device and a
+test agree on the truth given the seed. The phase of beats is a closed function of time (a heart
+rate modulated by respiration). Times are seconds since the start of the wearer's world; all
+functions take and return arrays.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 SINUS_ARRHYTHMIA = 0.05
-"""Relative swing of the heart rate with respiration."""
-# Height [uV], centre and width [s] at one beat a second: P, Q, R, S, T.
+"""Relative modulation of the heart rate by respiration."""
+# Height [uV], centre and width [s] at one beat per second: P, Q, R, S, T.
 _ECG_WAVES = (
     (120.0, -0.17, 0.025),
     (-100.0, -0.035, 0.010),
@@ -28,24 +28,24 @@ _ECG_WAVES = (
     (280.0, 0.26, 0.045),
 )
 TURN_S = 10.0
-"""How long a heart takes from one mean rate to another."""
+"""Duration of a change of the mean heart rate."""
 PULSE_TRANSIT_S = 0.22
-"""From the R peak to the steepest rise of the pulse wave at finger or wrist."""
+"""Time from the R peak to the steepest rise of the pulse wave at finger or wrist."""
 _NOISE_TONES = 16
 
 
 @dataclass(frozen=True)
 class Wearer:
-    """A person with a steady respiration, and a mean heart rate that is steady unless told.
+    """A person with constant respiration rate, and constant or given mean heart rate.
 
     Parameters
     ----------
     seed
-        Of all noise and of the skin's responses; equal seeds give equal people.
+        Seed of noise and skin responses; equal seeds give equal people.
     heart_rate_bpm, respiration_rate_bpm
         Mean rates [1/min].
     turns
-        From when on [s] the mean heart rate turns to another one [1/min], in `TURN_S`.
+        Times [s] from which the mean heart rate changes to a new value [1/min], within `TURN_S`.
     """
 
     seed: int = 0
@@ -54,34 +54,34 @@ class Wearer:
     turns: tuple[tuple[float, float], ...] = ()
 
     def heart_rate(self, t: Floats) -> Floats:
-        """Momentary heart rate [1/min]."""
+        """Return the momentary heart rate [1/min]."""
         swing = SINUS_ARRHYTHMIA * np.sin(self._breath_omega * t)
         return self._course.rate(t) + self.heart_rate_bpm * swing
 
     def beat_count(self, t: Floats) -> Floats:
-        """Beats until ``t``, with fractions: the heart rate, integrated."""
+        """Return the fractional number of beats until ``t``, the integral of the heart rate."""
         return self._course.count(t) + self._swing(t)
 
     def beat_time(self, beats: Floats) -> Floats:
-        """When R peaks happen [s]; the inverse of `beat_count`, by fixed-point iteration."""
+        """Return the times of R peaks [s]: `beat_count` inverted by fixed-point iteration."""
         t = self._course.time(beats)
         for _ in range(12):  # each step shrinks the error by the arrhythmia's swing
             t = self._course.time(beats - self._swing(t))
         return t
 
     def beats_between(self, begin_s: float, end_s: float) -> Floats:
-        """R peaks in ``begin_s <= t < end_s`` [s], oldest first."""
+        """Return the R peaks in ``begin_s <= t < end_s`` [s], oldest first."""
         first, last = self.beat_count(np.array([begin_s, end_s], np.float64))
         times = self.beat_time(np.arange(np.floor(first), np.ceil(last) + 1, dtype=np.float64))
         return times[(times >= begin_s) & (times < end_s)]
 
     def rr_before(self, beat_times: Floats) -> Floats:
-        """Interval that ends with each of the given R peaks [s]."""
+        """Return the interval that ends with each of the given R peaks [s]."""
         beats = np.rint(self.beat_count(beat_times))
         return self.beat_time(beats) - self.beat_time(beats - 1)
 
     def ecg_uv(self, t: Floats) -> Floats:
-        """Electrocardiogram with P, Q, R, S and T [uV]."""
+        """Return an electrocardiogram with P, Q, R, S and T waves [uV]."""
         phase = self.beat_count(t)
         interval_s = 60 / self.heart_rate(t)
         from_peak_s = (phase - np.rint(phase)) * interval_s
@@ -92,14 +92,14 @@ class Wearer:
         return ecg + self.noise(t, 8.0, "ecg")
 
     def pulse(self, t: Floats) -> Floats:
-        """Blood volume pulse at a limb, swinging about 0, from about -0.5 to 1."""
+        """Return the blood volume pulse at a limb, around 0, from about -0.5 to 1."""
         phase = self.beat_count(t - PULSE_TRANSIT_S) % 1.0
         systole = np.exp(-0.5 * ((phase - 0.18) / 0.08) ** 2)
         dicrotic = 0.35 * np.exp(-0.5 * ((phase - 0.48) / 0.09) ** 2)
         return systole + dicrotic - 0.28 + self.noise(t, 0.01, "pulse")
 
     def skin_conductance_us(self, t: Floats) -> Floats:
-        """Electrodermal activity: a slow level and a response every 12 to 20 s [uS]."""
+        """Return skin conductance: a slow level and a response every 12 to 20 s [uS]."""
         level = 5.0 + 0.6 * np.sin(2 * pi * t / 97.0)
         onsets = self._response_onsets[np.newaxis, :]
         age = np.maximum((t[:, np.newaxis] % _RESPONSE_CYCLE_S) - onsets, 0.0)
@@ -108,15 +108,15 @@ class Wearer:
         return level + responses.sum(axis=1) + self.noise(t, 0.004, "eda")
 
     def skin_temperature_c(self, t: Floats) -> Floats:
-        """Skin temperature at the wrist [degrees Celsius]."""
+        """Return the skin temperature at the wrist [degrees Celsius]."""
         return 32.5 + 0.4 * np.sin(2 * pi * t / 211.0) + self.noise(t, 0.01, "temperature")
 
     def chest_force_n(self, t: Floats) -> Floats:
-        """Tension of a belt around the chest [N]."""
+        """Return the force of a belt around the chest [N]."""
         return 12.0 + 3.0 * np.sin(self._breath_omega * t) + self.noise(t, 0.02, "belt")
 
     def acceleration_g(self, t: Floats) -> Floats:
-        """Acceleration of the trunk, x y z [g], shape (n, 3): at rest, with breathing."""
+        """Return the acceleration of the trunk at rest with breathing, x y z [g], shape (n, 3)."""
         sway = 0.01 * np.sin(self._breath_omega * t)
         axes = (
             -0.97 + self.noise(t, 0.004, "x"),
@@ -126,24 +126,24 @@ class Wearer:
         return np.stack(axes, axis=1)
 
     def eeg_uv(self, t: Floats, electrode: str) -> Floats:
-        """Scalp potential: an alpha rhythm that waxes and wanes, and broadband noise [uV]."""
+        """Return an EEG: an alpha rhythm of varying amplitude, and broadband noise [uV]."""
         phase = _phase(self.seed, electrode)
         alpha = 12.0 * (1 + 0.5 * np.sin(2 * pi * t / 7.0 + phase))
         rhythm = alpha * np.sin(2 * pi * 10.0 * t + phase)
         return rhythm + self.noise(t, 6.0, electrode)
 
     def noise(self, t: Floats, rms: float, name: str) -> Floats:
-        """Noise of a given RMS that is the same whenever it is asked for.
+        """Return noise of a given RMS that is the same in every call.
 
-        A sum of tones between 0.5 and 45 Hz whose frequencies and phases come from
-        the seed and ``name``.
+        It is a sum of tones between 0.5 and 45 Hz with frequencies and phases from the seed and
+        ``name``.
         """
         frequencies, phases = _tones(self.seed, name)
         tones = np.sin(2 * pi * t[:, np.newaxis] * frequencies + phases)
         return rms * np.sqrt(2 / _NOISE_TONES) * tones.sum(axis=1)
 
     def _swing(self, t: Floats) -> Floats:
-        """Beats that respiration has added until ``t``."""
+        """Return the number of beats added by respiration until ``t``."""
         omega = self._breath_omega
         return self.heart_rate_bpm / 60 * SINUS_ARRHYTHMIA / omega * (1 - np.cos(omega * t))
 
@@ -163,12 +163,12 @@ class Wearer:
 
 
 class _Course:
-    """A mean heart rate that is linear in time between some corners, and how often it beats."""
+    """A piecewise linear mean heart rate, with its number of beats."""
 
     def __init__(self, bpm: float, turns: tuple[tuple[float, float], ...]) -> None:
         times, rates = [0.0], [bpm]
         for begin_s, target_bpm in sorted(turns):
-            # One that begins before the last one has ended, ends it.
+            # A change that starts during the previous one ends it.
             here = float(np.interp(begin_s, times, rates))
             while times[-1] > begin_s:
                 del times[-1], rates[-1]
@@ -182,19 +182,19 @@ class _Course:
         self._slopes = np.concatenate((steepness, [0.0]))
 
     def rate(self, t: Floats) -> Floats:
-        """Mean rate [1/min]."""
+        """Return the mean rate [1/min]."""
         return np.interp(t, self._times, self._rates)
 
     def count(self, t: Floats) -> Floats:
-        """Beats since 0 s."""
+        """Return the number of beats since 0 s."""
         at = self._piece(self._times, t)
         since = t - self._times[at]
-        # What was before 0 s was as at 0 s.
+        # Before 0 s, the rate is constant.
         slopes = np.where(since < 0, 0.0, self._slopes[at])
         return self._counts[at] + since * (self._rates[at] + slopes * since / 2) / 60
 
     def time(self, counts: Floats) -> Floats:
-        """When so many beats are over [s]."""
+        """Return the times at which these numbers of beats are reached [s]."""
         at = self._piece(self._counts, counts)
         beats = 60 * (counts - self._counts[at])
         slopes, rates = np.where(beats < 0, 0.0, self._slopes[at]), self._rates[at]
@@ -208,10 +208,10 @@ def _rng(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng((seed, *name.encode("ascii")))
 
 
-# Asked for with each packet of each device, and always the same.
+# Called with each packet of each device, always with the same result.
 @lru_cache(maxsize=1024)
 def _tones(seed: int, name: str) -> tuple[Floats, Floats]:
-    """Return frequencies [Hz] and phases [rad] of a noise."""
+    """Return the frequencies [Hz] and phases [rad] of a noise."""
     rng = _rng(seed, name)
     return rng.uniform(0.5, 45.0, _NOISE_TONES), rng.uniform(0, 2 * pi, _NOISE_TONES)
 
@@ -223,9 +223,9 @@ def _phase(seed: int, name: str) -> float:
 
 
 def someone(number: int) -> Wearer:
-    """Return one of several people, whose hearts and breath differ."""
+    """Return one of several people with different heart and respiration rates."""
     return Wearer(number, heart_rate_bpm=64.0 + 7.0 * number, respiration_rate_bpm=13.0 + number)
 
 
 _RESPONSE_CYCLE_S = 600.0
-"""Skin conductance responses repeat after so long."""
+"""Period after which skin conductance responses repeat."""

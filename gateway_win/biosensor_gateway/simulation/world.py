@@ -1,7 +1,6 @@
-"""The thread and event loop in which virtual devices live.
+"""The thread and event loop in which virtual devices run.
 
-They have one of their own, so that a device behaves the same whoever is slow: the
-agent that reads it, or the test that steers it.
+They have a separate one, so that a slow agent or test does not affect the devices.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ _TIMEOUT_S = 20.0
 
 
 class World:
-    """An asyncio loop in a thread of its own; a context manager.
+    """An asyncio event loop in a separate thread; a context manager.
 
     Attributes
     ----------
     clock
-        The time that everything in it goes by.
+        Clock of everything in it.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
@@ -51,7 +50,7 @@ class World:
         self.loop.close()
 
     def await_(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
-        """Run a coroutine in the world's loop and return its result; for other threads."""
+        """Run a coroutine in the world's event loop and return its result; for other threads."""
         future = asyncio.run_coroutine_threadsafe(coroutine, self.loop)
         return self.clock.wait_for(future, _TIMEOUT_S)
 

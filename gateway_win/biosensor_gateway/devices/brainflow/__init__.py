@@ -1,6 +1,6 @@
-"""Declares a board's streams, by BrainFlow's own description of it.
+"""Declares a board's streams from BrainFlow's description of it.
 
-`SPEC` is the declaration of BrainFlow's synthetic board, which lists and documents show.
+`SPEC` is the declaration of BrainFlow's synthetic board, shown in lists and documents.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from biosensor_gateway.devices.sensor import Sensor
 
 NAME = "brainflow"
 ELECTRODES = ("eeg", "ecg", "emg", "eog")
-"""What electrodes can be on; most boards say all of them of the same rows."""
+"""Possible uses of electrodes; most boards list the same rows for all of them."""
 PRESETS: Final = {0: "", 1: "aux", 2: "anc"}
-"""What is put behind the name of a stream that another preset of the board has, too."""
+"""Suffix of a stream's name if another preset of the board has the same stream."""
 
 Description = Mapping[str, Any]
-"""Of one preset: ``num_rows``, ``sampling_rate``, ``eeg_channels`` and so on."""
+"""Description of one preset: ``num_rows``, ``sampling_rate``, ``eeg_channels`` and so on."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """One kind of rows; its unit is what BrainFlow documents, arbitrary where that is nothing."""
+    """One kind of rows, with the unit documented by BrainFlow, or an arbitrary unit."""
 
     key: str
     data_name: str
@@ -81,11 +81,11 @@ class BoardStream:
     Attributes
     ----------
     preset
-        BrainFlow's number of the preset that it is in.
+        BrainFlow's number of its preset.
     rows
-        Of that preset, one a channel.
+        Rows of that preset, one per channel.
     is_state
-        Only changes are sent.
+        Whether only changes are sent.
     """
 
     spec: StreamSpec
@@ -104,9 +104,9 @@ def board_streams(
     described
         BrainFlow's description by preset.
     electrodes
-        What they are on, one of `ELECTRODES`; empty for the first that the board has.
+        Use of the electrodes, one of `ELECTRODES`; empty for the board's first one.
     rate_hz
-        Of the first preset, where the board was told another than the description says.
+        Rate of the first preset, if the board was configured to a different one than described.
     """
     streams: list[BoardStream] = []
     for preset, description in sorted(described.items()):
@@ -117,12 +117,12 @@ def board_streams(
 
 
 def board_spec(name: str, board: str, streams: Sequence[BoardStream]) -> SensorSpec:
-    """Declare what a board emits.
+    """Return the declaration of a board.
 
     Raises
     ------
     SpecError
-        ``INVALID``, if its description is none that a stream can be made of.
+        ``INVALID``, if a stream's description is invalid.
     """
     return SensorSpec(
         name=name,

@@ -1,7 +1,7 @@
 """EmotiBit: skin conductance, pulse at three wavelengths, temperature and motion.
 
-Rates are those of the stock firmware; units and ranges are what it computes from its sensors.
-Source: EmotiBit_FeatherWing (`EmotiBit.cpp`) and *Working with EmotiBit data* (MIT licence).
+Rates are those of the stock firmware; units and ranges are as it computes them. Source:
+EmotiBit_FeatherWing (`EmotiBit.cpp`) and *Working with EmotiBit data* (MIT licence).
 """
 
 from biosensor_common import plausible
@@ -31,7 +31,7 @@ SPEC = SensorSpec(
         raw("eda", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA",
             plausible=plausible.CONDUCTANCE_US), CONDUCTANCE_HZ,
             chunk="eda"),
-        # There is a firmware that measures it at 100 Hz.
+        # One firmware variant measures it at 100 Hz.
         raw("ppg", ContentType.PPG, channels(Unit.COUNTS, "infrared", "red", "green"),
             FROM_DEVICE, chunk="ppg"),
         raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin",
@@ -50,7 +50,7 @@ SPEC = SensorSpec(
                  channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD,
                      plausible=plausible.MAGNETIC_FIELD_UT), MOTION_HZ),
         battery(),
-        # Samples that were beyond a sensor's range, and that its buffer had no room for.
+        # Number of samples beyond a sensor's range, and of samples lost in a full buffer.
         hardware("quality", ContentType.QUALITY, _TOO_MUCH),
     ),
 )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Declares a line sensor's streams: for each device those of its settings.
+"""Declares a line sensor's streams, which depend on each device's settings.
 
-`SPEC` is the declaration of one whose settings are the example, which lists and documents show.
+`SPEC` is the declaration for the example settings, shown in lists and documents.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _CONTENT: Mapping[str, ContentType] = MappingProxyType(
         "temp": ContentType.TEMPERATURE,
     }
 )
-"""LSL's content type by data name; what is not here is `ContentType.MISC`."""
+"""LSL content type by data name; `ContentType.MISC` for all others."""
 
 
 _UNITS: Mapping[str, Unit] = MappingProxyType({each.value: each for each in Unit})
@@ -57,11 +57,11 @@ class Column(NamedTuple):
     Attributes
     ----------
     stream
-        Data name of the stream that it is a channel of.
+        Data name of its stream.
     label
-        Of the channel; `SKIPPED` for a column that nobody needs.
+        Label of the channel; `SKIPPED` for an unused column.
     unit
-        Empty where the settings say none.
+        Empty if the settings contain none.
     """
 
     stream: str
@@ -70,17 +70,17 @@ class Column(NamedTuple):
 
     @property
     def is_skipped(self) -> bool:
-        """Whether its values go nowhere."""
+        """Whether its values are ignored."""
         return self.label == SKIPPED
 
 
 def column(text: str) -> Column:
-    """Read ``stream/label [unit]``; stream and unit may be missing.
+    """Parse ``stream/label [unit]``; stream and unit may be missing.
 
     Raises
     ------
     ValueError
-        It is not of that form; the sentence says so.
+        If it does not have that form.
     """
     found = _COLUMN.fullmatch(text.strip())
     if found is None:
@@ -92,14 +92,14 @@ def column(text: str) -> Column:
 
 
 def streams_of(columns: Iterable[Column], apart: Iterable[str]) -> dict[str, list[int]]:
-    """Return the positions of each stream's channels by data name, in their order.
+    """Return the positions of each stream's channels, by data name and in order.
 
     Parameters
     ----------
     columns
-        Of a line.
+        Columns of a line.
     apart
-        Labels of columns that count or tell the time.
+        Labels of the count and time columns.
     """
     without = {SKIPPED, *apart}
     streams: dict[str, list[int]] = {}
@@ -110,7 +110,7 @@ def streams_of(columns: Iterable[Column], apart: Iterable[str]) -> dict[str, lis
 
 
 def unit_of(each: Column) -> str:
-    """Return the unit of a channel, one of the closed set if it is there."""
+    """Return the unit of a channel, as a standard unit if possible."""
     unit = each.unit or Unit.NONE
     return _UNITS.get(unit, unit)
 
@@ -122,20 +122,20 @@ def line_sensor_spec(
     rate_hz: float,
     irregular: Collection[str] = (),
 ) -> SensorSpec:
-    """Declare what a device emits.
+    """Return the declaration of a device.
 
     Parameters
     ----------
     name
-        What its topics call it.
+        Its name in topics.
     columns
-        Of its lines.
+        Columns of its lines.
     apart
-        Labels of the columns that count or tell the time, which are no channels.
+        Labels of the count and time columns, which are not channels.
     rate_hz
-        Lines a second; 0 where they come when they come.
+        Lines per second; 0 if irregular.
     irregular
-        Data names of streams without a value in every line.
+        Data names of streams that do not have a value in every line.
 
     Raises
     ------

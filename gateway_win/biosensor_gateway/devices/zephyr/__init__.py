@@ -6,7 +6,7 @@ from biosensor_common.spec import ChannelSpec, NominalScale, SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw, signal_strength
 from biosensor_gateway.devices.sensor import Sensor
 
-# Datasheet value; peers use up to 0.025 mV per count, so it is only nominal.
+# Nominal scale from the data sheet; other programs use up to 0.025 mV per count.
 _ECG = ChannelSpec("ECG", Unit.COUNTS, NominalScale(0.013405, Unit.MILLIVOLTS, zero=512))
 _QUALITY = (
     *channels(Unit.BOOLEAN, "worn", roles=[ChannelRole.CONTACT]),
@@ -55,7 +55,7 @@ SENSOR = Sensor(
     driver="biosensor_gateway.devices.zephyr.driver:DRIVER",
     virtual={
         "": "biosensor_gateway.devices.zephyr.simulator:SimulatedZephyr",
-        # Real bytes of a BioHarness 3 instead of a made-up signal; it starts over after 150 s.
+        # Recorded data of a real BioHarness 3 instead of a simulated signal, repeated after 150 s.
         "recording": "biosensor_gateway.devices.zephyr.simulator:RecordedZephyr",
     },
     demo="recording",

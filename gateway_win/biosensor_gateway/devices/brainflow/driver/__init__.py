@@ -1,4 +1,4 @@
-"""Has a process with BrainFlow read one board, and starts another one when it hangs."""
+"""Driver for BrainFlow boards, which are read by a separate process."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class BrainFlowSettings(DeviceSettings):
 
     @property
     def sensor_name(self) -> str:
-        """What streams and topics call it."""
+        """Its name in streams and topics."""
         if self.name:
             return self.name
         slug = self.board.removesuffix(_BOARD).lower()
@@ -164,12 +164,12 @@ _MISSING = "missing"
 
 
 def start(settings: BrainFlowSettings, command: str) -> subprocess.Popen[bytes]:
-    """Start the program of ``outside`` with pipes at both ends.
+    """Start the program in ``outside`` with pipes for input and output.
 
     Raises
     ------
     TransportError
-        ``UNAVAILABLE``: there is no such Python.
+        ``UNAVAILABLE`` if the Python does not exist.
     """
     program = [str(_python(settings)), "-I", str(files(_OUTSIDE) / "board.py"), command]
     try:
@@ -180,7 +180,7 @@ def start(settings: BrainFlowSettings, command: str) -> subprocess.Popen[bytes]:
 
 
 def _order(settings: BrainFlowSettings, presets: tuple[int, ...] = ()) -> bytes:
-    """Return the line that tells the program what to read."""
+    """Return the JSON line with the program's job."""
     told = {
         "board": settings.board,
         "parameters": settings.parameters,
@@ -191,7 +191,7 @@ def _order(settings: BrainFlowSettings, presets: tuple[int, ...] = ()) -> bytes:
 
 
 def described(settings: BrainFlowSettings) -> Mapping[int, Description]:
-    """Return BrainFlow's description of a board by preset; asked once for each board.
+    """Return BrainFlow's description of a board by preset; queried once per board.
 
     Raises
     ------
@@ -223,9 +223,9 @@ def _described(python: str, board: str, master_board: str) -> Mapping[int, Descr
 def refusal(
     settings: BrainFlowSettings, answer: Mapping[str, Any]
 ) -> TransportError | ProtocolError:
-    """Return what an ``error`` of the program means to a user.
+    """Return the user's error for an ``error`` of the program.
 
-    ``UNAVAILABLE`` without BrainFlow; ``REFUSED`` where BrainFlow does not get the board.
+    ``UNAVAILABLE`` without BrainFlow; ``REFUSED`` if BrainFlow cannot open the board.
     """
     said = str(answer.get("said", ""))[:200]
     if answer["error"] == _MISSING:
@@ -244,7 +244,7 @@ def _python(settings: BrainFlowSettings) -> Path:
     if settings.python:
         path = Path(settings.python)
         if not path.is_absolute():
-            # By name, a program of the current folder would be started.
+            # A bare name could start a program in the current folder.
             message = f"python is {settings.python!r}, not a full path; write it from the root on"
             raise TransportError(TransportReason.UNAVAILABLE, message)
         return path
@@ -266,12 +266,12 @@ class ProcessLink:
         self._traffic = Traffic("BrainFlow", "the process that reads the board has ended")
 
     async def open(self, presets: tuple[int, ...]) -> None:
-        """Start it and tell it what to read.
+        """Start the process and send its job.
 
         Raises
         ------
         TransportError
-            ``UNAVAILABLE``: there is no such Python.
+            ``UNAVAILABLE`` if the Python does not exist.
         """
         process = await in_daemon_thread(lambda: start(self._settings, "stream"))
         self._process = process
@@ -283,7 +283,7 @@ class ProcessLink:
         return await self._traffic.read()
 
     async def close(self) -> None:
-        """Let the process release the board, and end it if it does not."""
+        """Let the process release the board; kill it if it does not."""
         self._traffic.closing = True
         self._traffic.end_writing()
         if self._process is not None:
@@ -311,11 +311,11 @@ class ProcessLink:
 
 
 START_LIMIT_S = 60.0
-"""Bluetooth boards are searched for by BrainFlow, some for half a minute."""
+"""BrainFlow searches for Bluetooth boards, for up to half a minute."""
 HANGS_S = 5.0
-"""The process sends a sign of life every second, whatever its board does."""
+"""The process sends a keep-alive frame every second, whatever its board does."""
 _MOST_EARLY = 4096
-"""More than fit into the read that says that the board has started."""
+"""More than fit into the read that reports the start of the board."""
 
 
 class BrainFlowDriver:
@@ -332,7 +332,7 @@ class BrainFlowDriver:
         self._described: Mapping[int, Description] = {}
 
     async def connect(self) -> Connected:
-        """Start the process, and wait until it has the board."""
+        """Start the process, and wait until the board has started."""
         self._described = await in_daemon_thread(lambda: described(self._settings))
         if not self._is_declared:
             message = f"BrainFlow says now what {self._settings.board} has; start the agent again"
@@ -350,7 +350,7 @@ class BrainFlowDriver:
         return Connected()
 
     async def stream(self) -> None:
-        """Emit all that comes."""
+        """Emit all data received."""
         self._sink.restart_clock()
         emitters = self._emitters()
         for rows, arrival_s in self._early.take():
@@ -423,7 +423,7 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], BrainFlowDriver]
 
 
 def _declare(settings: DeviceSettings) -> SensorSpec:
-    """Say what a board has; nothing where BrainFlow cannot be asked, which connecting tells."""
+    """Return a board's declaration; empty without BrainFlow, which fails when connecting."""
     own = own_settings(BrainFlowSettings, settings)
     try:
         streams = _streams(own, described(own))

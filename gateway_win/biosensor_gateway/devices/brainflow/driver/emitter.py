@@ -1,4 +1,4 @@
-"""Stamps what the presets of a board send, and passes it on."""
+"""Adds timestamps to the data of a board's presets, and emits them."""
 
 from __future__ import annotations
 
@@ -21,18 +21,17 @@ from biosensor_gateway.system.device_log import DeviceLog
 _HEAD = struct.Struct("<cBI")
 _SAMPLES = struct.Struct("<dI")
 _MOST_BYTES = 1 << 28
-"""More than BrainFlow keeps of any board."""
+"""More than BrainFlow buffers for any board."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What a preset has measured since the last.
+    """New data of a preset.
 
     Attributes
     ----------
     now_s
-        The computer's time of day when they were handed on, in seconds; BrainFlow's own stamps
-        are of the same clock.
+        Unix time when they were sent, in seconds; BrainFlow's own timestamps have the same clock.
     values : array, shape (n_rows, n_samples)
     """
 
@@ -43,24 +42,24 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What the process says of itself; empty for its sign of life."""
+    """A message of the process; empty for a keep-alive."""
 
     what: dict[str, Any]
 
 
 class Frames:
-    """Takes bytes in any pieces."""
+    """Decodes the process's frames from bytes in any pieces."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
 
     def feed(self, data: bytes) -> Iterator[Rows | Told]:
-        """Return what is complete now.
+        """Add bytes; yield the frames that are complete now.
 
         Raises
         ------
         ProtocolError
-            ``GARBAGE``: it is no frame; what comes after it cannot be read.
+            ``GARBAGE`` if it is not a frame, so later data cannot be parsed either.
         """
         self._waiting += data
         while len(self._waiting) >= _HEAD.size:
@@ -94,12 +93,12 @@ def _garbage() -> ProtocolError:
 
 
 _OLDEST_S = 10.0
-"""BrainFlow is asked 50 times a second; a stamp that is older was made before the clock was set."""
+"""BrainFlow is polled 50 times a second; an older timestamp means that the clock was set."""
 _WATCHED_S = 10.0
 _RATE_ERROR = 0.05
 
-# BrainFlow's stamps are the computer's time of day at arrival, so the board's clock is its count of
-# samples by its rate.
+# BrainFlow's timestamps are the computer's time at arrival, so the board's clock is its sample
+# count divided by its rate.
 COUNTS_UP_TO = MappingProxyType(
     {
         ("SYNTHETIC_BOARD", 0): 256,
@@ -108,14 +107,14 @@ COUNTS_UP_TO = MappingProxyType(
         ("GANGLION_BOARD", 0): 201,
     }
 )
-"""Where a board's packet number begins again, for presets in which it counts samples.
+"""Where a board's packet number overflows, for presets in which it counts samples.
 
-Of all others it counts something else, or BrainFlow counts itself: what is lost is not known.
+In all others it counts something else, or BrainFlow itself counts, so losses are unknown.
 """
 
 
 class SampleCount:
-    """Follows the packet number of one preset; `turns_over_at` is 0 where it counts nothing."""
+    """Unwraps the packet number of one preset; `turns_over_at` is 0 if it is unusable."""
 
     def __init__(self, turns_over_at: int) -> None:
         self._turn = turns_over_at
@@ -123,7 +122,7 @@ class SampleCount:
         self._count = -1
 
     def place(self, numbers: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
-        """Return the place of each sample since the start, and how many are missing before them.
+        """Return the number of each sample since the start, and how many are missing.
 
         Parameters
         ----------
@@ -135,7 +134,7 @@ class SampleCount:
         else:
             first = numbers[0] - 1 if self._number is None else self._number
             differences = np.diff(numbers, prepend=first)
-            # A number that stays is one more sample all the same.
+            # A repeated number still belongs to a new sample.
             steps = np.maximum(1, np.round(differences % self._turn)).astype(np.int64)
             self._number = float(numbers[-1])
         places = self._count + np.cumsum(steps)
@@ -144,7 +143,7 @@ class SampleCount:
 
 
 class _Stamps(Protocol):
-    """Takes a preset's device times, and sends its samples by them."""
+    """Takes a preset's device times, and emits its samples with them."""
 
     def observe(self, device_s: float, arrival_s: float, /) -> None: ...
 
@@ -154,7 +153,7 @@ class _Stamps(Protocol):
 
 
 class _OwnClock:
-    """The clock of a preset that is not the board's first: it counts at a rate of its own."""
+    """The clock of a preset other than the board's first, which has its own rate."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink, self._clock = sink, DeviceClock()
@@ -167,16 +166,16 @@ class _OwnClock:
 
 
 class PresetEmitter:
-    """Passes on one preset for one connection.
+    """Emits the data of one preset for one connection.
 
     Parameters
     ----------
     streams
-        Those of the preset.
+        Streams of the preset.
     description
-        Where its packet number and time stamp are.
+        Contains the rows of its packet number and timestamp.
     turns_over_at
-        Of its packet number; see `SampleCount`.
+        Overflow of its packet number; see `SampleCount`.
     stamps
         The sink itself for the first preset, so that its clock is the device's.
     """
@@ -201,7 +200,7 @@ class PresetEmitter:
         self._log = DeviceLog("biosensor_gateway.brainflow", sink.identity)
 
     def take(self, rows: Rows, arrival_s: float) -> None:
-        """Emit what came together; *arrival_s* is the LSL time when it was handed on."""
+        """Emit rows received together; *arrival_s* is the LSL time when they were sent."""
         values = rows.values
         if not values.shape[1]:
             return  # nothing is dropped: there is nothing
@@ -235,7 +234,7 @@ class PresetEmitter:
                 self._stamps.emit(name, sample[np.newaxis], [time_s])
 
     def _watch_rate(self, measured_s: float, place: int) -> None:
-        """Say once that a board sends at another rate than was declared."""
+        """Warn once if a board's rate differs from the declared one."""
         if self._begin is None:
             self._begin = measured_s, place
         elapsed_s = measured_s - self._begin[0]
@@ -253,5 +252,5 @@ class PresetEmitter:
 
 
 def own_clock(sink: Sink) -> _Stamps:
-    """Return the stamps of a preset that has no clock yet."""
+    """Return a separate clock for a preset."""
     return _OwnClock(sink)

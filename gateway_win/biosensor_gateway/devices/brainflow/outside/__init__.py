@@ -1,1 +1,1 @@
-"""Runs BrainFlow in a process, and maybe in a Python, of its own: it is never in the agent's."""
+"""Runs BrainFlow in a separate process, possibly with a different Python."""

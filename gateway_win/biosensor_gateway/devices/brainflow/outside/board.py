@@ -1,16 +1,16 @@
-"""Read one board with BrainFlow and hand on what it sends; run by a Python that has BrainFlow.
+"""Read one board with BrainFlow and pass on its data; run by a Python that has BrainFlow.
 
-    python board.py describe   print what each preset of a board has, as JSON
-    python board.py stream     send its rows until the standard input ends
+    python board.py describe   print the description of each preset of a board as JSON python
+    board.py stream     send its rows until the standard input ends
 
-What to do comes as one line of JSON on the standard input: ``board``, ``parameters`` (fields of
-BrainFlow's ``BrainFlowInputParams``), ``config`` (texts that the board is configured with).
+The job is one line of JSON on the standard input: ``board``, ``parameters`` (fields of BrainFlow's
+``BrainFlowInputParams``), ``config`` (configuration texts for the board).
 
-``stream`` writes frames: a byte that says which, a byte with the preset, the number of bytes that
-follow as 32 bits, lowest first. ``J`` is JSON: ``{"started": ...}`` or ``{"error": ...}``. ``S``
-are samples: the computer's time of day in seconds, the number of rows, then all values row by row,
-each as a float64. ``B`` has nothing and comes every second. Only the standard library and
-BrainFlow are used, because this file may run where nothing else is installed.
+``stream`` writes frames: a byte for the kind, a byte for the preset, and the number of following
+bytes as 32 bits, little-endian. ``J`` is JSON: ``{"started": ...}`` or ``{"error": ...}``. ``S``
+are samples: Unix time in seconds, the number of rows, then all values row by row, each as a
+float64. ``B`` is empty and sent every second as a keep-alive. Only the standard library and
+BrainFlow are used, because nothing else may be installed where this file runs.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 POLL_S = 0.02
 BEAT_S = 1.0
 FAREWELL_S = 2.0
-"""A board that does not end in that time is left behind with its process."""
+"""Time limit for releasing the board; after that the process exits anyway."""
 MISSING, FAILED = "missing", "failed"
 
 
 def main() -> int:
-    """Do what the arguments say; return the exit code."""
-    # Libraries of boards print; only what is meant for the reader may be in its pipe.
+    """Run the command in the arguments; return the exit code."""
+    # Board libraries print to stdout, so frames go to a copy of it and stdout is redirected.
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     told = json.loads(sys.stdin.readline())
@@ -78,7 +78,7 @@ def _number(shim: ModuleType, board: str) -> int:
 
 
 def _described(shim: ModuleType, told: dict[str, Any]) -> dict[str, Any]:
-    """Return the descriptions by preset; of the played board where one is played."""
+    """Return the descriptions by preset; for playback, those of the recorded board."""
     board = _number(shim, told["parameters"].get("master_board") or told["board"])
     presets = shim.BoardShim.get_board_presets(board)
     found = {str(each): shim.BoardShim.get_board_descr(board, each) for each in presets}
@@ -136,7 +136,7 @@ def _frame(output: BinaryIO, kind: bytes, preset: int, data: bytes) -> None:
 
 
 def _wait_for_the_end(ended: threading.Event) -> None:
-    """End with the agent: its end of the pipe closes, however it ended."""
+    """Wait until the agent ends, which closes its end of the pipe."""
     sys.stdin.read()
     ended.set()
     time.sleep(FAREWELL_S)

@@ -1,4 +1,4 @@
-"""The conversation with one EmotiBit: find it, have it connect, keep it, pass on its data."""
+"""Driver for the EmotiBit: finds it, lets it connect, keeps the connection, emits its data."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from biosensor_gateway.transports.link import Address
 
 PATIENCE_S = 3.0
 RATE_LIMIT_S = 2.0
-"""Where no pulse came by then, its rate is taken for the one of the settings."""
+"""Without pulse data until then, the rate in the settings is assumed to be right."""
 _LEAST_PACKETS, _CERTAIN_PACKETS = 4, 10
-"""So many tell that a rate is right, and that it is wrong: reading may be late."""
+"""Packets needed to accept a rate, and to reject it, because reading may be late."""
 _RATE_TOLERANCE = 0.3
 _RATES = (25, 100)
 _MOST_EARLY = 1024
@@ -79,14 +79,14 @@ class PulseRate:
     Parameters
     ----------
     name
-        What errors call the device.
+        Name of the device in errors.
     nominal_hz
-        Of the settings.
+        Rate in the settings.
 
     Attributes
     ----------
     is_right
-        Whether it is known to be the one of the settings.
+        Whether the rate in the settings is known to be right.
     """
 
     def __init__(self, name: str, nominal_hz: int) -> None:
@@ -97,16 +97,16 @@ class PulseRate:
         self.is_right = False
 
     def take(self, packets: Iterable[Packet]) -> None:
-        """Take in what came.
+        """Process received packets.
 
         Raises
         ------
         ProtocolError
-            ``UNSUPPORTED``: the firmware has another rate.
+            ``UNSUPPORTED`` if the firmware has a different rate.
         """
         for packet in packets:
             if self._number is not None and packet.number != (self._number + 1) % NUMBERS:
-                # What was lost in between would look like a lower rate.
+                # A loss in between would look like a lower rate.
                 self._times_ms, self._samples = [], 0
             self._number = packet.number
             if packet.tag == Tag.PPG_INFRARED and not self.is_right:
@@ -144,7 +144,7 @@ class EmotiBitDriver:
         self._link: Link | None = None
         self._rate = PulseRate("EmotiBit", settings.ppg_rate)
         self._device: Address = ("", 0)
-        # Connecting ends when the rate of the pulse is known.
+        # Data are buffered until the rate of the pulse is known.
         self._early = Early[Arrived](_MOST_EARLY)
 
     async def connect(self) -> Connected:
@@ -157,7 +157,7 @@ class EmotiBitDriver:
         self._link = Link(name, nearby.address[0], ports, tap)
         await self._link.open()
         await connect(self._advertising, self._link, nearby)
-        # It may have been left in a mode in which it sends nothing.
+        # It may be in a mode in which it sends no data.
         self._link.control(Tag.NORMAL_POWER)
         self._emitter.connected()
         self._rate = PulseRate(name, self._settings.ppg_rate)
@@ -167,7 +167,7 @@ class EmotiBitDriver:
         return Connected(info, {"ppg": self._settings.ppg_rate}, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes."""
+        """Emit data received since connecting."""
         if self._link is None:
             raise RuntimeError("a driver streams after it has connected")
         link = self._link
@@ -180,12 +180,12 @@ class EmotiBitDriver:
             raise group.exceptions[0] from None
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Ask for data once more; all streams have one switch; see the protocol class."""
+        """Switch data on again, for all streams together; see the protocol class."""
         if self._link is not None:
             self._link.control(Tag.NORMAL_POWER)
 
     async def close(self) -> None:
-        """Emit what waits for others, let the EmotiBit go, and close."""
+        """Emit waiting packets, disconnect the EmotiBit, and close."""
         self._emitter.ended()
         if self._link is not None:
             await self._link.close()
@@ -256,7 +256,7 @@ class EmotiBitDriver:
             await asyncio.sleep(PING_EVERY_S)
 
     async def _hear(self) -> None:
-        """Note that the device answers pings."""
+        """Process the device's answers to pings."""
         while True:
             packet, address = await self._advertising.hear()
             if packet.tag == Tag.PONG and address[0] == self._device[0]:
@@ -264,7 +264,7 @@ class EmotiBitDriver:
 
 
 def _answer(link: Link, request: Packet, to: Address) -> None:
-    """Tell an EmotiBit the time, which it notes in its file on its memory card."""
+    """Send the time to an EmotiBit, which writes it to the file on its memory card."""
     now = datetime.now(UTC)
     if Tag.TIMESTAMP_LOCAL in request.payload:
         link.answer(Tag.TIMESTAMP_LOCAL, (now.astimezone().strftime(_LOCAL_TIME),), to)
@@ -274,19 +274,19 @@ def _answer(link: Link, request: Packet, to: Address) -> None:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotiBitDriver]:
-    """Share one emitter between all connections: it follows losses across them."""
+    """Share one emitter between all connections, to count losses across them."""
     own = own_settings(EmotiBitSettings, settings)
     emitter = EmotiBitEmitter(sink, own.ppg_rate)
     return lambda: EmotiBitDriver(own, sink, emitter)
 
 
 async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
-    """Ask where the settings say, or in the whole network, which EmotiBits there are.
+    """Return the EmotiBits at the addresses in the settings, or in the whole network.
 
     Raises
     ------
     TransportError
-        This computer has no network.
+        If this computer has no network.
     """
     places = {_place(each) for each in configured} or {("", ADVERTISING_PORT)}
     return [

@@ -1,4 +1,4 @@
-"""Turns the packets of an EmotiBit into samples of the declared streams."""
+"""Converts an EmotiBit's packets to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ from biosensor_gateway.devices.emotibit.driver.protocol import (
 from biosensor_gateway.devices.sink import Sink
 
 TOGETHER_S = 0.006
-"""Channels of one sensor that were read together are stamped one after another."""
+"""Largest difference between timestamps of channels that were read together."""
 LATE_S = 0.02
-"""By so much reading is earlier or later than the count of samples says."""
+"""Largest deviation of reading times from the sample count."""
 ROUNDS_KEPT = 4
-"""A channel that does not come by then, at ten rounds a second, was lost."""
+"""A channel that is missing after this many rounds, at ten per second, was lost."""
 HOLE_S = 0.5
-"""What is missing for longer was lost, whatever the packets' numbers say: a sensor's buffer
-was full. For shorter times, reading may have been late."""
+"""A longer gap is a loss, whatever the packets' numbers say, because a sensor's buffer was full. In
+shorter gaps, reading may have been late."""
 AGAIN_S = 5.0
-"""After a longer hole the line through the times begins again: where it would have led to is
-less certain than the next time of reading."""
+"""After a longer gap, the line through the times restarts, because its extrapolation is less
+certain than the next reading time."""
 
-# Times of reading are the processor's, in whole milliseconds, and late by up to the 13 ms between
-# two looks at the sensor. The oscillator may be a percent off, which is beyond what a `DeviceClock`
-# takes for an oscillator.
+# Reading times are the processor's, in whole milliseconds, and up to 13 ms late, the interval
+# between two reads of the sensor. The oscillator may be off by a percent, which is more than a
+# `DeviceClock` tolerates.
 POINT_EVERY_S = 0.5
 POINTS = 120
-"""A minute: lateness of 13 ms is 200 ppm of that."""
+"""One minute, of which a delay of 13 ms is 200 ppm."""
 LEAST_S, SETTLED_S = 5.0, 20.0
-"""Before that the nominal rate is nearer, and before this the one found is only about right."""
+"""Before the first time the nominal rate is better, before the second the estimate is rough."""
 TOLERANCE = 0.03
 GAIN, GAIN_SETTLED = 1 / 16, 1 / 64
-"""Which share of its distance the line moves to a time."""
+"""Fraction of its distance by which the line moves towards a new time."""
 AGREES_S = 0.02
-"""Behind a gap, a line that is further from the time of reading begins again there."""
+"""After a gap, the line restarts if it deviates more from the reading time."""
 LEAST_STEP = 0.5
-"""Of a period: times never turn back."""
+"""Smallest step in periods, so that times always ascend."""
 _KEPT = 32
 
 Point = tuple[float, float]
@@ -62,11 +62,11 @@ class Oscillator:
     Parameters
     ----------
     rate_hz
-        Nominal.
+        Nominal rate.
     late_s
-        By how much its samples are read late, in the mean.
+        Mean delay of reading its samples.
     period_s
-        Between two samples, where that is known from before.
+        Sample period, if known from before.
     """
 
     def __init__(self, rate_hz: float, late_s: float, period_s: float = 0.0) -> None:
@@ -79,11 +79,11 @@ class Oscillator:
         self._line: deque[tuple[int, float]] = deque(maxlen=_KEPT)
 
     def restarted(self) -> Oscillator:
-        """Return the same one, of a device that was started again."""
+        """Return a copy for a restarted device, which keeps the period."""
         return Oscillator(self._rate_hz, self._late_s, self._period_s)
 
     def observe(self, index: int, count: int, read_s: float) -> None:
-        """Note when a sample was read, which is behind all before; *count* came with it."""
+        """Add the reading time of the newest sample; *count* samples came with it."""
         if not self._line:
             self._begin(index, count, read_s)
             return  # nothing is dropped: the line begins with it
@@ -102,7 +102,7 @@ class Oscillator:
         self._note(index, read_s)
 
     def restart(self, index: int, count: int, read_s: float) -> None:
-        """Begin a new line after a long hole; the rate is the same."""
+        """Start a new line after a long gap, with the same rate."""
         self._points.clear()
         before, before_s = self._line[-1]
         first_s = read_s - self._late_s - count * self._period_s
@@ -110,12 +110,12 @@ class Oscillator:
         self._begin(index, count, read_s + max(0.0, least_s - first_s))
 
     def index_at(self, read_s: float) -> int:
-        """Return which sample was the newest at a time of reading."""
+        """Return the index of the newest sample at a reading time."""
         index, time_s = self._line[-1]
         return index + round((read_s - self._late_s - time_s) / self._period_s)
 
     def time_s(self, index: int) -> float:
-        """Return when a sample was measured, in device seconds."""
+        """Return the time of a sample in device seconds."""
         after = self._line[0]
         for each in reversed(self._line):
             if each[0] <= index:
@@ -149,16 +149,16 @@ class Oscillator:
 
 
 class Rows(NamedTuple):
-    """Samples that are complete, or as complete as they get.
+    """Samples that are complete, or will not become more complete.
 
     Attributes
     ----------
     values
-        One row a sample, NaN where a channel was lost.
+        One row per sample, NaN where a channel was lost.
     times_s
-        Device time of each.
+        Device time of each sample.
     lost
-        Samples before them of which nothing came.
+        Number of samples lost completely before them.
     """
 
     values: list[list[float]]
@@ -174,9 +174,9 @@ class SensorRows:
     rate_hz
         Nominal rate.
     channels
-        How many there are.
+        Number of channels.
     oscillator
-        That it samples by.
+        Oscillator of the sensor.
     """
 
     def __init__(self, rate_hz: float, channels: int, oscillator: Oscillator) -> None:
@@ -189,22 +189,22 @@ class SensorRows:
         self._next: int | None = None
 
     def restarted(self) -> SensorRows:
-        """Return the same sensor, of a device that was started again."""
+        """Return a copy for a restarted device."""
         return SensorRows(self._rate_hz, self._channels, self._oscillator.restarted())
 
     def add(self, channel: int, values: Sequence[float], time_s: float, *, gap: bool) -> None:
-        """Take in a packet of one channel.
+        """Add a packet of one channel.
 
         Parameters
         ----------
         time_s
-            Device time at which it was read, near that of the last value.
+            Device time of reading, near that of the last value.
         gap
             Whether packets of any kind were lost since the channel's last one.
         """
         own = self._last[channel]
         if own is not None and time_s < own[0]:
-            # It was overtaken by the first one of all.
+            # This packet was overtaken by the very first one.
             return  # nothing is dropped: its stream begins with the packet that overtook it
         last = self._place(channel, len(values), time_s, gap=gap)
         self._last[channel] = (time_s, last)
@@ -213,7 +213,7 @@ class SensorRows:
                 self._rows.setdefault(index, [nan] * self._channels)[channel] = value
 
     def ready(self) -> Rows:
-        """Return the samples whose channels have all come, or will not come any more."""
+        """Return the samples whose channels have all arrived or are lost."""
         ready: list[tuple[int, list[float]]] = []
         lost = 0
         too_old = self._rounds[0][1] if len(self._rounds) > ROUNDS_KEPT else None
@@ -231,25 +231,25 @@ class SensorRows:
         return Rows([row for _, row in ready], times, lost)
 
     def break_off(self) -> None:
-        """Give up samples whose other channels will not come, as at the end of a connection."""
+        """Discard incomplete samples, for example at the end of a connection."""
         self._rows = {index: row for index, row in self._rows.items() if not self._waits(index)}
 
     def _waits(self, index: int) -> bool:
         return any(last is None or last[1] < index for last in self._last)
 
     def _place(self, channel: int, count: int, time_s: float, *, gap: bool) -> int:
-        """Return the number of a packet's last sample, counted from the first one of all."""
+        """Return the index of a packet's last sample, counted from the very first one."""
         for round_s, index in reversed(self._rounds):
             if abs(round_s - time_s) <= TOGETHER_S:
                 return index
         index = self._follow(channel, count, time_s, gap=gap)
         if not self._rounds or index > self._rounds[-1][1]:
-            # Only the channel that is furthest tells the time: the others have nothing new.
+            # Only the most advanced channel updates the clock, because the others add nothing new.
             self._lead(index, count, time_s)
         return index
 
     def _follow(self, channel: int, count: int, time_s: float, *, gap: bool) -> int:
-        """Go on after the channel's own last sample: it may be read a moment after the others."""
+        """Continue after the channel's last sample, which may be read later than the others'."""
         own = self._last[channel]
         if own is not None:
             hole_s = time_s - own[0] - count / self._rate_hz
@@ -259,7 +259,7 @@ class SensorRows:
             return count
         newest_s, newest = self._rounds[-1]
         if abs(time_s - newest_s - count / self._rate_hz) <= LATE_S:
-            # Only this channel was lost for a while: the others say where it is.
+            # Only this channel had a loss, so its place follows from the others.
             return newest + count
         index = self._oscillator.index_at(time_s)
         if own is not None:
@@ -267,7 +267,7 @@ class SensorRows:
         return max(index, newest + 1) if time_s > newest_s else index
 
     def _lead(self, index: int, count: int, time_s: float) -> None:
-        """Have the clock follow the newest sample of all."""
+        """Update the clock with the newest sample."""
         before_s, before = self._rounds[-1] if self._rounds else (time_s, index - count)
         count = min(count, index - before)
         hole_s = time_s - before_s - count / self._rate_hz
@@ -289,18 +289,18 @@ _PLACES = {
     for channel, tag in enumerate(tags)
 }
 THERMOMETERS = (Tag.THERMOPILE.value, Tag.TEMPERATURE_1.value, Tag.TEMPERATURE_0.value)
-"""The best one first; which there are depends on the version of the device."""
+"""Thermometers, the best one first; the version of the device determines which exist."""
 CHOOSING_S = 0.5
-"""All that a device has come within this time."""
+"""Every thermometer of a device sends data within this time."""
 _RESTARTED_MS = 2500
-"""A time so far behind is of a clock that was started again."""
+"""A time this far back means that the clock restarted."""
 READ_LATE_S = 1 / 150
-"""Sensors with an oscillator of their own are read 75 times a second; the processor itself has
-the others measure."""
+"""Mean delay of sensors with their own oscillator, which are read 75 times a second; the processor
+triggers the others itself."""
 
 
 class EmotiBitEmitter:
-    """Turns packets into streams; one instance a device, over all its connections.
+    """Converts packets to streams; one instance per device, over all its connections.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ class EmotiBitEmitter:
         self._battery: float | None = None
 
     def connected(self) -> None:
-        """Expect packets to have been lost since the last one, or the device to have restarted."""
+        """Prepare for a new connection, with lost packets or a restarted device."""
         self._is_first = True
         self.ended()
         for sensor in self._sensors.values():
@@ -334,7 +334,7 @@ class EmotiBitEmitter:
         self._gaps += 1
 
     def ended(self) -> None:
-        """Emit what still waits for a packet that will not come any more."""
+        """Emit packets that wait for lost ones."""
         self._use(self._order.end())
 
     def take(self, packets: Iterable[Packet], arrival_s: float) -> None:
@@ -343,7 +343,7 @@ class EmotiBitEmitter:
         Parameters
         ----------
         arrival_s
-            LSL clock at their arrival.
+            LSL time of arrival.
         """
         timed = [(each, self._time_s(each)) for each in packets]
         measured = [time_s for each, time_s in timed if each.tag in _PLACES]
@@ -366,10 +366,10 @@ class EmotiBitEmitter:
             self._emit()
 
     def _time_s(self, packet: Packet) -> float:
-        """Return the device's time, over roll-overs; begin again where the device did."""
+        """Return the unwrapped device time; restart if the device restarted."""
         expected_ms = 0.0
         steps = self._times.steps(packet.time_ms, expected_ms, None)
-        # What is late came before the connection was lost, so the first packet is never late.
+        # The first packet of a connection is never late, since earlier ones were lost.
         limit, self._is_first = (0 if self._is_first else -_RESTARTED_MS), False
         if steps is not None and steps < limit:
             self._restart()
@@ -390,7 +390,7 @@ class EmotiBitEmitter:
     def _add(self, data_name: str, channel: int, packet: Packet, time_s: float) -> None:
         values = packet.values()
         if values is None:
-            # The next one of this channel shows a hole, which is counted.
+            # The next packet of this channel shows a gap, which is counted.
             self._sink.dropped_bytes += sum(map(len, packet.payload))
             self._gaps += 1
             return
@@ -400,7 +400,7 @@ class EmotiBitEmitter:
             self._sensors[data_name].add(channel, values, time_s, gap=gap)
 
     def _take_temperature(self, packet: Packet, time_s: float) -> None:
-        """Pass on the temperature of the best thermometer, once it is known which there are."""
+        """Emit the temperature of the best thermometer, once known which ones exist."""
         if self._thermometer:
             if packet.tag == self._thermometer:
                 self._add("st", 0, packet, time_s)
@@ -412,7 +412,7 @@ class EmotiBitEmitter:
                 self._add("st", 0, each, at_s)
 
     def _tell(self, packet: Packet, time_s: float) -> None:
-        """Pass on what comes now and then."""
+        """Emit irregular data."""
         match packet.tag:
             case Tag.HEART_RATE:
                 rates = packet.values() or ()
@@ -430,7 +430,7 @@ class EmotiBitEmitter:
                 return  # nothing is dropped: packets of other kinds are no samples
 
     def _tell_intervals(self, packet: Packet, time_s: float) -> None:
-        """Several intervals of one packet end one after another, the last one at its time."""
+        """Emit the intervals of a packet; the last one ends at the packet's time."""
         intervals = [each / 1000 for each in packet.values() or ()]
         if intervals and min(intervals) > 0:
             ends = [time_s - sum(intervals[at + 1 :]) for at in range(len(intervals))]
@@ -457,6 +457,6 @@ def _sensor(data_name: str, rate_hz: float, late_s: float) -> SensorRows:
 
 
 def _count_of_marked(payload: tuple[str, ...]) -> int:
-    """Count samples: a tag and its number each, or of older firmware a tag for each sample."""
+    """Return the number of samples: in pairs of tag and number, or one tag each in old firmware."""
     numbers = [int(text) for text in payload[1::2] if text.isascii() and text.isdigit()]
     return sum(numbers) if numbers else len(payload)

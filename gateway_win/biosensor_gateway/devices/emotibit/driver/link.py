@@ -1,8 +1,8 @@
-"""Control (TCP) and data (UDP) of one EmotiBit.
+"""Control (TCP) and data (UDP) channels of one EmotiBit.
 
-To the one that is wanted the host names two ports of its own: the EmotiBit connects to the first
-one by TCP and sends its data to the second one. It goes on as long as it gets a ping every ten
-seconds. Source: EmotiBit_FeatherWing, ``EmotiBitWiFi`` (MIT licence).
+The host sends the wanted EmotiBit two port numbers: the EmotiBit connects to the first by TCP and
+sends its data to the second by UDP. It continues as long as it gets a ping every ten seconds.
+Source: EmotiBit_FeatherWing, ``EmotiBitWiFi`` (MIT licence).
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from biosensor_gateway.transports.tap import LinkTap, What, ports_of_device
 
 ADVERTISING_PORT = 3131
 BROADCAST_VARIABLE = "BIOSENSOR_GATEWAY_BROADCAST"
-"""Environment variable with the address at which all EmotiBits are asked, where the usual one
-does not reach them, as on a computer with several networks."""
+"""Environment variable with the broadcast address for finding EmotiBits, if the default does not
+reach them, for example on a computer with several networks."""
 BROADCAST = "255.255.255.255"
 ASK_EVERY_S = 0.5
 ANSWER_LIMIT_S = 3.0
 AVAILABLE = "-1"
-"""In place of a data port, from an EmotiBit that no host uses."""
+"""Value instead of a data port in answers of an EmotiBit without a host."""
 _DATA_PORT, _DEVICE_ID = "DP", "DI"
 
 
@@ -50,9 +50,9 @@ class Nearby(NamedTuple):
     Attributes
     ----------
     address
-        Of the answer.
+        Address of the answer.
     device
-        Its id, such as ``MD-V5-0000123``; empty if it says none.
+        Its id, such as ``MD-V5-0000123``; empty if unknown.
     in_use
         Whether a host uses it.
     """
@@ -67,14 +67,14 @@ class Nearby(NamedTuple):
 
 
 class Advertising:
-    """The channel on which EmotiBits are found; open it, and close it."""
+    """The UDP channel for finding EmotiBits; must be opened and closed."""
 
     def __init__(self, host: str, port: int) -> None:
         self._target = (host or os.environ.get(BROADCAST_VARIABLE) or BROADCAST, port)
         self.ports = ports_of_device()
-        """Also those of the other channels of an EmotiBit that is found."""
+        """Ports, also for the other channels of the EmotiBit found."""
         self.tap = LinkTap(LSL_CLOCK)
-        """Is told what passes, as are those."""
+        """Captures the traffic of all channels."""
         self._transport: Asking | None = None
         self._number = 0
         self._heard: asyncio.Queue[tuple[Packet, Address]] = asyncio.Queue()
@@ -102,7 +102,7 @@ class Advertising:
             self.tap.ended(What.CLOSED)
 
     def tell(self, tag: Tag, *payload: str, to: Address | None = None) -> None:
-        """Send a packet, to all unless it is for one."""
+        """Send a packet, as a broadcast unless an address is given."""
         if self._transport is not None:
             data = write(tag, self._number, payload)
             self._transport.sendto(data, to or self._target)
@@ -114,16 +114,16 @@ class Advertising:
         return await self._heard.get()
 
     async def nearby(self, limit_s: float, wanted: str = "", *, first: bool) -> list[Nearby]:
-        """Ask who is there.
+        """Search for EmotiBits.
 
         Parameters
         ----------
         limit_s
             How long to wait for answers.
         wanted
-            Id of the device whose answer ends the waiting; empty for none.
+            Id of the device whose answer ends the search; empty for none.
         first
-            Whether any answer ends it.
+            Whether any answer ends the search.
         """
         found: dict[Address, Nearby] = {}
         asking = asyncio.create_task(self._ask())
@@ -156,20 +156,20 @@ CONNECT_LIMIT_S = 5.0
 PING_EVERY_S = 1.0
 _CONTROL_PORT = "CP"
 _QUIET_S = 0.05
-"""When no more data came for so long, there is nothing left from before the end."""
+"""After a pause of this length, all data sent before the end have arrived."""
 
 
 class Arrived(NamedTuple):
-    """A datagram of data.
+    """A data datagram.
 
     Attributes
     ----------
     found
-        What it holds.
+        Its packets.
     arrival_s
-        LSL clock.
+        LSL time of arrival.
     address
-        Where it came from, to which answers go.
+        Sender's address, to which answers are sent.
     """
 
     found: Read
@@ -178,7 +178,7 @@ class Arrived(NamedTuple):
 
 
 class _Control(asyncio.Protocol):
-    """The channel of control, on which the device has nothing to say: its end is waited for."""
+    """The control channel; the device sends nothing on it, so only its end matters."""
 
     def __init__(self, link: Link) -> None:
         self._link: Link | None = link
@@ -195,18 +195,18 @@ class _Control(asyncio.Protocol):
 
 
 class Link:
-    """Control and data of one EmotiBit, for one connection.
+    """Control and data channels of one EmotiBit, for one connection.
 
     Parameters
     ----------
     name
         What errors call the device.
     host
-        Its address: nobody else is listened to.
+        Its address; data from other addresses are ignored.
     ports
-        Those by which it was found.
+        Ports as used for finding it.
     tap
-        Is told what passes.
+        Captures the traffic.
     """
 
     def __init__(self, name: str, host: str, ports: Ports, tap: LinkTap) -> None:
@@ -236,23 +236,23 @@ class Link:
         except OSError as error:
             message = f"{self.name}: no port for its data on this computer ({error})"
             raise TransportError(TransportReason.UNAVAILABLE, message) from error
-        # That the device has gone, the control channel tells.
+        # The control channel shows when the device has gone.
         self._data.listen(self._take, lambda _: None)
 
     @property
     def payload(self) -> tuple[str, ...]:
-        """What tells the device where to connect."""
+        """Payload with the ports to which the device should connect."""
         assert self._server is not None
         return (_CONTROL_PORT, str(self._server.number), *self.data_payload)
 
     @property
     def data_payload(self) -> tuple[str, ...]:
-        """What tells the device that it is its own host who asks."""
+        """Payload that identifies the device's own host."""
         assert self._data is not None
         return (_DATA_PORT, str(self._data.number))
 
     async def controlled(self, limit_s: float) -> bool:
-        """Wait until the device has connected; return whether it has in time."""
+        """Wait until the device has connected; return False after the time limit."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._is_controlled.wait(), limit_s)
         return self._is_controlled.is_set()
@@ -266,7 +266,7 @@ class Link:
             self._number += 1
 
     def answer(self, tag: Tag, payload: tuple[str, ...], to: Address) -> None:
-        """Send a packet to where data came from."""
+        """Send a packet to the sender of data."""
         if self._data is not None:
             data = write(tag, self._number, payload)
             self._data.send(data, to)
@@ -288,7 +288,7 @@ class Link:
         return item
 
     async def close(self) -> None:
-        """Let the device go, and close; never raises."""
+        """Disconnect the device and close; never raises."""
         self.control(Tag.DISCONNECT)
         if self._server is not None:
             self._server.close()
@@ -298,7 +298,7 @@ class Link:
             self._data.end()
 
     def take_control(self, control: asyncio.Transport) -> bool:
-        """Take a connection that was made; return False for one that is not the device's."""
+        """Accept a connection; return False if it is not the device's."""
         host = control.get_extra_info("peername")[0]
         if self._control is not None or host != self._host:
             return False
@@ -308,9 +308,9 @@ class Link:
         return True
 
     def lose_control(self) -> None:
-        """Tell that the device has ended the connection, once what it sent before that is read.
+        """Report the end of the connection, after all data sent before it were read.
 
-        There may be seconds of it, where this computer slept.
+        If this computer was asleep, there may be seconds of data.
         """
         self._end_when_quiet(-1)
 
@@ -332,7 +332,7 @@ class Link:
 
 
 async def connect(advertising: Advertising, link: Link, nearby: Nearby) -> None:
-    """Have the EmotiBit connect to a link.
+    """Let the EmotiBit connect to a link.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The packets of an EmotiBit: lines of text with commas, on all of its channels.
+"""The packets of an EmotiBit: comma-separated lines of text, on all channels.
 
 A packet is ``time,number,length,tag,version,reliability`` and *length* values, and ends with
 a line feed; a datagram has one or more. Source: EmotiBit_XPlat_Utils, ``EmotiBitPacket``
@@ -16,16 +16,16 @@ from biosensor_common.clocks import PacketTimeline
 
 HEADER_FIELDS = 6
 NUMBERS = 2**16
-"""The packets' numbers begin again after so many."""
+"""Range of packet numbers, after which they restart."""
 TIMES_MS = 2**32
-"""The device's milliseconds begin again after so many, 49.7 days."""
+"""Range of the device's milliseconds, which overflow after 49.7 days."""
 PATIENCE_S = 0.5
-"""What a datagram overtook comes by then, five rounds of sending later, or was lost."""
+"""Waiting time for overtaken datagrams, five rounds of sending; after that they are lost."""
 
 
 @unique
 class Tag(StrEnum):
-    """What a packet holds; those that a host has use for."""
+    """Kinds of packets that a host uses."""
 
     EDA = "EA"
     PPG_INFRARED = "PI"
@@ -68,11 +68,11 @@ class Packet(NamedTuple):
     Attributes
     ----------
     time_ms
-        Device's clock: of the last value, where there are values.
+        Device time of the last value, or of the packet if it has no values.
     number
-        Counts all packets of a channel, 0 to 65535.
+        Counter of all packets of a channel, 0 to 65535.
     tag
-        One of `Tag`, or what this driver has no use for.
+        One of `Tag`, or an unused kind.
     """
 
     time_ms: int
@@ -81,7 +81,7 @@ class Packet(NamedTuple):
     payload: tuple[str, ...]
 
     def values(self) -> tuple[float, ...] | None:
-        """Return the payload as finite numbers; None if it is something else."""
+        """Return the payload as numbers; None if they are not all finite numbers."""
         try:
             numbers = tuple(float(text) for text in self.payload)
         except ValueError:
@@ -89,18 +89,18 @@ class Packet(NamedTuple):
         return numbers if all(map(isfinite, numbers)) else None
 
     def labelled(self, label: str) -> str | None:
-        """Return what stands behind a label in a payload of labels and values."""
+        """Return the value after a label in a payload of labels and values."""
         pairs = dict(zip(self.payload[::2], self.payload[1::2], strict=False))
         return pairs.get(label)
 
 
 class Read(NamedTuple):
-    """What a datagram holds.
+    """The packets of a datagram.
 
     Attributes
     ----------
     dropped_bytes
-        Of lines that are no packet.
+        Bytes of lines that are not packets.
     """
 
     packets: list[Packet]
@@ -108,7 +108,7 @@ class Read(NamedTuple):
 
 
 def read(datagram: bytes) -> Read:
-    """Read the packets of a datagram."""
+    """Parse the packets of a datagram."""
     packets: list[Packet] = []
     dropped = 0
     for line in datagram.split(b"\n"):
@@ -123,7 +123,7 @@ def read(datagram: bytes) -> Read:
 
 
 def write(tag: Tag, number: int, payload: Iterable[str] = (), time_ms: int = 0) -> bytes:
-    """Write a packet of the host."""
+    """Return a packet of the host."""
     values = tuple(payload)
     header = (time_ms, number % NUMBERS, len(values), tag.value, 1, 100)
     return (",".join([*map(str, header), *values]) + "\n").encode("ascii", "replace")
@@ -135,26 +135,26 @@ def _packet(line: bytes) -> Packet | None:
         time_ms, number, length = (_natural(text) for text in fields[:3])
     except ValueError:
         return None
-    # Newer firmware says more than it announces, with labels; less is a packet that was cut.
+    # Newer firmware appends labelled values beyond the announced length; fewer mean truncation.
     if len(fields) < HEADER_FIELDS + length or number >= NUMBERS or time_ms >= TIMES_MS:
         return None
     return Packet(time_ms, number, fields[3], tuple(fields[HEADER_FIELDS:]))
 
 
 def _natural(text: str) -> int:
-    # int() takes spaces, signs, underscores and other scripts' digits as well.
+    # int() would also accept spaces, signs, underscores and other scripts' digits.
     if not (text.isascii() and text.isdigit() and len(text) <= 10):
         raise ValueError(text)
     return int(text)
 
 
 class Ordered(NamedTuple):
-    """A packet whose turn it is.
+    """A packet in order.
 
     Attributes
     ----------
     time_s
-        Device's clock, over roll-overs.
+        Unwrapped device time.
     is_behind_gap
         Whether packets before it were lost.
     """
@@ -165,7 +165,7 @@ class Ordered(NamedTuple):
 
 
 class _Waiting(NamedTuple):
-    """A packet that overtook others, and the newest device time when it came."""
+    """A packet that overtook others, and the newest device time at its arrival."""
 
     packet: Packet
     time_s: float
@@ -173,9 +173,9 @@ class _Waiting(NamedTuple):
 
 
 class InOrder:
-    """Hands out packets in the order of their numbers, each once.
+    """Returns packets in the order of their numbers, without repetitions.
 
-    Datagrams overtake each other: what is behind a missing number waits for it.
+    Datagrams may overtake each other, so packets after a missing number wait for it.
     """
 
     def __init__(self) -> None:
@@ -186,7 +186,7 @@ class InOrder:
         self._early: set[int] = set()
 
     def take(self, packet: Packet, time_s: float) -> list[Ordered]:
-        """Take in a packet; return those whose turn it is now, without copies."""
+        """Add a packet; return those in order now, without repetitions."""
         steps = self._numbers.steps(packet.number, least=None)
         if steps is None:
             self._first = packet.number, time_s
@@ -196,7 +196,7 @@ class InOrder:
         if steps <= 0:
             if time_s <= self._handed_out_s:
                 return self._late(Ordered(packet, time_s, is_behind_gap=False), place)
-            # The numbers count again.
+            # The device restarted its numbers.
             ready = [*self.end(), self._hand_out(packet, time_s, is_behind_gap=True)]
         else:
             self._newest_s = max(self._newest_s, time_s)
@@ -206,7 +206,7 @@ class InOrder:
         return ready
 
     def end(self) -> list[Ordered]:
-        """Return what still waits; begin again with the next packet."""
+        """Return the waiting packets, and restart with the next packet."""
         ready = [self._hand_out_first() for _ in range(len(self._waiting))]
         self._numbers.forget()
         self._newest_s = self._handed_out_s = -inf
@@ -215,9 +215,9 @@ class InOrder:
         return ready
 
     def _late(self, packet: Ordered, place: int) -> list[Ordered]:
-        """Return what the very first one of all overtook.
+        """Return a packet that the very first one overtook.
 
-        What else is late is a copy, or later than anybody waits: that it is missing was counted.
+        Other late packets are repetitions, or arrive after they were counted as lost.
         """
         first, first_s = self._first or (place, packet.time_s)
         if place >= first or place in self._early or self._newest_s > first_s + PATIENCE_S:

@@ -1,4 +1,4 @@
-"""A virtual EmotiBit in the Wi-Fi of this computer."""
+"""A virtual EmotiBit in this computer's network."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock
 
 _FORGOTTEN_S = 10.0
-"""A host that does not ask for so long is gone."""
+"""A host without a ping for this time is gone."""
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
 
 _UNAWARE = "nothing in it knows whether it is worn"
@@ -37,10 +37,10 @@ _UNAWARE = "nothing in it knows whether it is worn"
 EXPECTED = Expected(
     by_agent=frozenset({"st"}),
     gaps={
-        # Its clock begins again, so nobody knows how long it was off.
+        # Its clock restarts, so how long it was off is unknown.
         FaultKind.RESTART: Gap.UNKNOWN,
     },
-    # Across a gap, samples are told by times at which they were read, up to a period late.
+    # Across a gap, samples are placed by reading times, which are up to a period late.
     loss_tolerance=LossTolerance(over_break=2),
     impossible={
         FaultKind.OFF_BODY: _UNAWARE,
@@ -54,14 +54,14 @@ Address = tuple[str, int]
 
 
 class _Wifi(asyncio.DatagramProtocol):
-    """The advertising channel, and how good the air is.
+    """The advertising channel, and the quality of the Wi-Fi.
 
     Parameters
     ----------
     asked
-        Gets each packet of a host, with its address.
+        Called with each packet of a host and its address.
     host, port
-        Address and UDP port on which it can be asked; 0 takes a free one.
+        Address and UDP port for requests; port 0 takes a free one.
 
     Attributes
     ----------
@@ -70,9 +70,9 @@ class _Wifi(asyncio.DatagramProtocol):
     is_there
         Whether it is in the Wi-Fi.
     to_lose
-        So many datagrams of data do not come through.
+        Number of data datagrams that will be lost.
     overtakes
-        Whether each third datagram comes behind the next one.
+        Whether every third datagram arrives after the next one.
     """
 
     def __init__(
@@ -91,13 +91,13 @@ class _Wifi(asyncio.DatagramProtocol):
 
     @property
     def port(self) -> int:
-        """The UDP port on which it can be asked."""
+        """The UDP port for requests."""
         if self._transport is None:
             raise RuntimeError("the virtual EmotiBit is not switched on")
         return int(self._transport.get_extra_info("sockname")[1])
 
     async def open(self) -> None:
-        """Be in the Wi-Fi."""
+        """Join the Wi-Fi."""
         loop = asyncio.get_running_loop()
         self._transport, _ = await loop.create_datagram_endpoint(
             lambda: self, (self.host, self._port)
@@ -110,14 +110,14 @@ class _Wifi(asyncio.DatagramProtocol):
             self._transport = None
 
     def is_let_through(self) -> bool:
-        """Whether the next datagram of data arrives."""
+        """Return whether the next data datagram arrives."""
         if self.to_lose:
             self.to_lose -= 1
             return False
         return True
 
     def in_turn(self, datagram: bytes) -> list[bytes]:
-        """Return what of the data arrives now: usually the datagram, as long as none overtakes."""
+        """Return the datagrams that arrive now: usually this one, unless it is overtaken."""
         self._datagrams += 1
         overtaken, self._overtaken = self._overtaken, None
         if overtaken is not None:
@@ -134,12 +134,12 @@ class _Wifi(asyncio.DatagramProtocol):
             self._number += 1
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
-        """Hand a host's packet on; one a datagram, as the firmware has it."""
+        """Pass on a host's packet, one per datagram as in the firmware."""
         if self.is_there:
             self._asked(wire.heard(data.split(b"\n")[0]), (addr[0], addr[1]))
 
     def error_received(self, exc: Exception) -> None:
-        """Pass over a host that is gone."""
+        """Ignore that a host is gone."""
 
 
 def _overtake(wifi: _Wifi) -> None:
@@ -156,7 +156,7 @@ WIFI_EFFECTS: Effects[_Wifi] = MappingProxyType(
 
 
 class OnItsWay(NamedTuple):
-    """A datagram, to whom, and the samples in it."""
+    """A datagram in transit, with its host and samples."""
 
     host: Host
     datagram: bytes
@@ -164,16 +164,16 @@ class OnItsWay(NamedTuple):
 
 
 class _Sending:
-    """Puts datagrams out after a delay, none before one that was sent earlier.
+    """Delivers datagrams after a delay, in order.
 
     Parameters
     ----------
     clock
-        Of the world.
+        Clock of the world.
     rng, jitter_s
-        Makes delays, from 0 to the longest.
+        Random generator and maximum of the delays.
     put_out
-        Called when one is through.
+        Called with each delivered datagram.
     """
 
     def __init__(
@@ -190,13 +190,13 @@ class _Sending:
         self._until_s = 0.0
 
     def send(self, host: Host, datagram: bytes, samples: Sequence[Measured]) -> None:
-        """Put one on its way."""
+        """Send one datagram."""
         delay_s = self._jitter_s * float(self._rng.random())
         self._until_s = max(self._until_s, self._clock() + delay_s)
 
         def arrive() -> None:
             self._pending.discard(timer)
-            # Timers of the same moment come in any order.
+            # Timers for the same moment run in any order, so the queue determines the datagram.
             self._put_out(self._waiting.popleft())
 
         self._waiting.append(OnItsWay(host, datagram, samples))
@@ -205,7 +205,7 @@ class _Sending:
         self._pending.add(timer)
 
     def forget(self) -> None:
-        """Drop what is on its way."""
+        """Drop datagrams in transit."""
         for timer in self._pending:
             timer.cancel()
         self._pending.clear()
@@ -214,21 +214,20 @@ class _Sending:
 
 
 class SimulatedEmotiBit(VirtualDevice):
-    """The device.
+    """A virtual EmotiBit.
 
-    Its `truth` holds what was sent to a host that was connected, with the times at which the
-    sensors measured it.
+    Its `truth` contains what was sent to a connected host, with the times of measurement.
 
     Parameters
     ----------
     device
         Its id.
     host, port
-        Address and UDP port on which hosts ask for it; 0 takes a free one. A real one has 3131.
+        Address and UDP port for requests; port 0 takes a free one. A real device uses 3131.
     ppg_hz
-        Of its firmware.
+        Pulse rate of its firmware.
     battery_percent
-        Charge at power-on.
+        Battery level at power-on.
     **specimen
         As for every virtual device: see `Specimen`. The drift is that of its processor's clock.
     """
@@ -272,16 +271,16 @@ class SimulatedEmotiBit(VirtualDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The fields ``host`` and ``port``."""
+        """The settings ``host`` and ``port``."""
         return {"host": self._wifi.host, "port": self._wifi.port}
 
     @property
     def is_connected(self) -> bool:
-        """Whether a host has it."""
+        """Whether a host is connected."""
         return self._host is not None
 
     def lose(self, count: int) -> None:
-        """Send the next datagrams into nowhere."""
+        """Lose the next datagrams."""
         self.world.call(lambda: setattr(self._wifi, "to_lose", count))
 
     async def _start(self) -> None:
@@ -343,7 +342,7 @@ class SimulatedEmotiBit(VirtualDevice):
         match message.tag:
             case wire.HELLO:
                 port = self._host.data_port if self._host is not None else -1
-                # Who refuses is somebody else's.
+                # A port other than the host's shows that another host uses it.
                 port = 3132 if self._refuses else port
                 self._tell(wire.HERE, ["DP", str(port), "DI", self.device], address)
             case wire.CONNECT if self._host is None and not self._refuses:
@@ -370,7 +369,7 @@ class SimulatedEmotiBit(VirtualDevice):
             self._wifi.tell(int(self._oscillator.now() * 1000), tag, payload, address)
 
     def _obey(self, message: wire.Message) -> None:
-        """Do what a host says on the control channel, or write down what it says of the time."""
+        """Execute a host's command, or record its time message."""
         if self._stalled:
             return
         match message.tag:

@@ -1,4 +1,4 @@
-"""Measures between two rounds of sending, as packets and as truth."""
+"""Measures the samples between two rounds of sending, as packets and as truth."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Wearer
 
 ROUND_S = 0.1
-"""How often it sends what there is."""
+"""Interval of sending."""
 SYNC_EVERY_ROUNDS = 51
 BATTERY_EVERY_ROUNDS = 10
 APART_EVERY_ROUNDS = 7
 _DIGITS = {"eda": 6, "ppg": 0, "st": 3, "acc": 4, "gyro": 3, "mag": 2}
 
-# Samples wait in the sensor's buffer until the processor looks, 75 times a second; all that it
-# finds gets the processor's time of that moment, in whole milliseconds. Source:
+# Samples wait in the sensor's buffer until the processor reads them, 75 times a second; all of
+# them get the processor's time of that moment, in whole milliseconds. Source:
 # EmotiBit_FeatherWing, ``EmotiBit.cpp`` and ``BufferFloat.cpp``.
 Floats = NDArray[np.float64]
 
 READ_EVERY_S = 1 / 75
 _PULSE_COUNTS, _PULSE_SWING = 110_000.0, 1500.0
 _DEPTHS = (1.0, 0.6, 0.3)
-"""How far infrared, red and green light swing with the pulse."""
+"""Relative pulse amplitude of infrared, red and green light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +42,15 @@ class Part:
     Attributes
     ----------
     data_name
-        Of the declaration.
+        Declared data name.
     tags
-        Of the packets of its channels.
+        Packet tags of its channels.
     rate_hz
-        Nominal.
+        Nominal rate.
     fast_ppm
-        How much its own oscillator is off.
+        Error of its own oscillator.
     measure
-        Values at times of the wearer, shape (n, channels), as its packets print them.
+        Returns values at times of the wearer, shape (n, channels), as printed in its packets.
     """
 
     data_name: str
@@ -61,20 +61,20 @@ class Part:
 
     @property
     def period_s(self) -> float:
-        """Seconds of the device between two samples."""
+        """Sample period in device seconds."""
         return 1 / (self.rate_hz * (1 + self.fast_ppm * 1e-6))
 
 
 @dataclass(slots=True)
 class Reading:
-    """What is in one sensor's buffer of the processor, until it is sent.
+    """Samples of one sensor in the processor's buffer, until they are sent.
 
     Attributes
     ----------
     stamps_ms
-        Of when each sample was read.
+        Reading time of each sample.
     times_s
-        When each sample was measured, device seconds.
+        Time of measurement of each sample, in device seconds.
     """
 
     stamps_ms: list[int] = field(default_factory=list[int])
@@ -89,12 +89,12 @@ class _Sampler:
         self._next = 1
 
     def read(self, before_s: float, now_s: float, into: Reading) -> None:
-        """Move samples into a buffer at each time that the processor looks.
+        """Move samples into a buffer at each reading time of the processor.
 
         Parameters
         ----------
         before_s, now_s
-            Device seconds; the processor looks several times between them.
+            Device seconds; the processor reads several times between them.
         """
         first = ceil(before_s / READ_EVERY_S)
         for look in range(first, ceil(now_s / READ_EVERY_S)):
@@ -135,7 +135,7 @@ def _field(wearer: Wearer, t: Floats) -> Floats:
 
 
 def _parts(ppg_hz: float) -> tuple[Part, ...]:
-    """Return the sensors of an EmotiBit V5 with stock firmware, but for the pulse's rate."""
+    """Return the sensors of an EmotiBit V5 with stock firmware and this pulse rate."""
     return (
         Part("eda", ("EA",), 15.0, 0.0, _conductance),
         Part("ppg", ("PI", "PR", "PG"), ppg_hz, 900.0, _pulse),
@@ -155,7 +155,7 @@ class Measured(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What is sent together; samples belong to packets with their place in `packets`."""
+    """Packets sent together; samples are assigned to packets by index in `packets`."""
 
     packets: list[bytes]
     samples: dict[int, Measured]
@@ -171,12 +171,12 @@ class Rounds:
     worn_since_s
         LSL time at which the wearer's time is 0.
     ppg_hz
-        Of its firmware.
+        Pulse rate of its firmware.
 
     Attributes
     ----------
     is_apart
-        Whether a channel of a sensor is now and then read a sample later than the others.
+        Whether a channel of a sensor is sometimes read one sample later than the others.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class Rounds:
         self.is_apart = False
 
     def next(self, now_s: float, battery_percent: float) -> Round:
-        """Return the round that ends now, in device seconds; numbers go on with it."""
+        """Return the round that ends now, in device seconds, with consecutive packet numbers."""
         packets: list[bytes] = []
         samples: dict[int, Measured] = {}
         for sampler in self._samplers:
@@ -219,25 +219,25 @@ class Rounds:
         return Round(packets, samples)
 
     def note(self, tag: str, payload: list[str]) -> bytes:
-        """Write down what a host said, as it does for the file on its card.
+        """Return a packet with a host's message, as for the file on its memory card.
 
-        With the time of the last round: a virtual device that is late has rounds before now that
-        it has yet to send, and a real one does not.
+        It has the time of the last round, because a delayed virtual device may still have to send
+        earlier rounds, unlike a real one.
         """
         return self._packet(int(self._before_s * 1000), tag, payload)
 
     def _channels(self, part: Part, reading: Reading, texts: list[list[str]]) -> Iterator[bytes]:
-        """Write a packet for each channel."""
+        """Yield a packet for each channel."""
         is_apart = self.is_apart and self._count % APART_EVERY_ROUNDS == 0
         kept = self._kept.pop(part.data_name, [[] for _ in part.tags])
         for place, (tag, new) in enumerate(zip(part.tags, texts, strict=True)):
             channel, stamp_ms = kept[place] + new, reading.stamps_ms[-1]
             if is_apart and place < len(part.tags) - 1 and len(new) > 1:
-                # The last channel is read a moment later, when there is one sample more.
+                # The last channel is read slightly later, when there is one more sample.
                 left = self._kept.setdefault(part.data_name, [[] for _ in part.tags])
                 left[place] = channel[-1:]
                 channel, stamp_ms = channel[:-1], reading.stamps_ms[-2]
-            # The pulse's channels are stamped one after another.
+            # The timestamps of the pulse's channels differ slightly.
             late_ms = place // 2 if part.data_name == "ppg" else 0
             yield self._packet(stamp_ms + late_ms, tag, channel)
 
@@ -253,7 +253,7 @@ class Rounds:
     def _beats(
         self, now_s: float, samples: dict[int, Measured], at: int
     ) -> Iterator[tuple[str, list[str]]]:
-        """Heart rate and interval at each beat that its firmware has found."""
+        """Yield heart rate and interval at each beat that the firmware has detected."""
         now = self._oscillator.true_time(now_s) - self._worn_since_s
         beats = self._wearer.beats_between(self._last_beat_s - self._worn_since_s, now)
         self._last_beat_s = now + self._worn_since_s

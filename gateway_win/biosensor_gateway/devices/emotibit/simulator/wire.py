@@ -1,4 +1,4 @@
-"""Writes an EmotiBit's packets, and reads a host's.
+"""Encodes an EmotiBit's packets, and parses a host's.
 
 Source: EmotiBit_XPlat_Utils, ``EmotiBitPacket`` (MIT licence).
 """
@@ -16,7 +16,7 @@ LONGEST_DATAGRAM = 512
 HELLO, HERE, CONNECT, PING, PONG = "HE", "HH", "EC", "PN", "PO"
 DISCONNECT, NORMAL_POWER = "ED", "MN"
 QUIET = frozenset({"ML", "MM"})
-"""Modes of low power, in which it is there and sends no data."""
+"""Low-power modes, in which it is connected but sends no data."""
 REQUEST, TIME_LOCAL, TIME_UTC, ACKNOWLEDGED = "RD", "TL", "TU", "AK"
 
 
@@ -27,26 +27,26 @@ class Message(NamedTuple):
     payload: tuple[str, ...]
 
     def behind(self, label: str) -> int | None:
-        """Return the number behind a label of the payload."""
+        """Return the number after a label in the payload."""
         if label not in self.payload[:-1]:
             return None
         return int(self.payload[self.payload.index(label) + 1])
 
 
 def packet(time_ms: int, number: int, tag: str, payload: Sequence[str], version: int = 1) -> bytes:
-    """Write a packet, with its line feed."""
+    """Return a packet with its line feed."""
     header = f"{time_ms},{number % 65536},{len(payload)},{tag},{version},100"
     return ",".join([header, *payload]).encode("ascii") + b"\n"
 
 
 def heard(line: bytes) -> Message:
-    """Read a host's packet, without its line feed."""
+    """Parse a host's packet without its line feed."""
     fields = line.decode("ascii").strip().split(",")
     return Message(fields[3], tuple(fields[6:]))
 
 
 def datagrams(packets: Sequence[bytes]) -> list[list[bytes]]:
-    """Pack whole packets into datagrams that are not too long."""
+    """Group packets into datagrams of limited size."""
     packed: list[list[bytes]] = [[]]
     for each in packets:
         if packed[-1] and sum(map(len, packed[-1])) + len(each) > LONGEST_DATAGRAM:
@@ -56,39 +56,39 @@ def datagrams(packets: Sequence[bytes]) -> list[list[bytes]]:
 
 
 class _Answers(asyncio.DatagramProtocol):
-    """What a host says on the channel of data."""
+    """Receives a host's packets on the data channel."""
 
     def __init__(self, obey: Callable[[Message], None]) -> None:
         self._obey = obey
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """Take one packet a datagram, as the firmware does."""
+        """Process one packet per datagram, like the firmware."""
         self._obey(heard(data.split(b"\n")[0]))
 
     def error_received(self, exc: Exception) -> None:
-        """Pass over a host that is gone."""
+        """Ignore that a host is gone."""
 
 
 class Host(asyncio.Protocol):
-    """One connection.
+    """One connection to a host.
 
     Parameters
     ----------
     here
         Address of the device.
     host, control_port, data_port
-        Where the host listens.
+        Address and ports of the host.
     obey
-        Gets each packet that it sends on either channel.
+        Called with each packet that it sends on either channel.
     lost
         Called when it ends the connection.
 
     Attributes
     ----------
     data_port
-        By which it shows that it is the same host.
+        Identifies the same host.
     pinged_s
-        When it asked last.
+        Time of its last ping.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Host(asyncio.Protocol):
         self._data: asyncio.DatagramTransport | None = None
 
     def connect(self, done: Callable[[], None]) -> None:
-        """Connect the control channel, and call *done*; without it there are no data."""
+        """Connect the control channel, without which no data are sent, and call *done*."""
 
         async def connect() -> None:
             loop = asyncio.get_running_loop()
@@ -131,14 +131,14 @@ class Host(asyncio.Protocol):
         self._connecting = asyncio.create_task(connect())
 
     def send(self, datagram: bytes) -> bool:
-        """Send data; return whether there is a channel for them."""
+        """Send data; return False without a connection."""
         if self._control is None or self._data is None:
             return False
         self._data.sendto(datagram, (self._host, self.data_port))
         return True
 
     def close(self) -> None:
-        """Let go of the host."""
+        """Close the connection to the host."""
         if self._connecting is not None:
             self._connecting.cancel()
         if self._control is not None:
@@ -148,12 +148,12 @@ class Host(asyncio.Protocol):
             self._data.close()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the channel."""
+        """Set up the control channel."""
         assert isinstance(transport, asyncio.Transport)
         self._control = transport
 
     def data_received(self, data: bytes) -> None:
-        """Obey whole packets."""
+        """Execute complete packets."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             self._obey(heard(line))

@@ -1,4 +1,4 @@
-"""Listens to one line sensor, and says what of its lines does not fit the settings."""
+"""Driver for line sensors; reports lines that do not match the settings."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ from biosensor_gateway.transports.udp_port import UdpPort
 from biosensor_gateway.transports.websocket import WebSocketLink
 
 PATIENCE_S = 0.35
-"""So long a line waits for one before it, as those of other senders of datagrams do."""
+"""How long a line waits for an earlier one, as for other datagram senders."""
 MOST_AHEAD = 32
-"""What is further ahead overtook nothing: lines before it were lost, or the device counts again."""
+"""A line further ahead did not overtake others: lines were lost, or the count restarted."""
 
 
 class InOrder:
-    """Hands lines out by their count.
+    """Returns lines in the order of their count.
 
     Parameters
     ----------
     at_count
-        Where in a row the count is; None where there is none, or what carries lines keeps order.
+        Position of the count in a row; None without a count or on an ordered transport.
 
     Attributes
     ----------
     is_needed
-        Whether anything ever waits.
+        Whether lines may have to wait.
     """
 
     def __init__(self, at_count: int | None) -> None:
@@ -65,7 +65,7 @@ class InOrder:
         self._waiting: dict[float, tuple[Row, float]] = {}
 
     def take(self, rows: Iterable[Row], arrival_s: float) -> Iterator[tuple[Row, float]]:
-        """Take in rows that came; return those whose turn it is, each with its own arrival."""
+        """Add rows; yield those in order now, each with its own arrival."""
         for row in rows:
             if self._at_count is None or isnan(row[self._at_count]):
                 yield row, arrival_s
@@ -73,7 +73,7 @@ class InOrder:
                 yield from self._placed(row, row[self._at_count], arrival_s)
 
     def end(self) -> list[tuple[Row, float]]:
-        """Return what still waits; whatever comes next is the first."""
+        """Return the waiting rows, and restart with the next row."""
         left = [self._hand_out(count) for count in sorted(self._waiting)]
         self._last = None
         return left
@@ -81,7 +81,7 @@ class InOrder:
     def _placed(self, row: Row, count: float, arrival_s: float) -> Iterator[tuple[Row, float]]:
         ahead = 1.0 if self._last is None else count - self._last
         if count in self._waiting or -MOST_AHEAD <= ahead < 1:
-            # A copy, or later than anybody waits: who counts the lines says which.
+            # Repeated or too late; the emitter decides by its count.
             yield row, arrival_s
             return
         if ahead > MOST_AHEAD or ahead < 1:
@@ -101,21 +101,21 @@ class InOrder:
 
 WINDOW_S = 5.0
 TOLERANCE = 0.1
-"""Sketches that wait between their lines are a little slower than they were meant to be."""
+"""Sketches with delays between lines are a little slower than intended."""
 
 
 class LineRate:
-    """Measures how often lines come, by their count and time where they have them.
+    """Measures the rate of lines, by their count and time if available.
 
     Parameters
     ----------
     settings
-        With the rate that should be; 0 is none, and nothing is compared.
+        Contain the expected rate; 0 disables the comparison.
 
     Attributes
     ----------
     complaint
-        What is wrong with the rate, and what to do; empty if nothing is, or while it is unknown.
+        What is wrong with the rate and what to do; empty if right or unknown.
     """
 
     def __init__(self, settings: LineSettings) -> None:
@@ -129,14 +129,14 @@ class LineRate:
         self.begin()
 
     def begin(self) -> None:
-        """Measure again, as from the first line of a connection on."""
+        """Restart the measurement, for example for a new connection."""
         self._first: tuple[float, float] | None = None
         self._lines = 0
         self._wrong_hz = 0.0
         self.complaint = ""
 
     def take(self, rows: Sequence[Row], arrival_s: float) -> None:
-        """Take in rows that came together."""
+        """Add rows that arrived together."""
         if not self._nominal_hz or not rows:
             return  # nothing is dropped: this only looks on
         self._lines += len(rows)
@@ -153,7 +153,7 @@ class LineRate:
             self._first = count, time_s
 
     def _judge(self, hz: float) -> None:
-        """Believe a wrong rate at the second time: what waited somewhere comes faster, once."""
+        """Report a wrong rate only the second time, because delayed lines come faster once."""
         if abs(hz / self._nominal_hz - 1) <= TOLERANCE:
             self._wrong_hz, self.complaint = 0.0, ""
             return
@@ -166,9 +166,9 @@ class LineRate:
 
 
 FIRST_LINE_LIMIT_S = 6.0
-"""An Arduino that is reset by opening its port begins after two."""
+"""An Arduino that is reset by opening its port starts after two seconds."""
 MOST_BAD = 100
-"""A board says less than that while it starts."""
+"""A board prints fewer invalid lines than this while it starts."""
 _SOME_LINES = 3.0
 
 
@@ -188,16 +188,16 @@ class LineDriver:
         self._rate = LineRate(settings)
         self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
         self._is_new = Once()
-        # Connecting ends with the first read that fits.
+        # Connecting ends with the first valid read.
         self._early = Early[tuple[list[Row], float]](1)
         self._came_bytes = 0
         rate_hz = settings.rate_hz
         self._wait_s = max(FIRST_LINE_LIMIT_S, _SOME_LINES / rate_hz if rate_hz else 0.0)
-        # What comes when it comes may stay away.
+        # Irregular lines may be absent for any time.
         self.silence_limit_s = max(10.0, 20.0 / rate_hz) if rate_hz else math.inf
 
     async def connect(self) -> Connected:
-        """Open the link; where lines come at a rate, wait for one that fits the settings."""
+        """Open the link; if lines have a rate, wait for a valid one."""
         await self._link.open()
         if self._settings.start_command:
             await self._link.send(self._settings.start_command)
@@ -213,7 +213,7 @@ class LineDriver:
         return Connected()
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes."""
+        """Emit data received since connecting."""
         self._emitter.connected()
         self._rate.begin()
         for rows, arrival_s in self._early.take():
@@ -225,7 +225,7 @@ class LineDriver:
                 self._say(each)
 
     async def close(self) -> None:
-        """Emit what was in doubt, and close the link."""
+        """Emit waiting lines, and close the link."""
         for row, arrival_s in self._in_order.end():
             self._emitter.take([row], arrival_s)
         self._emitter.ended()
@@ -256,12 +256,12 @@ class LineDriver:
         return [each for each in found if not isinstance(each, BadLine)], bad, arrival_s
 
     def _say(self, bad: BadLine) -> None:
-        """Say each kind of flaw once; the counter of dropped bytes tells the rest."""
+        """Log each kind of flaw once; the others only count as dropped bytes."""
         if self._is_new(bad.flaw):
             self._log.warning("a line is left out", cause=bad.flaw.value, line=_line(bad))
 
     def _unfit(self, bad: Sequence[BadLine]) -> TransportError | ProtocolError:
-        """Say why there is no line to begin with."""
+        """Return the error for missing valid lines."""
         if bad:
             flaw = Counter(each.flaw for each in bad).most_common(1)[0][0]
             worst = [each for each in bad if each.flaw is flaw][-1]
@@ -284,7 +284,7 @@ class LineDriver:
 
 
 def row_protocol(settings: LineSettings) -> RowProtocol:
-    """Return what reads the bytes of a device with these settings."""
+    """Return the protocol for a device with these settings."""
     columns = settings.parsed_columns
     positions = (settings.position(each) for each in settings.apart)
     needed = [each for each in positions if each is not None]
@@ -300,7 +300,7 @@ def row_protocol(settings: LineSettings) -> RowProtocol:
 
 
 def _line(bad: BadLine) -> str:
-    """Say what is wrong with a line, with the line."""
+    """Return a clause with the line and what is wrong with it."""
     shown = bad.raw.decode("ascii") if bad.raw.isascii() else bad.raw.hex(" ")
     if bad.flaw in (Flaw.NO_FRAME, Flaw.CHECKSUM):
         shown = bad.raw.hex(" ")
@@ -314,7 +314,7 @@ def _where(settings: LineSettings) -> str:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], LineDriver]:
-    """Share one emitter between all connections: it follows the count across them."""
+    """Share one emitter between all connections, to follow the count across them."""
     own = own_settings(LineSettings, settings)
     emitter = LineEmitter(own, sink)
     return lambda: LineDriver(own, sink, emitter)
@@ -332,7 +332,7 @@ DRIVER = DriverEntry(LineSettings, _make, declare=_declare, identifiers=IDENTIFI
 
 
 class _UdpLink:
-    """Datagrams that come to a port of this computer; each read is a whole one."""
+    """Receives datagrams on a UDP port; each read is a complete datagram."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -340,7 +340,7 @@ class _UdpLink:
         self._incoming: asyncio.Queue[Received | TransportError] = asyncio.Queue()
 
     async def open(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises
         ------
@@ -354,7 +354,7 @@ class _UdpLink:
         self._udp.listen(self._take, self._lost)
 
     async def read(self) -> Received:
-        """Wait for the next datagram; raise ``LOST`` when the port is gone."""
+        """Wait for the next datagram; raise ``LOST`` when the port is closed."""
         item = await self._incoming.get()
         if isinstance(item, TransportError):
             self._incoming.put_nowait(item)
@@ -362,7 +362,7 @@ class _UdpLink:
         return item
 
     def write(self, data: bytes) -> None:
-        """Do nothing: whom to send to is not known."""
+        """Do nothing, because the receiver is unknown."""
 
     async def close(self) -> None:
         """Stop listening."""
@@ -392,7 +392,7 @@ class _UdpLink:
 
 
 class LineLink(Protocol):
-    """Where lines come from.
+    """Source of lines.
 
     Attributes
     ----------
@@ -403,7 +403,7 @@ class LineLink(Protocol):
     in_messages: bool
 
     async def open(self) -> None:
-        """Open it; raises TransportError, and ConfigError for what is no address."""
+        """Open it; raises TransportError, or ConfigError for an invalid address."""
         ...
 
     async def read(self) -> Received:
@@ -420,7 +420,7 @@ class LineLink(Protocol):
 
 
 def line_link(settings: LineSettings) -> LineLink:
-    """Return the closed link that the settings ask for."""
+    """Return the link in the settings, still closed."""
     if settings.udp_port is not None:
         return _Bytes(byte_link_of(_UdpLink(settings.udp_port)), in_messages=True)
     if settings.url is not None and settings.openearable_sensor:
@@ -447,7 +447,7 @@ class _Bytes:
 
 
 class _WebSocket:
-    """Messages of text over a WebSocket."""
+    """Text messages over a WebSocket."""
 
     in_messages = True
 

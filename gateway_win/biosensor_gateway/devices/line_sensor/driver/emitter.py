@@ -1,4 +1,4 @@
-"""Stamps the values of lines and passes them on."""
+"""Adds timestamps to the values of lines, and emits them."""
 
 from __future__ import annotations
 
@@ -23,42 +23,42 @@ _NO_PLACE = "their count or their time is no number"
 _KEPT_LINES = 1.5
 LEAP_S = 10.0
 LEAP = 1000
-"""So far ahead at once a line is in doubt, in seconds and where no rate is known in lines."""
+"""A larger jump ahead makes a line doubtful: in seconds, or in lines without a rate."""
 _FASTER = 1.5
-"""A device may send so many times the lines that its settings say."""
+"""Tolerated factor between the real rate and that in the settings."""
 
-# A device's count and time both begin again at some number, and when the device does.
+# A device's count and time both overflow at some number, and restart with the device.
 SLACK_S = 90.0
-"""What waited for an agent that did not run, or on its way, is late by less."""
+"""Upper limit of delays in transit or while the agent was not running."""
 REORDERED = 32
-"""Datagrams overtake each other by fewer lines than that."""
+"""Datagrams overtake each other by fewer lines than this."""
 REORDERED_S = 1.0
 MOST_LOST = 1_000_000
-"""More in a row is no loss where no rate says how many there can have been."""
+"""Largest loss that is plausible if no rate limits it."""
 USUAL_TURN = 2**32
 
 
 @unique
 class Order(Enum):
-    """Where a line belongs."""
+    """Place of a line relative to the previous ones."""
 
     NEXT = "next"
     LATE = "late"
-    """It was overtaken, or comes twice."""
+    """It was overtaken or is repeated."""
     RESTART = "restart"
-    """The device counts again."""
+    """The device restarted its count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A line among the others.
+    """A line's place among the others.
 
     Attributes
     ----------
     value
-        Lines, or seconds, since the first one.
+        Number of lines, or seconds, since the first one.
     step
-        By how many more than the line before.
+        Increase since the previous line.
     """
 
     order: Order
@@ -67,16 +67,16 @@ class Place:
 
 
 class Unwrapped:
-    """Follows a number that grows, turns over, and begins again when its device does.
+    """Unwraps a number that grows, overflows, and restarts with its device.
 
     Parameters
     ----------
     turns_over_at
-        0 where it never does.
+        0 if it never overflows.
     reordered
-        How far behind the newest a late one may be.
+        How far a late number may be behind the newest one.
     may_repeat
-        Whether two in a row may be the same, as of a clock with long ticks.
+        Whether consecutive numbers may be equal, as with a coarse clock.
     """
 
     def __init__(self, turns_over_at: float, reordered: float, *, may_repeat: bool = False) -> None:
@@ -88,29 +88,29 @@ class Unwrapped:
         self._is_again = False
 
     def begin_again(self) -> None:
-        """Take the next one as the first of a device that was restarted."""
+        """Take the next number as the first one of a restarted device."""
         self._is_again = self._last is not None
 
     def step_to(self, number: float) -> float:
-        """Return by how much a number is more than the one before; 0 for the first."""
+        """Return the increase since the previous number; 0 for the first."""
         return 0.0 if self._last is None else number - self._last
 
     def place(self, number: float, most: float) -> Place:
-        """Say where a number belongs.
+        """Return the place of a number.
 
         Parameters
         ----------
         number
-            As the device sent it.
+            The number as sent.
         most
-            By how much it can have grown since the one before.
+            Largest possible increase since the previous one.
         """
         if self._last is None or self._is_again:
             order = Order.RESTART if self._is_again else Order.NEXT
             self._is_again = False
             return self._take(order, number, 0.0)
         step = number - self._last
-        # One from before the turn, if it seems far ahead.
+        # A number that seems far ahead may be from before the overflow.
         behind = self._turn - step if self._turn and step > self._turn / 2 else -step
         if 0 <= behind <= self._reordered and not (step == 0 and self._may_repeat):
             return Place(Order.LATE, self._total - behind, -behind)
@@ -128,21 +128,22 @@ class Unwrapped:
 
 @dataclass(slots=True)
 class _Batch:
-    """Rows that came together, and their device times if there are any."""
+    """Rows that arrived together, with their device times if available."""
 
     rows: list[Row] = field(default_factory=list[Row])
     device_s: list[float] = field(default_factory=list[float])
 
 
 class LineEmitter:
-    """Passes on what one device sends, over all its connections.
+    """Emits the data of one device, over all its connections.
 
-    The stamps are, the best first: the device's time; its count by the rate; the arrival.
+    Timestamps are, in order of preference: the device's time; its count divided by the rate; the
+    arrival time.
 
     Parameters
     ----------
     settings, sink
-        Of the device.
+        Settings and sink of the device.
     """
 
     def __init__(self, settings: LineSettings, sink: Sink) -> None:
@@ -166,12 +167,12 @@ class LineEmitter:
         self._doubted: tuple[Row, float] | None = None
 
     def connected(self) -> None:
-        """Take what comes next as the first lines of a new connection."""
+        """Expect the first lines of a new connection."""
         self.ended()
         self._is_first = True
 
     def take(self, rows: Sequence[Row], arrival_s: float) -> None:
-        """Emit rows that came together, and count those that are missing between them."""
+        """Emit rows that arrived together, and count missing ones."""
         batch = _Batch()
         for row in rows:
             if not self._is_placed(row):
@@ -193,7 +194,7 @@ class LineEmitter:
         self._emit(batch, arrival_s)
 
     def ended(self) -> None:
-        """Emit a line that nothing came after to tell where it belongs."""
+        """Emit a doubtful line after which no other line arrived."""
         if self._doubted is not None:
             batch, (row, arrival_s) = _Batch(), self._doubted
             self._doubted = None
@@ -201,21 +202,21 @@ class LineEmitter:
             self._emit(batch, arrival_s)
 
     def _goes_on(self, row: Row, arrival_s: float) -> bool:
-        """Whether a line's count and time go on from the one before, or came late.
+        """Whether a line's count and time continue from the previous one, or are late.
 
-        One that does not may be a stray one, as of a board's greeting: the next one tells.
+        If not, it may be a stray line, such as a board's greeting; the next line decides.
         """
         gap_s = 0.0 if self._arrival_s is None else max(0.0, arrival_s - self._arrival_s)
         return self._is_next(row, self._count, self._time, gap_s)
 
     def _follows(self, row: Row, before: Row) -> bool:
-        """Whether a line goes on from another one that does not go on from those before."""
+        """Whether a line continues from a doubtful one."""
         count, time = copy(self._count), copy(self._time)
         for follower in (count, time):
             follower.begin_again()
         self._placed(count, before, self._at_count, 0.0)
         self._placed(time, before, self._at_time, 0.0)
-        # The same greeting twice is no device that counts.
+        # A repeated greeting does not continue a count.
         return row != before and self._is_next(row, count, time, 0.0, (Order.NEXT,))
 
     def _is_next(
@@ -239,11 +240,11 @@ class LineEmitter:
         )
 
     def _leap(self, gap_s: float) -> float:
-        """Return by how much the count grows without a doubt."""
+        """Return the largest increase of the count that is not doubtful."""
         return _FASTER * self._rate_hz * (gap_s + LEAP_S) if self._rate_hz else LEAP
 
     def _leave_stray(self, row: Row) -> None:
-        # What it was made of is not known any more, but that it was no line of the others is.
+        # Its original bytes are no longer known, so its number of values is counted.
         self._sink.dropped_bytes += len(row)
         self._log.warn_once(
             "a line is left out: neither the one before nor the one behind has a count or time "
@@ -251,7 +252,7 @@ class LineEmitter:
         )
 
     def _is_placed(self, row: Row) -> bool:
-        """Whether a row has its count and its time, which a struct may say as NaN."""
+        """Whether a row has a valid count and time, which may be NaN in a struct."""
         needed = [each for each in (self._at_count, self._at_time) if each is not None]
         return not any(isnan(row[each]) for each in needed)
 
@@ -287,9 +288,9 @@ class LineEmitter:
         return self._at_time is not None and self._time.step_to(row[self._at_time]) < 0
 
     def _was_off(self, row: Row, gap_s: float) -> bool:
-        """Whether the first line of a new connection shows that the device was switched off.
+        """Whether the first line of a new connection shows a restart of the device.
 
-        It has measured for less time than went by, and did not keep what it measured meanwhile.
+        In that case its time is shorter than the pause, and it has not stored data meanwhile.
         """
         if self._at_time is None or self._arrival_s is None:
             return False
@@ -307,7 +308,7 @@ class LineEmitter:
         self._log.warn_once("lines came twice or out of order; they are left out")
 
     def _begin_again(self, batch: _Batch, arrival_s: float, *, is_clock: bool) -> None:
-        """Send what came before the device was restarted, and forget where it was."""
+        """Emit the lines from before the restart, and reset count and time."""
         # nothing is dropped: `_emit` sends what came before
         self._log.warning(
             "the device counts again; if it was not restarted, set sequence_turns_over_at or "
@@ -323,7 +324,7 @@ class LineEmitter:
         return None if position is None else follower.place(row[position], most)
 
     def _most(self, gap_s: float) -> float:
-        """Return by how much the count can have grown."""
+        """Return the largest possible increase of the count."""
         if not self._rate_hz:
             return MOST_LOST
         return 1 + _FASTER * self._rate_hz * (gap_s + SLACK_S)
@@ -350,7 +351,7 @@ class LineEmitter:
                 emit(name, [sample for sample, _ in kept], [time for _, time in kept])
 
     def _by_arrival(self, batch: _Batch, arrival_s: float) -> list[float]:
-        """Return times that end with the arrival, by the rate if there is one."""
+        """Return times that end with the arrival, spaced by the rate if known."""
         step_s = 1 / self._rate_hz if self._rate_hz else 0.0
         last = len(batch.rows) - 1
         return [arrival_s - (last - number) * step_s for number in range(last + 1)]
@@ -361,7 +362,7 @@ def _count_turn(settings: LineSettings) -> int:
 
 
 def _clock_of(settings: LineSettings) -> tuple[float, int]:
-    """Return the seconds of a tick, and at which tick the clock turns over."""
+    """Return the length of a tick in seconds, and the tick at which the clock overflows."""
     position = settings.position(settings.time_column)
     if position is None:
         return 1.0, 0

@@ -1,7 +1,7 @@
-"""Asks the OpenEarable app for the values of one sensor, and gives them as lines.
+"""Subscribes to one sensor in the OpenEarable app, and returns its values as lines.
 
-The app is a WebSocket server whose messages are JSON: requests with a number and their answers, and
-events [1]_. An event of a subscription has the sensor's time and values, which become an array.
+The app is a WebSocket server with JSON messages: numbered requests with their answers, and events
+[1]_. An event of a subscription contains the sensor's time and values, which become an array.
 
 .. [1] https://github.com/OpenEarable/app, ``open_wearable/docs/connectors/websocket-ipc-api.md``;
    the values' layout is in ``websocket_ipc_server.dart`` beside it.
@@ -31,16 +31,16 @@ _Object = dict[str, Any]
 
 
 class Asked(NamedTuple):
-    """What the app is asked for.
+    """The sensor to subscribe to in the app.
 
     Attributes
     ----------
     sensor
-        Its name or id in the app.
+        Name or id of the sensor in the app.
     wearable
-        Name or id of the device; empty takes the only one that is connected to the app.
+        Name or id of the device; empty for the only one connected to the app.
     time_unit
-        Of the column with the sensor's time.
+        Unit of the time column.
     """
 
     sensor: str
@@ -49,7 +49,7 @@ class Asked(NamedTuple):
 
 
 class OpenEarableLink:
-    """A subscription; each read is an array of the time and the values, or what is none."""
+    """A subscription; each read is a JSON array of time and values, or another message."""
 
     in_messages = True
 
@@ -58,19 +58,19 @@ class OpenEarableLink:
         self._where, self._asked = f"the OpenEarable app at {url}", asked
         self._numbers = count(1)
         self._subscription: object = None
-        # The first values may come before the answer that says whose they are.
+        # The first values may arrive before the answer that identifies the subscription.
         self._early: deque[Received] = deque()
         self.close = self._link.close
 
     async def open(self) -> None:
-        """Connect, choose wearable and sensor, and subscribe.
+        """Connect, select wearable and sensor, and subscribe.
 
         Raises
         ------
         TransportError
-            As that of a WebSocket; ``ABSENT`` without a wearable, ``SILENT`` without an answer.
+            As for a WebSocket; ``ABSENT`` without a wearable, ``SILENT`` without an answer.
         ProtocolError
-            ``REFUSED`` or ``UNSUPPORTED``: what is asked for is not there, or refused.
+            ``REFUSED`` or ``UNSUPPORTED`` if the sensor is refused or not available.
         """
         await self._link.open()
         wearable = self._wearable(_objects(await self._ask("list_connected")))
@@ -88,7 +88,7 @@ class OpenEarableLink:
         Raises
         ------
         TransportError
-            ``LOST``: the connection, or the app has ended the subscription.
+            ``LOST`` if the connection or the subscription has ended.
         """
         while True:
             received = self._early.popleft() if self._early else await self._next()
@@ -107,7 +107,7 @@ class OpenEarableLink:
             raise TransportError(TransportReason.LOST, text)
 
     async def send(self, text: str) -> None:
-        """Send a command besides."""
+        """Send a command."""
         await self._link.send(text)
 
     async def _next(self) -> Received:

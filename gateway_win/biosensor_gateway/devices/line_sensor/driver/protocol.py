@@ -1,4 +1,4 @@
-"""Bytes in, one row of numbers for each line of text or binary record out."""
+"""Parses lines of text or binary records to rows of numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol, cast
 from biosensor_gateway.devices.line_sensor import SKIPPED, Column
 
 _SHOWN = 16
-# Python's codes of numbers; `x` is a byte that means nothing.
+# Python's codes for numbers; `x` is a padding byte.
 _FORMAT = re.compile(r"[<>]?(?:\d{0,3}[bBhHiIlLqQefd?x])+")
 _BITS = MappingProxyType({"B": 8, "H": 16, "I": 32, "L": 32, "Q": 64})
 
@@ -37,16 +37,16 @@ CHECKSUMS: MappingProxyType[str, tuple[str, Callable[[bytes], int]]] = MappingPr
         "crc16": ("H", lambda data: binascii.crc_hqx(data, 0xFFFF)),
     }
 )
-"""By name: its ``struct`` code, and what computes it from the values' bytes."""
+"""Checksums by name: ``struct`` code, and function of the values' bytes."""
 
 
 def checked_format(text: str) -> str:
-    """Return a format with its byte order, ``<`` if it says none.
+    """Return a format with its byte order, by default ``<``.
 
     Raises
     ------
     ValueError
-        It is not one of numbers only.
+        If it contains anything but numbers.
     """
     if not _FORMAT.fullmatch(text):
         message = f"{text!r} is no format; write < or > and letters of b B h H i I q Q e f d ? x"
@@ -55,12 +55,12 @@ def checked_format(text: str) -> str:
 
 
 def field_count(form: str) -> int:
-    """Return how many values a record has."""
+    """Return the number of values in a record."""
     return len(struct.unpack(form, bytes(struct.calcsize(form))))
 
 
 def turns_over_at(form: str, position: int) -> int:
-    """Return after how many counts a field begins again; 0 if it is no unsigned integer."""
+    """Return the overflow of a field; 0 if it is not an unsigned integer."""
     codes = [
         code
         for count, code in re.findall(r"(\d*)([bBhHiIlLqQefd?])", form)
@@ -70,16 +70,16 @@ def turns_over_at(form: str, position: int) -> int:
 
 
 class FrameProtocol:
-    """Records of one size: a beginning, values, a checksum.
+    """Parses records of fixed size: start bytes, values, checksum.
 
     Parameters
     ----------
     form
-        The values, as :func:`checked_format` gives it.
+        Format of the values, from :func:`checked_format`.
     start
-        The bytes that each record begins with; may be empty where a message holds whole records.
+        First bytes of each record; may be empty if messages contain complete records.
     checksum
-        A key of `CHECKSUMS`: what follows the values, in their byte order.
+        A key of `CHECKSUMS`: the checksum after the values, in their byte order.
     """
 
     def __init__(self, form: str, start: bytes = b"", checksum: str = "none") -> None:
@@ -93,11 +93,11 @@ class FrameProtocol:
 
     @property
     def buffered(self) -> int:
-        """Bytes of which is not said yet what they are."""
+        """Number of bytes not assigned yet."""
         return len(self._buffer) + len(self._dropped)
 
     def feed(self, data: bytes) -> list[Row | BadLine]:
-        """Take bytes; return the complete records, and a finding for each run of others."""
+        """Add bytes; return complete records, and a `BadLine` for each run of other bytes."""
         self._buffer += data
         found: list[Row | BadLine] = []
         at = 0
@@ -116,7 +116,7 @@ class FrameProtocol:
         return found
 
     def feed_whole(self, data: bytes) -> list[Row | BadLine]:
-        """Take a message of whole records."""
+        """Add a message of complete records."""
         found = self.feed(data)
         self._dropped += self._buffer
         self._buffer.clear()
@@ -149,15 +149,15 @@ COMMENT = b"#"
 _SHOWN_BYTES = 60
 
 Row = tuple[float, ...]
-"""A value for each column of the settings, NaN where the line has none."""
+"""A value for each column in the settings, NaN if missing."""
 
 MAX_LINE_BYTES = 4096
 SEPARATORS = MappingProxyType({"comma": ",", "semicolon": ";", "tab": "\t", "space": " "})
-"""What stands between values, by the word for it in the settings."""
+"""Separators of values by their name in the settings."""
 
-# Python's own `float` takes underscores, too, and digits of any alphabet.
+# `float` would also accept underscores and digits of any script.
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-# As boards print them: Arduino's Print has these three.
+# Special values as printed by boards; Arduino's Print has nan, inf and ovf.
 _NO_VALUE = frozenset({"", "nan", "inf", "-inf", "+inf", "ovf"})
 _SHOWN_CHARACTERS = 20
 _SHOWN_KEYS = 5
@@ -169,20 +169,20 @@ class Flaw(Enum):
     """What is wrong with a line."""
 
     COUNT = "count"
-    """Not as many values as the settings name columns."""
+    """The number of values differs from the columns in the settings."""
     NOT_A_NUMBER = "not_a_number"
     NOT_JSON = "not_json"
     NO_KEYS = "no_keys"
-    """JSON without what the settings ask for."""
+    """JSON without the keys in the settings."""
     TOO_LONG = "too_long"
     NOT_TEXT = "not_text"
     NO_FRAME = "no_frame"
-    """Bytes where the beginning of a record should be, or a record of another length."""
+    """Bytes other than the start of a record, or a record of wrong length."""
     CHECKSUM = "checksum"
 
 
 class Wrong(NamedTuple):
-    """Why a line is none; `why` is a clause for a person that names what does not fit."""
+    """Why a line is invalid; `why` is a clause for the user."""
 
     flaw: Flaw
     why: str
@@ -190,16 +190,16 @@ class Wrong(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BadLine:
-    """What is not passed on.
+    """A line that is not emitted.
 
     Attributes
     ----------
     raw
-        The line, or its beginning.
+        The line or its start.
     size
-        Its bytes on the wire.
+        Its size in bytes.
     why
-        A clause for a person that names what does not fit.
+        A clause for the user about what is wrong.
     """
 
     flaw: Flaw
@@ -209,36 +209,35 @@ class BadLine:
 
 
 class RowProtocol(Protocol):
-    """Reads what a device sends, cut in any way."""
+    """Parses a device's data, received in any pieces."""
 
     @property
     def buffered(self) -> int:
-        """Bytes that wait for the rest of their line."""
+        """Number of bytes of an incomplete line."""
         ...
 
     def feed(self, data: bytes) -> list[Row | BadLine]:
-        """Take bytes of a stream; return the rows that are complete. Never raises."""
+        """Add bytes of a stream; return the complete rows. Never raises."""
         ...
 
     def feed_whole(self, data: bytes) -> list[Row | BadLine]:
-        """Take a message that ends where its last line ends. Never raises."""
+        """Add a message that ends with its last line. Never raises."""
         ...
 
 
 ReadLine = Callable[[str], Row | Wrong | None]
-"""Gives the values of a line, or what is wrong with it; None for one that means nothing."""
+"""Returns the values of a line, or what is wrong with it; None for an ignored line."""
 
 
 class LineProtocol:
-    """Lines that end in LF or CR LF; those that begin with ``#`` are comments.
+    """Splits lines that end with LF or CR LF; those beginning with ``#`` are comments.
 
     Parameters
     ----------
     read_line
-        Reads a line without its end and without blanks around it.
+        Parses a line without its line end and surrounding spaces.
     skips_first
-        Whether the first line may have lost its beginning, as where a port is opened while the
-        device sends.
+        Whether the first line may be incomplete, as when a port is opened while the device sends.
     """
 
     def __init__(self, read_line: ReadLine, *, skips_first: bool = False) -> None:
@@ -249,18 +248,18 @@ class LineProtocol:
 
     @property
     def buffered(self) -> int:
-        """Bytes that wait for the end of their line."""
+        """Number of bytes of the incomplete line."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Row | BadLine]:
-        """Take bytes; return what the lines that are complete say."""
+        """Add bytes; return the rows of the complete lines."""
         found: list[Row | BadLine] = []
         *ended, rest = (bytes(self._buffer) + data).split(b"\n")
         for each in ended:
             said = self._line(each)
             if said is not None:
                 found.append(said)
-        # Of a line without an end only its length is kept.
+        # Only the length of an endless line is kept.
         if len(rest) > MAX_LINE_BYTES:
             self._too_long += len(rest)
             rest = b""
@@ -268,7 +267,7 @@ class LineProtocol:
         return found
 
     def feed_whole(self, data: bytes) -> list[Row | BadLine]:
-        """Take a message, whose last line needs no end."""
+        """Add a message, whose last line may lack its line end."""
         return self.feed(data if data.endswith(b"\n") else data + b"\n")
 
     def _line(self, raw: bytes) -> Row | BadLine | None:
@@ -292,12 +291,12 @@ class LineProtocol:
 
 
 class CsvReader:
-    """Reads lines of values; an empty one is no value.
+    """Parses lines of separated values; empty values are missing.
 
     Parameters
     ----------
     labels
-        Of the columns.
+        Labels of the columns.
     separator
         A key of `SEPARATORS`. With any but the comma, numbers may have a decimal comma.
     needed
@@ -310,7 +309,7 @@ class CsvReader:
         self._separator = separator
 
     def __call__(self, line: str) -> Row | Wrong | None:
-        """Read a line; one that has the columns' labels is a heading and means nothing."""
+        """Parse a line; a heading with the columns' labels is ignored."""
         values = _split(line, self._separator)
         if len(values) != len(self._labels):
             return Wrong(Flaw.COUNT, self._miscounted(line, len(values)))
@@ -352,7 +351,7 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _without_label(value: str, label: str) -> str:
-    """Return what is behind the label, as Arduino's plotter has it: ``gsr:512``."""
+    """Return the value after a label, as in Arduino's plotter format: ``gsr:512``."""
     told, colon, number = value.partition(":")
     return number.strip() if colon and label in (told.strip(), SKIPPED) else value
 
@@ -362,17 +361,17 @@ def _values(count: int) -> str:
 
 
 class JsonReader:
-    """Reads objects by their keys, and arrays by the order of the columns.
+    """Parses JSON objects by their keys, and arrays by the order of the columns.
 
-    A column's value is that of the key with its label, or of that key inside the object that its
-    stream's name is the key of. What is missing or null is no value.
+    A column's value has its label as key, either at the top level or in an object with its
+    stream's name as key. Missing and null values become NaN.
 
     Parameters
     ----------
     columns
-        Of the settings.
+        Columns in the settings.
     needed
-        Positions of those that each line must have.
+        Positions of the columns that each line must have.
     """
 
     def __init__(self, columns: Sequence[Column], needed: Collection[int] = ()) -> None:
@@ -380,7 +379,7 @@ class JsonReader:
         self._needed = frozenset(needed)
 
     def __call__(self, line: str) -> Row | Wrong | None:
-        """Read a line."""
+        """Parse a line."""
         try:
             said: object = json.loads(line)
         except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Settings of a line sensor: where its lines come from, and what is in them."""
+"""Settings of a line sensor: the source and the contents of its lines."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from biosensor_gateway.settings.models import DeviceSettings, ShortText
 
 MAX_COLUMNS = 256
 TICKS_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
-"""Seconds of a device's tick by the unit of its time column."""
+"""Length of a device's tick in seconds by the unit of its time column."""
 
 
 def _name(value: str) -> str:
@@ -173,28 +173,28 @@ class LineSettings(DeviceSettings):
 
     @property
     def sensor_name(self) -> str:
-        """The device's own name."""
+        """The device's name in streams and topics."""
         return self.name or NAME
 
     @property
     def parsed_columns(self) -> list[Column]:
-        """What the values of a line are."""
+        """Columns of a line."""
         return [column(each) for each in self.columns]
 
     @property
     def apart(self) -> tuple[str, ...]:
-        """Labels of the columns that count or tell the time."""
+        """Labels of the count and time columns."""
         return tuple(each for each in (self.sequence_column, self.time_column) if each)
 
     @property
     def spec(self) -> SensorSpec:
-        """What the device emits."""
+        """Declaration of the device."""
         return line_sensor_spec(
             self.sensor_name, self.parsed_columns, self.apart, self.rate_hz, self.irregular
         )
 
     def position(self, label: str) -> int | None:
-        """Return where in a line the column of a label is; None for an empty label."""
+        """Return the position of a label's column in a line; None for an empty label."""
         labels = [each.label for each in self.parsed_columns]
         return labels.index(label) if label else None
 

@@ -37,7 +37,7 @@ _NO_COMMANDS = "it takes no command and sends all the time"
 _NO_STATE = "its lines say nothing of it"
 
 MICROS_TURN = 1 << 32
-"""Where an Arduino's ``micros()`` begins again."""
+"""Overflow of an Arduino's ``micros()``."""
 
 _RECORD = struct.Struct("<IIffff")
 _RECORD_START = b"\xaa\x55"
@@ -45,16 +45,16 @@ RECORD_FORMAT = "<IIffff"
 
 
 class Measured(NamedTuple):
-    """One look of a board at its sensors.
+    """One measurement of a board.
 
     Attributes
     ----------
     number
-        Of the look, since it was switched on.
+        Number of the measurement since power-on.
     micros
-        Its clock.
+        Device time in microseconds.
     acc_g, gsr_us
-        As they are written, in g and in microsiemens.
+        Values as sent, in g and microsiemens.
     """
 
     number: int
@@ -64,31 +64,31 @@ class Measured(NamedTuple):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """All values, in the order of the columns."""
+        """All values in the order of the columns."""
         return (self.number, self.micros % MICROS_TURN, *self.acc_g, self.gsr_us)
 
 
 def _csv_line(measured: Measured) -> bytes:
-    """Write values between commas, as ``Serial.println`` ends a line."""
+    """Return comma-separated values with the line end of ``Serial.println``."""
     number, micros, *values = measured.numbers
     return f"{number},{micros},{','.join(f'{each:.4f}' for each in values)}\r\n".encode()
 
 
 def _json_line(measured: Measured) -> bytes:
-    """Write an object with one inside it."""
+    """Return a JSON object with a nested object."""
     number, micros, x, y, z, gsr = measured.numbers
     said = {"n": number, "t": micros, "acc": {"x": x, "y": y, "z": z}, "gsr": gsr}
     return json.dumps(said, separators=(",", ":")).encode() + b"\n"
 
 
 def _record(measured: Measured) -> bytes:
-    """Write a packed C struct behind two bytes, and the CRC of its values."""
+    """Return two start bytes, a packed C struct, and the CRC of its values."""
     values = _RECORD.pack(*measured.numbers)
     return _RECORD_START + values + struct.pack("<H", crc16(values))
 
 
 def crc16(data: bytes) -> int:
-    """Compute CRC-16 with the polynomial 0x1021, begun with 0xFFFF, bit by bit."""
+    """Compute CRC-16 with polynomial 0x1021 and start value 0xFFFF, bit by bit."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte << 8
@@ -99,19 +99,19 @@ def crc16(data: bytes) -> int:
 
 
 class SimulatedLineSensor(VirtualDevice):
-    """Lines of values between commas on a serial port, 100 a second.
+    """Sends comma-separated lines on a serial port, 100 per second.
 
     Parameters
     ----------
     **specimen
-        As for every virtual device: see `Specimen`. Lines keep their order.
+        As for every virtual device: see `Specimen`. Lines stay in order.
     """
 
     sensor = NAME
     link = Link.SERIAL
     expected = Expected(
         gaps={FaultKind.RESTART: Gap.STOPPED},
-        # A board that was restarted counts again, so what was on its way is not counted.
+        # A restarted board restarts its count, so lines in transit are not counted as lost.
         loss_tolerance=LossTolerance(over_break=1, over_restart={"acc": 25, "gsr": 25}),
         impossible={
             FaultKind.REFUSE: _NO_COMMANDS,
@@ -145,7 +145,7 @@ class SimulatedLineSensor(VirtualDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Where it is, and what its lines are."""
+        """Its address and the format of its lines."""
         assert self._way is not None
         return {
             **self._way.settings,
@@ -177,7 +177,7 @@ class SimulatedLineSensor(VirtualDevice):
             self._measuring.cancel()
 
     async def _measure(self) -> None:
-        """Read the sensors at each tick of the oscillator; a late reading delays the next ones."""
+        """Measure at each tick of the oscillator; a late measurement delays the next ones."""
         count, due_s = 0, 0.0
         while True:
             device_s = count / self._rate_hz
@@ -199,7 +199,7 @@ class SimulatedLineSensor(VirtualDevice):
     def _send(self, measured: Measured, time_s: float) -> None:
         data = self._written(measured)
         if self._is_otherwise:
-            # As a sketch of another version writes it.
+            # An unknown format, as from a different version of the sketch.
             data = bytes(each ^ 0x15 if each > ord(" ") else each for each in data)
         taken = not self._is_stalled and self._way is not None and self._way.write(data)
         if taken and not self._is_otherwise:
@@ -226,7 +226,7 @@ class SimulatedLineSensor(VirtualDevice):
         self._switch_on()
 
     def _babble(self, count: float) -> None:
-        """Log as an ESP32 does among its data, with bytes of a wrong baud rate in it."""
+        """Send a log line like an ESP32, with bytes of a wrong baud rate."""
         noise = bytes(0x80 | each for each in self._rng.bytes(int(count)))
         if self._way is not None:
             self._way.write(b"E (4711) wifi:" + noise + b"\r\n")
@@ -235,7 +235,7 @@ class SimulatedLineSensor(VirtualDevice):
         self._oscillator.set_drift(ppm)
 
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
-        """Begin or end what its way can do to its lines."""
+        """Switch a disturbance of its link on or off."""
         if self._way is not None:
             self._way.make_untidy(kind, on=on)
 
@@ -254,7 +254,7 @@ class SimulatedLineSensor(VirtualDevice):
         self._change_rate(EXAMPLE_RATE_HZ)
 
     def _greet(self, count: float) -> None:
-        """Say what another part of the sketch prints, with as many numbers as a line has."""
+        """Send lines of another part of the sketch, with as many numbers as a data line."""
         for _ in range(int(count)):
             if self._way is not None:
                 self._way.write(self._written(Measured(0, 0, (0.1, 0.2, 0.3), 0.4)))
@@ -289,7 +289,7 @@ def _without_glue(more: Effects[Any]) -> Effects[Any]:
 
 
 class UdpLineSensor(SimulatedLineSensor):
-    """JSON in datagrams."""
+    """Sends JSON in datagrams."""
 
     link = Link.UDP
     effects = _without_glue({Untidiness.OVERTAKEN: lasting(_overtake, _keep_order)})
@@ -305,7 +305,7 @@ class UdpLineSensor(SimulatedLineSensor):
 
 
 class WebSocketLineSensor(SimulatedLineSensor):
-    """JSON in messages of a WebSocket."""
+    """Sends JSON in WebSocket messages."""
 
     link = Link.WEB_SOCKET
     effects = _without_glue({})
@@ -321,7 +321,7 @@ class WebSocketLineSensor(SimulatedLineSensor):
 
 
 class StructLineSensor(SimulatedLineSensor):
-    """Records of bytes over TCP."""
+    """Sends binary records over TCP."""
 
     link = Link.TCP
 
@@ -343,19 +343,19 @@ class StructLineSensor(SimulatedLineSensor):
 
 
 class OpenEarableLineSensor(SimulatedLineSensor):
-    """A wearable behind the OpenEarable app, whose one sensor has all values.
+    """A wearable in the OpenEarable app, with one sensor for all values.
 
     Parameters
     ----------
     wearables
-        Names of those that are connected to the app.
+        Names of the wearables connected to the app.
     exponent
-        Its time is in so many powers of ten of a second.
+        Unit of its time as a power of ten of a second.
 
     Attributes
     ----------
     app
-        What speaks for it.
+        The simulated app.
     """
 
     link = Link.WEB_SOCKET
@@ -384,6 +384,6 @@ class OpenEarableLineSensor(SimulatedLineSensor):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Where the app is, and what it is asked for; nothing counts the values."""
+        """URL of the app and sensor to subscribe to, without a count column."""
         counted = {**super().settings, "sequence_column": "", "format": "json"}
         return {**counted, "columns": list(EXAMPLE_COLUMNS[1:]), "openearable_sensor": "Chest"}

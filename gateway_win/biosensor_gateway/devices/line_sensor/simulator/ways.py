@@ -1,4 +1,4 @@
-"""The ways by which a virtual board is reached."""
+"""The links of virtual boards."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ _WEB_SOCKET_ROOM_BYTES = 1 << 15
 
 
 class Way(Protocol):
-    """A board's end of the link; for the world's loop."""
+    """A board's end of the link; runs in the world's event loop."""
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields of the settings that lead to it; known once it was opened."""
+        """Settings with which a driver finds it; known after opening."""
         ...
 
     async def open(self) -> None:
-        """Be reachable, by the same name as before."""
+        """Open the link, with the same address as before."""
         ...
 
     def write(self, data: bytes) -> bool:
-        """Take all of it, or nothing; False where nobody listens."""
+        """Send all data or nothing; return False without a listener."""
         ...
 
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
-        """Begin or end what this way can do to what goes along it."""
+        """Switch a disturbance of this link on or off."""
         ...
 
     def hang_up(self) -> None:
-        """Cut the link and be unreachable until `open`."""
+        """Close the link until `open` is called."""
         ...
 
     def dispose(self) -> None:
-        """Hang up for good."""
+        """Close the link permanently."""
         ...
 
 
@@ -57,7 +57,7 @@ class Serial:
     Parameters
     ----------
     tcp
-        A TCP server also where there are pseudo-terminals; None = only where there are none.
+        Use a TCP server; None for only on systems without pseudo-terminals.
     """
 
     def __init__(self, *, tcp: bool | None = None) -> None:
@@ -71,21 +71,21 @@ class Serial:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The field ``port``."""
+        """The setting ``port``."""
         return {"port": self._port.name}
 
     async def open(self) -> None:
-        """Be reachable."""
+        """Open the link."""
         self._port.open()
 
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
-        """Join lines, and cut them anywhere."""
+        """Join lines and split them at random places."""
         assert kind is Untidiness.GLUED
         self._port.glue(on=on)
 
 
 class Udp:
-    """Datagrams to a port of this computer, which nobody has yet."""
+    """Datagrams to a free port of this computer."""
 
     def __init__(self) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -98,17 +98,17 @@ class Udp:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The field ``udp_port``."""
+        """The setting ``udp_port``."""
         return {"udp_port": self._number}
 
     async def open(self) -> None:
-        """Send from now on."""
+        """Start sending."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.connect((LOOPBACK, self._number))
 
     def write(self, data: bytes) -> bool:
-        """Send a datagram; the system tells of the one before whether somebody listened."""
+        """Send a datagram; the system reports whether the previous one had a listener."""
         if self._socket is None:
             return False
         self._sent += 1
@@ -124,23 +124,23 @@ class Udp:
         return True
 
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
-        """Have datagrams overtake each other."""
+        """Let datagrams overtake each other."""
         assert kind is Untidiness.OVERTAKEN
         self._overtakes = on
 
     def hang_up(self) -> None:
-        """Be off."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def dispose(self) -> None:
-        """Be off."""
+        """Close the socket."""
         self.hang_up()
 
 
 class WebSocket:
-    """A WebSocket server, a message for each line."""
+    """A WebSocket server with one message per line."""
 
     def __init__(self) -> None:
         self._port = KeptPort()
@@ -150,7 +150,7 @@ class WebSocket:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The field ``url``."""
+        """The setting ``url``."""
         return {"url": f"ws://{LOOPBACK}:{self._port.number}/"}
 
     async def open(self) -> None:
@@ -175,13 +175,13 @@ class WebSocket:
         await connection.wait_closed()
 
     def write(self, data: bytes) -> bool:
-        """Send a message to everybody who listens and reads."""
+        """Send a message to all clients that read."""
         reading = self._reading
         broadcast(reading, data.decode("latin-1"))
         return bool(reading)
 
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
-        """Do nothing: messages come whole and in order."""
+        """Do nothing, because messages arrive complete and in order."""
 
     @property
     def _reading(self) -> list[ServerConnection]:
@@ -193,7 +193,7 @@ class WebSocket:
         ]
 
     def hang_up(self) -> None:
-        """Break off, and refuse connections."""
+        """Abort connections, and refuse new ones."""
         self._is_wanted = False
         for each in tuple(self._listeners):
             with suppress(OSError):
@@ -203,22 +203,22 @@ class WebSocket:
             self._server = None
 
     def dispose(self) -> None:
-        """Hang up."""
+        """Close the server."""
         self.hang_up()
         self._port.give_back()
 
 
 class OpenEarableApp(WebSocket):
-    """The app on a phone, with wearables that have one sensor each.
+    """The app on a phone, with wearables with one sensor each.
 
     Written from https://github.com/OpenEarable/app, ``docs/connectors/websocket-ipc-api.md``.
 
     Parameters
     ----------
     sensor
-        As the app lists it.
+        The sensor as listed by the app.
     wearables
-        Names of those that are connected to it.
+        Names of the connected wearables.
 
     Attributes
     ----------
@@ -258,7 +258,7 @@ class OpenEarableApp(WebSocket):
             case "subscribe", None if params["args"]["sensor_id"] == self._sensor["sensor_id"]:
                 number = next(self._numbers)
                 self._subscriptions[connection] = number, params["device_id"]
-                # The first values overtake the answer.
+                # The first values arrive before the answer.
                 await asyncio.sleep(0.03)
                 of = {"stream": params["stream"], "device_id": params["device_id"]}
                 answer["result"] = {"subscription_id": number, **of}
@@ -267,14 +267,14 @@ class OpenEarableApp(WebSocket):
         await connection.send(json.dumps(answer))
 
     def write(self, data: bytes) -> bool:
-        """Send values to everybody who has subscribed and reads."""
+        """Send values to all subscribers that read."""
         reading = [each for each in self._reading if each in self._subscriptions]
         for each in reading:
             self._tell(each, json.loads(data))
         return bool(reading)
 
     def end_values(self) -> None:
-        """End all subscriptions, as where the wearable goes."""
+        """End all subscriptions, as when the wearable disconnects."""
         for each in self._reading:
             if each in self._subscriptions:
                 number, device = self._subscriptions.pop(each)

@@ -1,4 +1,4 @@
-"""The conversation with a belt: wake it, ask what it is, start it, keep an eye on it."""
+"""Driver for the Vernier respiration belt."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ WAKING_LIMIT_S = 1.0
 RESTART_LIMIT_S = 2.0
 STATUS_PERIOD_S = 60.0
 PATIENCE_S = 8.0
-"""Notifications were seen to come together after seconds: what is on its way then would be taken
-for what comes behind a new start."""
+"""Delayed notifications may arrive together after seconds, and would be mistaken for data after a
+restart."""
 KIND = "GDX-RB"
 ADVICE = (
     "press its button until its Bluetooth light blinks red, and end its connection to other apps"
@@ -64,7 +64,7 @@ class VernierSettings(DeviceSettings):
 class VernierDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # Silent streams are noticed long before; its status is asked for once a minute.
+    # Silent streams are detected much earlier; the status is polled once a minute.
     silence_limit_s = 60.0
 
     def __init__(
@@ -79,7 +79,7 @@ class VernierDriver:
         self._channels: BeltChannels | None = None
 
     async def connect(self) -> Connected:
-        """Find the belt, learn what it is and start it; see the protocol class."""
+        """Find, identify and start the belt; see the protocol class."""
         belt = self._belt
         await belt.connect()
         await belt.begin()
@@ -97,12 +97,12 @@ class VernierDriver:
         return Connected(_device_info(identity), rates, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
-        """Emit what is known since connecting, then all that comes."""
+        """Emit data received since connecting."""
         self._take_status(*self._status)
         await self._belt.stream(self._take, self._emitter.take_rssi, self._ask_status)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Stop the belt and start it; see the protocol class."""
+        """Restart the belt; see the protocol class."""
         del streams
         belt, channels = self._belt, self._channels
         if channels is None:
@@ -116,7 +116,7 @@ class VernierDriver:
             raise TransportError(TransportReason.SILENT, message) from error
 
     async def close(self) -> None:
-        """Stop the belt without waiting for its replies, and disconnect."""
+        """Stop the belt without waiting for replies, and disconnect."""
         self._emitter.ended()
         await self._belt.close(self._say_goodbye)
 
@@ -136,7 +136,7 @@ class VernierDriver:
     async def _start(
         self, belt: Conversation, channels: BeltChannels, limit_s: float = REPLY_LIMIT_S
     ) -> None:
-        # Before the command: samples may come before its reply.
+        # Before the command, because samples may arrive before its reply.
         self._emitter.started(channels, self._period_us / 1e6)
         await belt.order(protocol.start(channels.mask), limit_s)
 
@@ -152,7 +152,7 @@ class VernierDriver:
             try:
                 answer = await self._belt.query(protocol.GET_STATUS)
             except ProtocolError as error:
-                # The measurements may go on all the same.
+                # The measurement may continue anyway.
                 self._emitter.log.warning(str(error))
             else:
                 self._take_status(protocol.parse_status(answer.payload), answer.arrival_s)
@@ -163,7 +163,7 @@ class VernierDriver:
 
 
 async def _wake(belt: Conversation) -> None:
-    """Say hello, twice if need be: a belt that has just been woken misses the first."""
+    """Send the first command, twice if needed, because a waking belt misses the first one."""
     try:
         await belt.order(protocol.INIT, WAKING_LIMIT_S)
     except ProtocolError as error:
@@ -179,7 +179,7 @@ def _device_info(identity: protocol.Identity | None) -> DeviceInfo:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], VernierDriver]:
-    """Share the choice and the emitter between all connections of the device."""
+    """Share the emitter and the device selection between all connections."""
     own = own_settings(VernierSettings, settings)
     choice = Choice(identify, KIND, own.device, ADVICE)
     emitter = VernierEmitter(sink)
@@ -193,7 +193,7 @@ def identify(seen: Advertisement) -> str | None:
 
 
 recognise = by_advertisement("vernier_respiration_belt", identify)
-# Behind order code, serial number and name, and what was made and when, in the answer that says
-# what the belt is: its address.
+# The address in the answer with the device information, after order code, serial number, name and
+# date of manufacture.
 IDENTIFIERS = (re.compile(rb"GDX-RB\0{10}.{16}.{32}.{14}(.{6})", re.DOTALL),)
 DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)

@@ -1,4 +1,4 @@
-"""Commands and replies over a Bluetooth link, with measurements in between."""
+"""Commands and replies over a Bluetooth link, mixed with measurements."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class _Command(NamedTuple):
 
 
 class Conversation(BleSession[Heard[Message], _Command]):
-    """What is said over one connection.
+    """The commands and replies of one connection.
 
     Parameters
     ----------
     sink
-        Its ``dropped_bytes`` are counted here.
+        Its ``dropped_bytes`` are increased here.
     """
 
     def __init__(self, link: BleLink, sink: Sink) -> None:
@@ -72,14 +72,14 @@ class Conversation(BleSession[Heard[Message], _Command]):
         self._with_response = True
 
     async def begin(self) -> None:
-        """Listen, which must come before any command."""
+        """Subscribe, which must precede any command."""
         self._with_response = "write" in self.link.properties(COMMAND_UUID)
         await self.link.subscribe(RESPONSE_UUID)
         self.dialogue.begin()
         await asyncio.sleep(SETTLE_S)
 
     async def query(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> Answer:
-        """Give a command and wait for its reply.
+        """Send a command and wait for its reply.
 
         Raises
         ------
@@ -93,12 +93,12 @@ class Conversation(BleSession[Heard[Message], _Command]):
         return await self.ask(command, command.answer, limit_s, failure)
 
     async def order(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> None:
-        """Give a command whose reply is a status; raises as :meth:`query` does.
+        """Send a command whose reply is a status; raises like :meth:`query`.
 
         Raises
         ------
         ProtocolError
-            ``REFUSED`` as well.
+            Also ``REFUSED``.
         """
         payload = (await self.query(body, limit_s)).payload
         if payload and payload[0] & REFUSED:
@@ -107,7 +107,7 @@ class Conversation(BleSession[Heard[Message], _Command]):
             raise ProtocolError(ProtocolReason.REFUSED, message)
 
     async def tell(self, body: bytes) -> None:
-        """Give a command without waiting for its reply.
+        """Send a command without waiting for its reply.
 
         Raises
         ------
@@ -145,20 +145,20 @@ def _name(body: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class BeltChannels:
-    """Force, and the respiration rate that the belt computes from it."""
+    """The channels for force, and for the respiration rate that the belt computes."""
 
     force: Channel
     rate: Channel
 
     @property
     def mask(self) -> int:
-        """Both as a mask, bit n for channel n."""
+        """Both channels as a mask, bit n for channel n."""
         return 1 << self.force.number | 1 << self.rate.number
 
     def period_us(self, wanted_us: int) -> int:
-        """Return the sampling period next to the wanted one that the belt can have.
+        """Return the possible sample period nearest to the wanted one.
 
-        A belt measures all channels with one period.
+        A belt measures all channels with the same period.
         """
         both = (self.force, self.rate)
         least = max(channel.min_period_us for channel in both)
@@ -171,7 +171,7 @@ class BeltChannels:
 
 
 def choose_channels(channels: Sequence[Channel]) -> BeltChannels:
-    """Find force and rate by what the belt says of its channels.
+    """Find the channels for force and rate by their descriptions.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Turns a belt's messages into samples of the declared streams."""
+"""Converts a belt's messages to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
 from biosensor_gateway.system.device_log import DeviceLog
 
 HELD_PACKETS = 5
-"""The least delayed of so many packets is hardly delayed."""
+"""Of this many packets, the one with the smallest delay is hardly delayed."""
 SILENCE_S = 1.0
 SILENCE_PERIODS = 5
 PAUSE_S = 0.15
 PAUSE_PERIODS = 1.5
-"""A packet that is later than this tells of samples that are missing, whatever the counter says:
-belts were seen to pause for half a second every few seconds."""
+"""After a longer pause samples are missing, whatever the counter says: belts were seen to pause for
+half a second every few seconds."""
 BACKLOG_PACE = 0.5
-"""Stored packets follow each other in less than this part of the time they were measured in."""
+"""Stored packets arrive within less than this fraction of their duration."""
 EARLY_PERIODS = 0.25
-"""The clock's line may lie so much above the best packet; delays are longer than nothing."""
+"""Tolerance by which the clock may be later than the least delayed packet."""
 LOST_LIMIT_S = 60.0
-"""A belt that is away for longer was switched off: nothing was measured, so nothing is lost."""
+"""After a longer absence the belt was off, so nothing was measured and nothing is lost."""
 
 _TRUSTED_STEPS = 3
 
 
 class Arrived(NamedTuple):
-    """A measurement that is to be placed.
+    """A measurement without a time yet.
 
     Attributes
     ----------
     samples
-        Number of samples a channel, at least 1.
+        Number of samples per channel, at least 1.
     arrival_s
-        LSL clock, in seconds.
+        LSL time in seconds.
     is_behind_pause
-        Whether it came later than its samples take.
+        Whether it arrived later than the duration of its samples.
     """
 
     measurement: Measurement
@@ -59,18 +59,19 @@ class Arrived(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A measurement with its place on the device's clock.
+    """A measurement with its time on the device's clock.
 
     Attributes
     ----------
     arrival_s
-        LSL clock, in seconds.
+        LSL time in seconds.
     last_s
         Device time of the last sample.
     lost
         Estimated number of samples missing before it.
     is_first
-        It is the first one of a start, whose place among those before it is not exact.
+        Whether it is the first one after a start, whose time relative to earlier ones is not
+        exact.
     """
 
     measurement: Measurement
@@ -86,7 +87,7 @@ class Numbering:
     Parameters
     ----------
     clock
-        Gives the device clock that observes the last sample of every placed packet.
+        Returns the device clock, which observes the last sample of every placed packet.
     """
 
     def __init__(self, clock: Callable[[], ClockState]) -> None:
@@ -102,7 +103,7 @@ class Numbering:
         self._held: list[Arrived] = []
 
     def restart(self, period_s: float) -> None:
-        """Begin to count again: the next sample is the first after a start."""
+        """Restart the count with the first sample after a start."""
         self._origin_s, self._index = self._time(0), 0
         self._period_s = period_s
         self._restarted = True
@@ -110,7 +111,7 @@ class Numbering:
         self._counter = _PacketCounter()
 
     def count(self, counter: int) -> None:
-        """Note the packet counter of any packet; call it before :meth:`place`."""
+        """Add the packet counter of any packet; call this before :meth:`place`."""
         if self._counter.jumps(counter):
             self._suspicious = True
 
@@ -119,7 +120,7 @@ class Numbering:
         self._suspicious = True
 
     def place(self, packet: Arrived) -> list[Placed]:
-        """Return the packets whose place is certain now, in order; none while it is unclear."""
+        """Return the packets whose times are certain now, in order; none while unclear."""
         pause = packet.arrival_s - self._arrival_s
         self._arrival_s = packet.arrival_s
         if self._restarted:
@@ -135,13 +136,13 @@ class Numbering:
         return self._place_certain()
 
     def release(self) -> list[Placed]:
-        """Return what is held back, because no more packets come."""
+        """Return the packets held back, because no more packets arrive."""
         if not self._held or _is_backlog(self._held, self._period_s):
             return self._place_held(len(self._held))
         return self._place_by_pauses(least=1)
 
     def _place_first(self, packet: Arrived) -> Placed:
-        """Go on where the host's clock is: a start begins at any moment."""
+        """Continue at the host's time, because a start can happen at any moment."""
         self._restarted = False
         earliest_s = self._time(packet.samples)
         reached_s = self._device_time(packet.arrival_s)
@@ -155,11 +156,11 @@ class Numbering:
         return Placed(packet.measurement, packet.arrival_s, self._time(0), lost)
 
     def _place_certain(self) -> list[Placed]:
-        """Place what is held back as far as it is clear what happened before it."""
+        """Place the packets held back, as far as the cause of their delay is clear."""
         placed: list[Placed] = []
         while len(self._held) >= HELD_PACKETS:
             if _is_backlog(self._held[:HELD_PACKETS], self._period_s):
-                # After it, it is still to be seen whether all of it came.
+                # Whether the backlog is complete is only known later.
                 self._may_be_stored = True
                 placed += self._place_held(HELD_PACKETS)
                 continue  # nothing is dropped: they are placed
@@ -176,7 +177,7 @@ class Numbering:
         return placed
 
     def _place_by_pauses(self, least: int = HELD_PACKETS) -> list[Placed]:
-        """Place what is held back from pause to pause, as far as enough came behind each."""
+        """Place the packets held back between pauses, if enough packets follow each pause."""
         begins = [at for at, each in enumerate(self._held) if not at or each.is_behind_pause]
         known = [at for at in begins if len(self._held) - at >= least]
         missing = [self._missing(at) for at in known]
@@ -193,7 +194,7 @@ class Numbering:
         return [self._place_next(each, 0 if at else lost) for at, each in enumerate(held)]
 
     def _missing(self, begin: int = 0, end: int | None = None) -> int:
-        """Count the samples that fit into the least delay of some of what is held back."""
+        """Return the number of samples that fit into the smallest delay of held packets."""
         samples = sum(packet.samples for packet in self._held[:begin])
         least_s = math.inf
         for packet in self._held[begin:end]:
@@ -203,11 +204,11 @@ class Numbering:
         return max(0, math.floor(least_s / self._period_s + EARLY_PERIODS))
 
     def _time(self, ahead: int) -> float:
-        """Device time of a sample so many after the last placed one."""
+        """Return the device time of a sample `ahead` samples after the last placed one."""
         return self._origin_s + (self._index + ahead) * self._period_s
 
     def _device_time(self, arrival_s: float) -> float:
-        """Device time of a sample that arrived without delay."""
+        """Return the device time of a sample that arrived without delay."""
         state = self._clock()
         if math.isnan(state.offset_s):
             return self._time(0)
@@ -216,13 +217,13 @@ class Numbering:
 
 
 def _is_backlog(held: Sequence[Arrived], period_s: float) -> bool:
-    """Whether packets came so fast that they had been stored."""
+    """Whether packets arrived so fast that they must have been stored."""
     measured_s = sum(packet.samples for packet in held[1:]) * period_s
     return held[-1].arrival_s - held[0].arrival_s < BACKLOG_PACE * measured_s
 
 
 class _PacketCounter:
-    """Finds jumps of the packet counter, once it has shown that it counts packets."""
+    """Detects jumps of the packet counter, once it is known to count packets."""
 
     def __init__(self) -> None:
         self._numbers = PacketTimeline(256)
@@ -245,19 +246,19 @@ TIGHT = 1.0
 LOOSE_BELOW_N = 1.0
 TIGHT_ABOVE_N = 40.0
 JUDGED_S = 3.0
-"""About one breath: what one sample is does not matter."""
+"""About one breath, so that single samples do not matter."""
 FLAT_BELOW_N = 0.02
 FLAT_FOR_S = 10.0
-"""Nobody holds his breath so still: a standard deviation below means that nobody wears it."""
+"""If the force stays this flat for this long, the belt is not worn."""
 
 
 class _Fit:
-    """The last seconds of the force.
+    """Evaluates the tension of the belt from the last seconds of the force.
 
     Parameters
     ----------
     period_s
-        Sampling period.
+        Sample period.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -267,7 +268,7 @@ class _Fit:
         self._still: deque[float] = deque(maxlen=max(2, round(FLAT_FOR_S / period_s)))
 
     def add(self, forces: Iterable[float]) -> None:
-        """Take in samples in newtons; NaN is passed over."""
+        """Add samples in newtons; NaN is ignored."""
         finite = [force for force in forces if math.isfinite(force)]
         self._breath.extend(finite)
         self._still.extend(finite)
@@ -287,7 +288,7 @@ class _Fit:
 
 
 class VernierEmitter:
-    """Turns messages into samples; one instance a device, over all its connections."""
+    """Converts messages to samples; one instance per device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -310,17 +311,17 @@ class VernierEmitter:
         self._fit = _Fit(period_s)
 
     def ended(self) -> None:
-        """Emit what was held back: nothing more comes before the next start."""
+        """Emit the packets held back, because no more arrive before the next start."""
         for placed in self._numbering.release():
             self._emit(placed)
 
     def take(self, message: Message, arrival_s: float) -> None:
-        """Emit what a message holds.
+        """Emit the samples of a message.
 
         Parameters
         ----------
         arrival_s
-            LSL clock when the message's last byte arrived.
+            LSL time of arrival of the message's last byte.
         """
         self._numbering.count(message.counter)
         if isinstance(message, Notice) and message.kind is MeasurementKind.DROPPED:
@@ -331,11 +332,11 @@ class VernierEmitter:
             self._measurement(message, arrival_s)
 
     def take_status(self, status: Status, arrival_s: float) -> None:
-        """Emit the battery's level."""
+        """Emit the battery level."""
         self._sink.emit_at("bat", [status.battery_percent], [arrival_s])
 
     def take_rssi(self, rssi_dbm: int | None, arrival_s: float) -> None:
-        """Emit the signal strength of an advertisement; None is passed over."""
+        """Emit the signal strength of an advertisement; None is ignored."""
         if rssi_dbm is not None:
             self._sink.emit_at("rssi", [rssi_dbm], [arrival_s])
 
@@ -345,10 +346,10 @@ class VernierEmitter:
             for placed in self._numbering.place(Arrived(message, count, arrival_s)):
                 self._emit(placed)
         elif self._last_s is not None:
-            # Belts send both channels together; should one not, the force keeps the time.
+            # Belts send both channels together; otherwise the force determines the time.
             self._emit_rate(message, self._last_s)
         else:
-            # Before the first force nothing tells when it was.
+            # Before the first force sample, the time of a rate is unknown.
             self._sink.lost("bpm", len(message.samples.get(self._rate, ())))
 
     def _emit(self, placed: Placed) -> None:
@@ -357,7 +358,7 @@ class VernierEmitter:
         forces = placed.measurement.samples[self._force]
         self._last_s = placed.last_s
         if placed.is_first:
-            # By how much a start is late must not pass for drift.
+            # The delay of a start must not be mistaken for drift.
             self._sink.restart_clock()
         self._sink.observe(placed.last_s, placed.arrival_s)
         self._sink.emit("force", forces, self._times(len(forces), placed.last_s))

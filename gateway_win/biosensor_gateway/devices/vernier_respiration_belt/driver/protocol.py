@@ -1,7 +1,7 @@
-"""GDX-RB protocol: bytes in, typed messages out, and commands; no I/O and no clock.
+"""GDX-RB protocol: parses messages and creates commands; no I/O and no clock.
 
-Layouts are those of Vernier's BSD-licensed godirect-js and GDXLib; measurements are
-confirmed by bytes of a real belt.
+Layouts are from Vernier's BSD-licensed godirect-js and GDXLib; measurements are confirmed by data
+of a real belt.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class Reply:
     counter
         The device's packet counter, 0 to 255.
     command
-        Id of the command that is answered.
+        Id of the answered command.
     echo
-        Counter of the command that is answered.
+        Counter of the answered command.
     """
 
     counter: int
@@ -59,7 +59,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Samples of one or several channels, oldest first.
+    """Samples of one or more channels, oldest first.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Start time, period, or that the device dropped samples; the content is not documented."""
+    """A start time, period, or notice of dropped samples, with undocumented content."""
 
     counter: int
     kind: MeasurementKind
@@ -123,7 +123,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the belt is; texts are as printed on it."""
+    """The device information; texts are as printed on the belt."""
 
     order_code: str
     serial_number: str
@@ -134,14 +134,14 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What a channel measures.
+    """Description of a channel.
 
     Attributes
     ----------
     unit
-        As the device writes it; may be empty.
+        As sent by the device; may be empty.
     min_period_us, max_period_us, granularity_us
-        Sampling periods that it can have.
+        Possible sample periods.
     """
 
     number: int
@@ -196,11 +196,11 @@ def _text(field: bytes) -> str:
     return field.split(b"\0")[0].decode("utf-8", "replace").strip()
 
 
-# A packet is ``head, total length, counter, checksum, body``, and comes in as many notifications as
-# the connection makes of it.
+# A packet is ``head, total length, counter, checksum, body``, and may be split into several
+# notifications.
 HEADER_SIZE = 4
 MAX_FRAGMENT = 20
-"""What fits into a write whatever the connection's MTU."""
+"""Size of a write that fits any MTU."""
 
 _CHECKSUM_AT = 3
 
@@ -218,14 +218,14 @@ _FROM_DEVICE = frozenset({Head.REPLY, Head.MEASUREMENT})
 
 
 class Packet(NamedTuple):
-    """A packet whose checksum is right.
+    """A packet with a correct checksum.
 
     Attributes
     ----------
     counter
-        The sender's own, one byte.
+        The sender's counter, one byte.
     data
-        The whole packet.
+        The complete packet.
     """
 
     head: Head
@@ -234,10 +234,10 @@ class Packet(NamedTuple):
 
 
 class PacketParser:
-    """Cuts a byte stream into packets, and finds the next one after damage.
+    """Splits a byte stream into packets, and finds the next one after damage.
 
-    Bytes that begin no valid packet are dropped one by one, so the result does not
-    depend on how the bytes were cut. At most one packet (255 bytes) is kept.
+    Bytes that do not begin a valid packet are dropped one by one, so the result does not depend on
+    how the bytes were split. At most one packet (255 bytes) is buffered.
     """
 
     def __init__(self) -> None:
@@ -246,7 +246,7 @@ class PacketParser:
 
     @property
     def buffered(self) -> int:
-        """Bytes of an incomplete packet."""
+        """Number of bytes of an incomplete packet."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Packet]:
@@ -267,7 +267,7 @@ class PacketParser:
         return packets
 
     def give_up(self) -> list[Packet]:
-        """Drop the start of a packet whose rest will not come; return what it hid."""
+        """Discard the start of an incomplete packet; return what was hidden after it."""
         packets: list[Packet] = []
         while self._buffer:
             del self._buffer[0]
@@ -276,7 +276,7 @@ class PacketParser:
         return packets
 
     def _complete_length(self) -> int | None:
-        """Return the length of the first packet, 0 if there is none, None if bytes are missing."""
+        """Return the length of the first packet; 0 if invalid, None if incomplete."""
         if self._buffer[0] not in _FROM_DEVICE:
             return 0
         if len(self._buffer) < 2:
@@ -301,7 +301,7 @@ def encode(counter: int, body: bytes) -> bytes:
 
 
 def fragments(packet: bytes) -> list[bytes]:
-    """Return a packet in pieces that fit into one write each."""
+    """Split a packet into pieces that fit into one write each."""
     return [packet[at : at + MAX_FRAGMENT] for at in range(0, len(packet), MAX_FRAGMENT)]
 
 
@@ -315,7 +315,7 @@ def _checksum(packet: bytearray) -> int:
 
 @unique
 class Command(IntEnum):
-    """Commands that the driver gives."""
+    """Commands that the driver uses."""
 
     GET_STATUS = 0x10
     START = 0x18
@@ -337,7 +337,7 @@ DISCONNECT = bytes((Command.DISCONNECT,))
 
 
 def sensor_info(channel: int) -> bytes:
-    """Return the body of the command that asks what a channel measures."""
+    """Return the body of the command that queries a channel's description."""
     return bytes((Command.SENSOR_INFO, channel))
 
 
@@ -347,12 +347,12 @@ def set_period(period_us: int) -> bytes:
 
 
 def start(mask: int) -> bytes:
-    """Return the body of the command that starts the channels of a mask, with a sample now."""
+    """Return the body of the command that starts the channels of a mask immediately."""
     return struct.pack("<BBBIQ", Command.START, _ALL_CHANNELS, 1, mask, _FROM_NOW)
 
 
 class VernierProtocol:
-    """Turns what a belt sends into messages; never raises, whatever the bytes are."""
+    """Decodes a belt's bytes to messages; never raises, whatever the bytes."""
 
     def __init__(self) -> None:
         self._parser = PacketParser()
@@ -360,12 +360,12 @@ class VernierProtocol:
 
     @property
     def dropped_bytes(self) -> int:
-        """Bytes outside of valid packets, or in packets that cannot be decoded."""
+        """Number of bytes outside of valid packets or in packets that cannot be decoded."""
         return self._parser.dropped_bytes + self._undecoded_bytes
 
     @property
     def buffered(self) -> int:
-        """Bytes of an incomplete packet."""
+        """Number of bytes of an incomplete packet."""
         return self._parser.buffered
 
     def feed(self, data: bytes) -> list[Message]:
@@ -373,7 +373,7 @@ class VernierProtocol:
         return [self._decode(packet) for packet in self._parser.feed(data)]
 
     def give_up(self) -> list[Message]:
-        """Drop the start of a packet whose rest will not come; return what it hid."""
+        """Discard the start of an incomplete packet; return what was hidden after it."""
         return [self._decode(packet) for packet in self._parser.give_up()]
 
     def _decode(self, packet: Packet) -> Message:
@@ -391,7 +391,7 @@ def _reply(packet: Packet) -> Reply | Unknown:
 
 
 class _Layout(NamedTuple):
-    """Where a kind of measurement has what."""
+    """Layout of a kind of measurement."""
 
     channels_format: str
     channels_at: int

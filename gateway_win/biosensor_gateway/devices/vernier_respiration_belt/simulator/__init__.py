@@ -1,4 +1,4 @@
-"""A virtual respiration belt on the air."""
+"""A virtual respiration belt."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ COMMAND_UUID = "F4BF14A6-C7D5-4B6D-8AA8-DF1A7C83ADCB"
 RESPONSE_UUID = "B41E6675-A329-40E0-AA01-44D2F444BABE"
 
 PACKET_S = 0.1
-"""Samples wait for each other about so long, as with a slow connection interval."""
+"""Duration of the samples in a packet, as with a slow connection interval."""
 _ORDER_CODE = "GDX-RB"
 _FRAGMENT_BYTES = 20
 _GARBAGE_BYTES = 16
 _Properties = Characteristic.Properties
 
 EXPECTED = Expected(
-    # A belt that nobody wears is loose.
+    # A belt that is not worn is loose.
     contact=Contact("quality", 1, off=-1.0),
     without_contact=("bpm",),
     by_agent=frozenset({"quality"}),
-    # Each connection begins a new series, which is placed by its arrival.
+    # Each connection starts a new series, whose start is only known by its arrival.
     loss_tolerance=LossTolerance(over_break=2, by_arrival=True),
     impossible={
         FaultKind.DENY: "one command starts all of its channels",
@@ -60,21 +60,21 @@ EXPECTED = Expected(
 )
 
 RATE_WARM_UP_S = 25.0
-"""The belt needs some breaths before it knows a rate."""
+"""The belt needs some breaths before it reports a rate."""
 RATE_UPDATE_S = 10.0
 _SLACK_N = -0.53
 _CHANNELS = ((1, "force"), (2, "bpm"))
 
 
 class _Signals:
-    """Force and respiration rate of a wearer who may take the belt off.
+    """Force and respiration rate of a belt that may be taken off.
 
     Parameters
     ----------
     wearer
-        Who wears it.
+        The wearer.
     warm_up_s
-        It knows no respiration rate for so long after every start.
+        Time after every start without a respiration rate.
     clock
         The true time.
     """
@@ -87,11 +87,11 @@ class _Signals:
         self.begin()
 
     def begin(self) -> None:
-        """Let the wearer's time begin now."""
+        """Start the wearer's time now."""
         self._origin_s = self._worn_since_s = self._clock()
 
     def take_off(self) -> None:
-        """Take the belt off: it hangs slack."""
+        """Take the belt off, which makes it loose."""
         self._worn = False
 
     def put_on(self) -> None:
@@ -99,7 +99,7 @@ class _Signals:
         self._worn, self._worn_since_s = True, self._clock()
 
     def rows(self, times: NDArray[np.float64], started_s: float) -> NDArray[np.float32]:
-        """Return what is measured at some LSL times.
+        """Return the measurements at LSL times.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class _Signals:
         Returns
         -------
         ndarray of float32, shape (n, 6)
-            Channels 0 to 5: force [N] in 1, rate [1/min] in 2, or NaN where none is known.
+            Channels 0 to 5: force [N] in 1, rate [1/min] in 2, or NaN if unknown.
         """
         wearer_times = times - self._origin_s
         rows = np.zeros((len(times), 6), np.float32)
@@ -126,7 +126,7 @@ class _Signals:
         if not self._worn or time_s < known_since_s:
             return math.nan
         updates = math.floor((time_s - known_since_s) / RATE_UPDATE_S)
-        # The belt's own rate is a little off, differently each time.
+        # The belt's own rate has a small, varying error.
         error = 0.3 * math.sin(1.7 * updates)
         return round(self._wearer.respiration_rate_bpm + error, 1)
 
@@ -134,7 +134,7 @@ class _Signals:
 def _note(
     truth: Truth, times: NDArray[np.float64], rows: NDArray[np.float32], mask: int, *, sent: bool
 ) -> None:
-    """Note in a truth what was measured of the channels in a mask, as sent or as lost."""
+    """Record samples of the channels in a mask as sent or lost."""
     for channel, data_name in _CHANNELS:
         if not mask & (1 << channel):
             continue
@@ -155,11 +155,11 @@ class SimulatedBelt(RadioDevice):
     serial
         Eight characters, part of the advertised name.
     warm_up_s
-        The belt knows no respiration rate for so long after every start.
+        Time after every start without a respiration rate.
     rssi_dbm
-        How strongly it is heard.
+        Signal strength as received.
     max_mtu
-        The largest ATT MTU that it grants.
+        Largest ATT MTU that it accepts.
     """
 
     sensor = "vernier_respiration_belt"
@@ -196,7 +196,7 @@ class SimulatedBelt(RadioDevice):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Fields that lead a driver to it."""
+        """Settings with which a driver finds it."""
         return {"device": self._serial}
 
     async def _start(self) -> None:
@@ -204,7 +204,7 @@ class SimulatedBelt(RadioDevice):
         await super()._start()
 
     def _services(self) -> Sequence[Service]:
-        # Only a writing host is told apart; the vendor's services are not advertised.
+        # Hosts are only identified by writes; the vendor's services are not advertised.
         commands = Characteristic[bytes](
             COMMAND_UUID,
             _Properties.WRITE | _Properties.WRITE_WITHOUT_RESPONSE,
@@ -233,7 +233,7 @@ class SimulatedBelt(RadioDevice):
             self._halt()
 
     async def _measure(self) -> None:
-        """Send packets of samples; the first sample is taken at the start itself."""
+        """Send packets of samples, the first sample of which is measured at the start."""
         period_s = self._firmware.period_us / 1e6
         count = max(1, round(PACKET_S / period_s))
         begin_s = self._oscillator.now()
@@ -256,10 +256,10 @@ class SimulatedBelt(RadioDevice):
             first += count
 
     async def _send(self, packet: bytes) -> bool:
-        """Send a packet in as many notifications as it takes; False if the host misses any."""
+        """Send a packet in as many notifications as needed; return False if one is lost."""
         size = max(_FRAGMENT_BYTES, self._peripheral.host_mtu - 3)
         sent = True
-        # Packets must not mix on the air.
+        # Notifications of different packets must not be mixed.
         async with self._sending:
             for begin in range(0, len(packet), size):
                 fragment = packet[begin : begin + size]

@@ -1,6 +1,6 @@
-"""Packets of a Go Direct device, as it sends them.
+"""Encodes the packets of a Go Direct device.
 
-Layouts of the BSD-licensed vendor sources: `[head, length, counter, checksum, body]`,
+Layouts are from the vendor's BSD-licensed sources: `[head, length, counter, checksum, body]`,
 where the checksum is the sum of all other bytes.
 """
 
@@ -24,7 +24,7 @@ _UNKNOWN_TYPE = 0x7F
 
 @unique
 class Command(IntEnum):
-    """What a host may ask."""
+    """Commands of a host."""
 
     GET_STATUS = 0x10
     START = 0x18
@@ -63,14 +63,14 @@ MIN_PERIOD_US, MAX_PERIOD_US, TYPICAL_PERIOD_US, GRANULARITY_US = 10_000, 60_000
 
 
 def seal(head: int, counter: int, body: bytes) -> bytes:
-    """Put a header around a body."""
+    """Return a packet with this body."""
     packet = bytearray((head, HEADER_BYTES + len(body), counter & 0xFF, 0)) + body
     packet[3] = sum(packet) & 0xFF
     return bytes(packet)
 
 
 def is_sealed(packet: bytes) -> bool:
-    """Tell whether length and checksum of a packet are right."""
+    """Whether length and checksum of a packet are correct."""
     return (
         len(packet) >= HEADER_BYTES + 1
         and packet[1] == len(packet)
@@ -79,12 +79,12 @@ def is_sealed(packet: bytes) -> bool:
 
 
 def status(battery_percent: int) -> bytes:
-    """Payload of GET_STATUS: firmware 1.7.220, radio 1.9.31, not charging."""
+    """Return the payload of GET_STATUS: firmware 1.7.220, radio 1.9.31, not charging."""
     return struct.pack("<BBBBHBBHBB", 0, 0, 1, 7, 220, 1, 9, 31, battery_percent, 0)
 
 
 def device_info(order_code: str, serial: str) -> bytes:
-    """Payload of GET_DEVICE_INFO."""
+    """Return the payload of GET_DEVICE_INFO."""
     return struct.pack(
         "<16s16s32sHHBBBBHBBH6sI64s",
         order_code.encode(),
@@ -107,7 +107,7 @@ def device_info(order_code: str, serial: str) -> bytes:
 
 
 def sensor_info(number: int) -> bytes:
-    """Payload of SENSOR_INFO; a channel that does not exist has sensor id 0."""
+    """Return the payload of SENSOR_INFO; a missing channel has sensor id 0."""
     channel = next((each for each in CHANNELS if each.number == number), None)
     if channel is None:
         channel = Channel(number, 0, "", "", 0.0, 0.0, 0.0)
@@ -134,18 +134,18 @@ def sensor_info(number: int) -> bytes:
 def measurements(
     mask: int, auxiliary: int, rows: NDArray[np.float32], *, known: bool = True
 ) -> bytes:
-    """Body of a packet of samples, type NORMAL_REAL32.
+    """Return the body of a packet of samples, type NORMAL_REAL32.
 
     Parameters
     ----------
     mask
         Bit n is channel n.
     auxiliary
-        A running byte whose meaning is not known.
+        A counting byte with unknown meaning.
     rows : ndarray of float32, shape (samples, channels)
         Channels in ascending order.
     known
-        False: the type is one that no source names.
+        If False, the type is undocumented.
     """
     kind = NORMAL_REAL32 if known else _UNKNOWN_TYPE
     head = struct.pack("<BHBB", kind, mask, len(rows), auxiliary & 0xFF)
@@ -157,27 +157,27 @@ _DEFAULT_PERIOD_US = TYPICAL_PERIOD_US
 
 
 class BeltFirmware:
-    """The conversation of one connection after the other.
+    """Executes commands and encodes packets, over all connections.
 
     Parameters
     ----------
     order_code, serial
-        What it says of itself.
+        Contents of the device information.
 
     Attributes
     ----------
     battery_percent
-        Shown in the status.
+        Battery level in the status.
     refuses
-        Every command is ignored, with a status that says so.
+        Whether every command is answered with the status "ignored".
     knows_type
-        False: samples are of a type that no source names.
+        If False, samples have an undocumented type.
     mask
-        Channels that are being measured; 0 while it is stopped.
+        Measured channels; 0 while stopped.
     period_us
-        Sampling period.
+        Sample period.
     starts
-        How often measuring was started.
+        Number of starts.
     """
 
     def __init__(self, order_code: str, serial: str) -> None:
@@ -190,7 +190,7 @@ class BeltFirmware:
         self.forget()
 
     def forget(self) -> None:
-        """Lose all modes and counters, as with the end of a connection."""
+        """Reset all modes and counters, as at the end of a connection."""
         self.mask = 0
         self.period_us = _DEFAULT_PERIOD_US
         self._counter = 0
@@ -198,7 +198,7 @@ class BeltFirmware:
         self._heard = bytearray()
 
     def hear(self, fragment: bytes) -> list[bytes]:
-        """Take in a piece of a command; return the packets to answer with."""
+        """Add a piece of a command; return the answer packets."""
         self._heard += fragment
         answers: list[bytes] = []
         while len(self._heard) >= HEADER_BYTES + 1:
@@ -215,7 +215,7 @@ class BeltFirmware:
         return answers
 
     def pack(self, rows: NDArray[np.float32]) -> bytes:
-        """Make the packet of the next samples of the measured channels."""
+        """Return a packet with the next samples of the measured channels."""
         body = measurements(self.mask, self._auxiliary, rows, known=self.knows_type)
         self._auxiliary += len(rows)
         return self._seal(MEASUREMENT_HEAD, body)
@@ -240,7 +240,7 @@ class BeltFirmware:
                 return self._told().get(number, _NOT_RECOGNISED)
 
     def _told(self) -> Mapping[int, bytes]:
-        """Answers that change nothing."""
+        """Return the answers to queries."""
         return {
             Command.INIT: _ACCEPTED,
             Command.DISCONNECT: _ACCEPTED,

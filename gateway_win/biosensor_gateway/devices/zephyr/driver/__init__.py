@@ -1,4 +1,4 @@
-"""The conversation with a BioHarness: start its packets, keep it awake, pass on what it sends."""
+"""Driver for the Zephyr BioHarness: enables its packets, and keeps it awake."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.dialogue import Dialogue, Heard
 
-# The order in which the recorded device was started.
+# The same order as in a recorded session.
 PACKETS = (
     Request.ECG,
     Request.BREATHING,
@@ -45,15 +45,15 @@ STREAMS = {
     Request.SUMMARY: ("quality", "hr", "br", "posture", "activity"),
     Request.GENERAL: ("quality",),
 }
-"""By which streams one knows that a packet comes; it may hold others, too."""
+"""Streams that are monitored for each packet, which may contain others, too."""
 DUE = {"ibi": 5.0, "quality": 10.0}
-"""Their packets come once a second, with or without a value; old firmware has to be asked for
-general data first."""
+"""Packets of these streams come once a second, with or without a value; old firmware must first be
+switched to general data."""
 REPLY_TIMEOUT_S = 2.0
 ATTEMPTS = 3
 LIFESIGN_PERIOD_S = 2.0
 TORN_FRAME_S = 1.0
-"""Longest gap within a frame; recorded Bluetooth reads come up to 0.51 s apart."""
+"""Longest gap within a frame; recorded Bluetooth reads are up to 0.51 s apart."""
 SUMMARY_PATIENCE_S = 5.0
 
 _DENIED = "it answers no when asked for their packets; update its firmware"
@@ -73,7 +73,7 @@ class ZephyrSettings(DeviceSettings):
 class ZephyrDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # The device sends a lifesign every 3 s whatever is enabled.
+    # The device sends a lifesign every 3 s, whatever is enabled.
     silence_limit_s = 10.0
 
     def __init__(self, settings: ZephyrSettings, sink: Sink, emitter: ZephyrEmitter) -> None:
@@ -104,33 +104,33 @@ class ZephyrDriver:
         return Connected(denied=denied, due=due)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Enable the packets of streams that are silent; their replies pass by."""
+        """Enable the packets of silent streams again, without waiting for replies."""
         for packet in [each for each in self._enabled if not streams.isdisjoint(STREAMS[each])]:
             self._link.write(enable(packet, on=True))
 
     async def stream(self) -> None:
-        """Emit what came while connecting, then all that comes."""
+        """Emit data received since connecting."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._stay_awake())
             tasks.create_task(self._fall_back_to_general())
             tasks.create_task(self._dialogue.stream(self._take))
 
     async def close(self) -> None:
-        """Disable what was enabled, without waiting for the replies."""
+        """Disable the enabled packets without waiting for replies."""
         for packet in self._enabled:
             self._link.write(enable(packet, on=False))
         await self._dialogue.close()
         await self._link.close()
 
     async def _enable(self, packet: Request) -> bool:
-        """Switch a packet on; return whether the device accepted.
+        """Enable a packet; return whether the device accepted.
 
         Raises
         ------
         ProtocolError
             ``NO_REPLY`` or ``GARBAGE``.
         """
-        # Noted before the answer, which may come when nobody waits for it any more.
+        # Added before the answer, which may arrive after the timeout.
         self._enabled.append(packet)
 
         def is_reply(heard: Heard[Message]) -> Reply | None:
@@ -158,7 +158,7 @@ class ZephyrDriver:
         raise ProtocolError(ProtocolReason.NO_REPLY, message)
 
     async def _receive(self) -> list[Heard[Message]]:
-        """Wait for bytes, at most until a torn frame has to be given up."""
+        """Wait for bytes, at most until an incomplete frame must be discarded."""
         before = self._protocol.dropped_bytes
         try:
             async with asyncio.timeout(TORN_FRAME_S if self._protocol.buffered else None):
@@ -183,7 +183,7 @@ class ZephyrDriver:
             await asyncio.sleep(LIFESIGN_PERIOD_S)
 
     async def _fall_back_to_general(self) -> None:
-        """Old firmware acknowledges the summary request and then sends none."""
+        """Enable general data, because old firmware accepts the summary request but sends none."""
         await asyncio.sleep(SUMMARY_PATIENCE_S)
         if not self._summary_seen and Request.GENERAL not in self._enabled:
             self._link.write(enable(Request.GENERAL, on=True))
@@ -191,7 +191,7 @@ class ZephyrDriver:
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
-    """Share one emitter between all connections: it follows gaps across them."""
+    """Share one emitter between all connections, to detect gaps across them."""
     own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)
     return lambda: ZephyrDriver(own, sink, emitter)

@@ -1,4 +1,4 @@
-"""Turns BioHarness messages into samples of the declared streams."""
+"""Converts BioHarness messages to samples of the declared streams."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
 from biosensor_gateway.system.device_log import DeviceLog
 
 _SEQUENCE_MODULUS = 256
-# In bad contact the device reports intervals from 24 to 12 498 ms.
+# With bad contact the device reports intervals from 24 to 12 498 ms.
 _RR_RANGE_MS = range(250, 1501)
 _MAX_BRIDGED_S = 86_400.0
 _REMEMBERED = 16
 _USUALLY_LATE_S = 5.0
-"""Where a device has no clock, numbers that claim a longer gap than arrivals leave room for,
-by more than this, were begun again."""
+"""Without a device clock, numbers have restarted if they show a gap longer than the arrivals allow
+by more than this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A packet's place on the device's clock.
+    """A packet's times on the device's clock.
 
     Attributes
     ----------
     stamp_s
-        The packet's own stamp.
+        The packet's own timestamp.
     first_s
-        Time of its first sample when samples are evenly spaced.
+        Time of its first sample, with evenly spaced samples.
     lost_packets
-        Packets lost before it.
+        Number of packets lost before it.
     """
 
     stamp_s: float
@@ -60,19 +60,19 @@ class Placed:
 
 
 class PacketTrack:
-    """One kind of periodic packet, followed over connections.
+    """Assigns times to one kind of periodic packet, over all connections.
 
-    What a packet's stamp says decides; its number confirms it, and tells a gap from a clock
-    that was set. So numbers that are begun again, or stand still, make no gap.
+    The packet's timestamp decides; its number confirms it, and distinguishes a gap from a clock
+    that was set. So restarted or constant numbers do not cause a gap.
 
     Parameters
     ----------
     samples
-        Samples in a packet.
+        Number of samples in a packet.
     period_s
-        Sampling period in seconds.
+        Sample period in seconds.
     stamped_at_end
-        The stamp is that of the moment when the packet is complete, not of its
+        Whether the timestamp is the time at which the packet is complete instead of that of its
         first sample.
     """
 
@@ -89,14 +89,14 @@ class PacketTrack:
         self._arrival_s = 0.0
 
     def reconnected(self) -> None:
-        """Forget the sequence number: nothing says that it survives a connection."""
+        """Forget the sequence number, which may not continue in a new connection."""
         self._numbers.forget()
 
     def place(self, header: Header, arrival_s: float) -> Placed | None:
-        """Place the next packet on the device's clock; None for one that came before.
+        """Return the times of the next packet; None for a repeated one.
 
-        A device whose clock was never set counts from the arrival of a connection's
-        first packet instead.
+        If the device's clock was never set, times count from the arrival of the connection's first
+        packet.
         """
         if self._came_before(header, arrival_s):
             return None  # nothing is dropped: the emitter reports it as left out
@@ -113,7 +113,7 @@ class PacketTrack:
         return Placed(stamp, first, lost)
 
     def times(self, first_s: float) -> list[float]:
-        """Device time of each sample of a packet."""
+        """Return the device time of each sample of a packet."""
         return [first_s + index * self._period_s for index in range(self.samples)]
 
     def _came_before(self, header: Header, arrival_s: float) -> bool:
@@ -135,7 +135,7 @@ class PacketTrack:
     def _lost(self, sequence: int, stamp_s: float, arrival_s: float) -> int:
         by_time = self._lost_by_time(stamp_s, arrival_s)
         is_next = self._numbers.steps(sequence) == 1
-        # The very next number, but another time: the device's clock was set.
+        # If the numbers are consecutive but the time jumps, the device's clock was set.
         return 0 if is_next and by_time % _SEQUENCE_MODULUS else by_time
 
     def _lost_by_time(self, stamp_s: float, arrival_s: float) -> int:
@@ -144,28 +144,28 @@ class PacketTrack:
         missing_s = stamp_s - self._next_s
         pause_s = self._pause_s(arrival_s)
         if abs(missing_s - pause_s) > LONGEST_DELAY_S:
-            # The device's clock was set meanwhile; only the host's knows how long it took.
+            # The device's clock was set meanwhile, so the host's clock determines the pause.
             missing_s = pause_s
         if missing_s > _MAX_BRIDGED_S:
             return 0
         return max(0, round(missing_s / self._duration_s))
 
     def _pause_s(self, arrival_s: float) -> float:
-        """Return how much longer than a packet it is since the last one came."""
+        """Return the time since the last packet minus its duration."""
         return arrival_s - self._arrival_s - self._duration_s
 
 
 class BeatDetector:
-    """Finds new beats in R-R packets: a beat is where the reading changes.
+    """Finds new beats in R-R packets, where the reading changes.
 
-    The first reading after a start or a gap is no beat: it may be long past.
+    The first reading after a start or a gap does not count, because its beat may be old.
     """
 
     def __init__(self) -> None:
         self._last: int | None = None
 
     def reset(self) -> None:
-        """Forget the last reading, as after lost packets."""
+        """Forget the last reading, for example after lost packets."""
         self._last = None
 
     def beats(self, packet: RrIntervals) -> list[tuple[int, float]]:
@@ -184,7 +184,7 @@ _NAN = math.nan
 
 
 class ZephyrEmitter:
-    """Turns messages into samples; one instance a device, over all its connections."""
+    """Converts messages to samples; one instance per device, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -207,12 +207,12 @@ class ZephyrEmitter:
         self._beats.reset()
 
     def take(self, message: Message, arrival_s: float) -> None:
-        """Emit what a message holds; messages without values are passed over.
+        """Emit the samples of a message; messages without values are ignored.
 
         Parameters
         ----------
         arrival_s
-            LSL clock when the message's last byte arrived.
+            LSL time of arrival of the message's last byte.
         """
         match message:
             case Waveform():
@@ -234,7 +234,7 @@ class ZephyrEmitter:
                 pass
 
     def _placed(self, track: str, header: Header, arrival_s: float) -> Placed | None:
-        """Return the place of a packet; None for one that came before."""
+        """Return the times of a packet; None for a repeated one."""
         placed = self._tracks[track].place(header, arrival_s)
         if placed is None:
             self._sink.left_out(self._tracks[track].samples, "their packet came twice")
@@ -262,7 +262,7 @@ class ZephyrEmitter:
             return  # nothing is dropped: `_placed` counts it
         times = self._times("ibi", placed, arrival_s)
         if placed.lost_packets:
-            # How many beats fell into the gap is unknown, so none is counted as lost.
+            # The number of beats in the gap is unknown, so none is counted as lost.
             self._beats.reset()
         for index, interval_s in self._beats.beats(message):
             self._sink.emit_value("ibi", interval_s, times[index])
@@ -276,7 +276,7 @@ class ZephyrEmitter:
         time_s = placed.stamp_s
         self._sink.observe(time_s, arrival_s, "vitals")
         for data_name in self._vitals if placed.lost_packets else ():
-            # An estimate: what the last packet held, the lost ones will have held.
+            # Estimated: lost packets are assumed to have the same values as the previous one.
             self._sink.lost(data_name, placed.lost_packets)
         self._vitals = {"quality", *(name for name, value in values.items() if value is not None)}
         for data_name, value in values.items():
@@ -296,7 +296,7 @@ class ZephyrEmitter:
         values = {
             "hr": _rate(numbers["heart_rate_bpm"]),
             "hrv": numbers["hrv_ms"],
-            # The one flag that makes a value "no value"; the others only go into quality.
+            # This flag alone invalidates a value; the others are only emitted as quality.
             "br": None if flags["rr_unreliable"] else _rate(numbers["respiration_rate_bpm"]),
             "posture": numbers["posture_deg"],
             "activity": numbers["activity_vmu_g"],
@@ -330,7 +330,7 @@ class ZephyrEmitter:
 
 
 def _rate(value: float | None) -> float | None:
-    """Return a rate; the device says 0 while it has found none."""
+    """Return a rate; the device reports 0 while it is unknown."""
     return value or None
 
 

@@ -1,4 +1,4 @@
-"""A BioHarness' messages, as records."""
+"""The messages of a BioHarness as records."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Number = int | float | None
 
 
 class MessageId(IntEnum):
-    """Messages that the device sends by itself."""
+    """Messages that the device sends without a request."""
 
     GENERAL = 0x20
     BREATHING = 0x21
@@ -110,12 +110,12 @@ SUMMARY_V3 = (
     Field("core_temperature_c", 37, "H", 10, _U16),
 )
 
-# By version: numbers, offset of the "red orange green" word, offset of the status word.
+# Layout by version: numbers, offset of the "red orange green" word, offset of the status word.
 SUMMARY_LAYOUTS = {2: (SUMMARY_V2, 40, 56), 3: (SUMMARY_V3, 30, 32)}
 
 
 def read_fields(fields: tuple[Field, ...], payload: bytes) -> dict[str, Number]:
-    """Decode a table's numbers from a payload."""
+    """Decode the numbers of a layout from a payload."""
     numbers: dict[str, Number] = {}
     for name, offset, code, divisor, invalid in fields:
         (raw,) = struct.unpack_from("<" + code, payload, offset)
@@ -180,7 +180,7 @@ MOVEMENT_DIVISORS = {
 }
 
 
-# A centre of 512 gives 1.07 g at rest in recordings; the datasheet's other one, 533, 2.4 g.
+# A zero of 512 gives 1.07 g at rest in recordings; the data sheet's alternative 533 gives 2.4 g.
 ACCELERATION_ZERO = 512
 ACCELERATION_COUNTS_PER_G = 20.75
 
@@ -189,12 +189,12 @@ _EPOCH = dt.datetime(2000, 1, 1)  # noqa: DTZ001 - the device's clock is naive l
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What every periodic packet starts with.
+    """The header of periodic packets.
 
     Attributes
     ----------
     sequence
-        Counts packets of one kind, 0-255.
+        Counter of packets of one kind, 0-255.
     time
         Device clock, naive local time of the first sample; None if not set.
     """
@@ -222,7 +222,7 @@ class Waveform:
 class Acceleration:
     """20 samples of (X, Y, Z) in counts, 20 ms apart.
 
-    ``counts_per_g`` and ``zero`` turn them into g: ``(counts - zero) / counts_per_g``.
+    ``counts_per_g`` and ``zero`` convert them to g: ``(counts - zero) / counts_per_g``.
     """
 
     header: Header
@@ -250,12 +250,12 @@ class Status:
 
     @property
     def worn_level(self) -> int:
-        """0 full, 1 high, 2 low confidence that it is worn; 3 not worn."""
+        """Confidence that it is worn: 0 full, 1 high, 2 low; 3 not worn."""
         return self.word & 3
 
     @property
     def worn(self) -> bool:
-        """Whether the device believes that it is worn."""
+        """Whether the device reports that it is worn."""
         return self.worn_level != 3
 
     @property
@@ -302,7 +302,7 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class General:
-    """Vital signs of devices that know no summary packet (BioHarness 2)."""
+    """Vital signs of devices without summary packets (BioHarness 2)."""
 
     header: Header
     numbers: dict[str, Number]
@@ -315,7 +315,7 @@ class General:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened on the device, stamped when it happened."""
+    """An event on the device, with its time."""
 
     header: Header
     code: int
@@ -334,12 +334,12 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Lifesign:
-    """The device is alive; nothing else."""
+    """A sign that the device is running."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A well-formed frame that nothing is known about."""
+    """A valid frame of an unknown kind."""
 
     message_id: int
 

@@ -1,7 +1,7 @@
-"""BioHarness 3 protocol: bytes in, typed messages out; no I/O and no clock.
+"""Decodes the BioHarness 3 protocol; no I/O and no clock.
 
-Layouts are those of zephyr-bt and App-Zephyr, confirmed by recordings of a
-real device. Unknown messages are passed on as :class:`Unknown`, never raised.
+Layouts are as in zephyr-bt and App-Zephyr, confirmed by recordings of a real device. Unknown
+messages are returned as :class:`Unknown` instead of raising.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
 STX = 0x02
 MAX_PAYLOAD = 128
 _OVERHEAD = 5
-# Larger input is taken in slices, so the buffer stays small whatever arrives.
+# Larger input is processed in slices, so the buffer stays small whatever arrives.
 _SLICE = 1024
 
 
@@ -50,7 +50,7 @@ _TERMINATORS = {int(end): end for end in Terminator}
 
 
 HXM = 0x26
-"""What a Zephyr HxM sends once a second: a strap that knows no request."""
+"""Message id of a Zephyr HxM, a strap that sends once a second and accepts no requests."""
 
 PAYLOAD_SIZES: dict[int, range] = {
     MessageId.GENERAL: range(53, 54),
@@ -80,7 +80,7 @@ _CRC = _crc_table()
 
 
 def crc8(payload: bytes) -> int:
-    """CRC-8 of a payload; 0 for an empty one."""
+    """Return the CRC-8 of a payload; 0 for an empty one."""
     crc = 0
     for byte in payload:
         crc = _CRC[crc ^ byte]
@@ -89,7 +89,7 @@ def crc8(payload: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame whose length, CRC and end were right."""
+    """One frame with correct length, CRC and end."""
 
     message_id: int
     payload: bytes
@@ -97,15 +97,15 @@ class Frame:
 
 
 def request(message_id: int, payload: bytes = b"") -> bytes:
-    """Bytes of a request from the host."""
+    """Return a request of the host."""
     return bytes((STX, message_id, len(payload), *payload, crc8(payload), Terminator.ETX))
 
 
 class FrameParser:
-    """Cuts a byte stream into frames; bytes that belong to none are dropped and counted.
+    """Splits a byte stream into frames; other bytes are dropped and counted.
 
-    On a rejected frame one byte is dropped and the search goes on behind it,
-    because 02 is a legal byte inside a payload.
+    After a rejected frame, only one byte is dropped before the search continues, because 02 may
+    occur in a payload.
     """
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ class FrameParser:
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take the next bytes, in pieces of any size; return the frames that they complete."""
+        """Add bytes in pieces of any size; return the frames that they complete."""
         frames: list[Frame] = []
         for start in range(0, len(data), _SLICE):
             self._buffer += data[start : start + _SLICE]
@@ -126,7 +126,7 @@ class FrameParser:
         return frames
 
     def give_up(self) -> list[Frame]:
-        """Stop waiting for the rest of a frame; return what was hidden behind its first byte."""
+        """Stop waiting for the rest of a frame; return frames found after its first byte."""
         frames: list[Frame] = []
         while self._buffer:
             del self._buffer[0]
@@ -157,7 +157,7 @@ class FrameParser:
         del buffer[:position]
 
     def _frame_size(self, start: int) -> int | None:
-        """Size of the frame at *start*: 0 if there can be none, None if more bytes must come."""
+        """Return the size of the frame at *start*: 0 if there is none, None if incomplete."""
         buffer = self._buffer
         if len(buffer) - start < 3:
             return None
@@ -184,12 +184,12 @@ ACCELERATION_PERIOD_S = 0.02
 _HEADER = struct.Struct("<BHBBI")
 _HEADER_SIZE = 9
 _MS_PER_DAY = 86_400_000
-# No clock reads more; a later one is a clock that is not set.
+# A later year means that the clock is not set.
 _LAST_YEAR = 2999
 
 
 class Request(IntEnum):
-    """Every request that a driver may send; other ids can erase or reconfigure the device."""
+    """The requests that the driver uses; others could erase or reconfigure the device."""
 
     GENERAL = 0x14
     BREATHING = 0x15
@@ -205,7 +205,7 @@ LIFESIGN = request(Request.LIFESIGN)
 
 
 def enable(packet: Request, *, on: bool) -> bytes:
-    """Bytes that switch one periodic packet on (the summary: once a second) or off."""
+    """Return the request that switches a periodic packet on (summary: once a second) or off."""
     if packet is Request.SUMMARY:
         return request(packet, struct.pack("<H", int(on)))
     return request(packet, bytes((on,)))
@@ -229,7 +229,7 @@ _ROG = {1: "green", 2: "orange", 3: "red"}
 class ZephyrProtocol:
     """Incremental decoder of one connection's bytes.
 
-    ``feed`` never raises, whatever the bytes; what it cannot use is counted.
+    ``feed`` never raises, whatever the bytes; unusable bytes are counted.
     """
 
     def __init__(self) -> None:
@@ -237,29 +237,29 @@ class ZephyrProtocol:
 
     @property
     def dropped_bytes(self) -> int:
-        """Bytes that belonged to no valid frame."""
+        """Number of bytes outside of valid frames."""
         return self._frames.dropped_bytes
 
     @property
     def buffered(self) -> int:
-        """Bytes held back as the possible start of a frame."""
+        """Number of bytes held back as a possible start of a frame."""
         return self._frames.buffered
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take the next bytes, in pieces of any size; return the messages that they complete."""
+        """Add bytes in pieces of any size; return the messages that they complete."""
         return [decode(frame) for frame in self._frames.feed(data)]
 
     def give_up(self) -> list[Message]:
-        """Give up a frame whose rest did not come; call it after a second of silence."""
+        """Discard an incomplete frame; call this after a second of silence."""
         return [decode(frame) for frame in self._frames.give_up()]
 
 
 def decode(frame: Frame) -> Message:
-    """Turn one frame into a message."""
+    """Decode one frame."""
     decoder = _DECODERS.get(frame.message_id)
     if decoder is not None:
         return decoder(frame)
-    # A request that is merely echoed ends in ETX and answers nothing.
+    # A mere echo of a request ends with ETX and is not an answer.
     if frame.message_id in _REPLY_IDS and frame.terminator is not Terminator.ETX:
         return Reply(frame.message_id, frame.terminator is Terminator.ACK, frame.payload)
     return Unknown(frame.message_id)

@@ -1,4 +1,4 @@
-"""A virtual BioHarness 3: a source of packets, a conversation and a serial link."""
+"""A virtual BioHarness 3: a source of packets, a command session and a serial link."""
 
 from biosensor_gateway.devices.zephyr.simulator.recording import RecordedZephyr
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SimulatedZephyr

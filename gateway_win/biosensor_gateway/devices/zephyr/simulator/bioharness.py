@@ -1,7 +1,7 @@
-"""A virtual BioHarness 3 on a serial port, whatever its packets come from.
+"""A virtual BioHarness 3 on a serial port, with any source of packets.
 
-It says nothing before the host's first byte, measures whether or not anybody listens, and
-forgets what a host switched on when that leaves, or is silent for too long.
+It is silent before the host's first byte, always measures, and forgets the host's settings when
+the host disconnects or is silent for too long.
 """
 
 from __future__ import annotations
@@ -42,27 +42,26 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Outgoing:
-    """One frame of a source, with what it holds.
+    """One frame of a source, with its contents.
 
     Attributes
     ----------
     data
-        The frame's bytes; for recorded junk whatever was there.
+        The frame's bytes, or recorded invalid bytes.
     packet
-        Its kind; None for junk and message ids that the project does not know.
+        Its kind; None for invalid bytes and unknown message ids.
     sequence
-        Packet number since power-on, not wrapped; the frame holds its low 8 bits.
+        Packet number since power-on, not wrapped; the frame contains its low 8 bits.
     stamp
-        The device's clock as the frame says it.
+        The device's time in the frame.
     measured_at
-        When its first sample (or, for a summary, the whole) was measured, on the LSL
-        clock [s].
+        LSL time of its first sample, or of the whole summary [s].
     period_s
-        True time between two of its samples [s].
+        True sample period [s].
     first_index
         Number of its first sample since power-on.
     samples
-        Shape (samples, channels); as `Inputs.samples` returns them.
+        Shape (samples, channels); as from `Inputs.samples`.
     values
         Fields of a summary or general data packet.
     """
@@ -79,31 +78,31 @@ class Outgoing:
 
 
 class Source(Protocol):
-    """Gives frames when they are due; all times are seconds on the LSL clock."""
+    """Provides frames when due; all times are LSL times in seconds."""
 
     @property
     def speaks_lifesigns(self) -> bool:
-        """Whether its frames include the device's lifesigns at present."""
+        """Whether its frames currently include the device's lifesigns."""
         ...
 
     def power_on(self, clock: Clock) -> None:
-        """Begin to measure, by this clock."""
+        """Start measuring with this clock."""
         ...
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> Iterable[Outgoing]:
-        """Return the frames that became due; of periodic packets the enabled ones."""
+        """Return the frames that are due; periodic packets only if enabled."""
         ...
 
     def next_due(self) -> float:
-        """Return when `poll` is worth calling again."""
+        """Return when to call `poll` again."""
         ...
 
     def hangs_up(self, now: float) -> bool:
-        """Tell whether the device ends the connection by itself."""
+        """Whether the device ends the connection by itself."""
         ...
 
     def connection_ended(self) -> None:
-        """Hear that the host is gone."""
+        """Note that the host is gone."""
         ...
 
 
@@ -112,27 +111,27 @@ _DRAIN_CHECK_S = 0.02
 _HANG_UP_S = 1.0
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
 
-# The conversation is pure: bytes and the time come in, bytes go out.
+# The session has no I/O: bytes and the time come in, bytes go out.
 _SWITCH_VALUES = (b"\0", b"\1")
 _SUMMARY_PERIODS = (b"\0\0", b"\1\0")
 
 
 @dataclass
 class Session:
-    """One host's connection; what it switched on is forgotten with it.
+    """One host's connection, with the packets that it has enabled.
 
     Parameters
     ----------
     summary_supported
-        False for firmware that has general data (0x20) only.
+        False for firmware with general data (0x20) only.
     host_timeout_s
-        A host that says nothing for so long is dropped; None = never.
+        Silence after which a host is disconnected; None for never.
     lifesign_s
-        Between two lifesigns of the device.
+        Interval of the device's lifesigns.
     answer_delay_s
-        From a request to its answer.
+        Delay of answers.
     refused, ignored
-        Request ids that get a NAK, or no answer; neither takes effect.
+        Request ids that get a NAK or no answer; neither has any effect.
     """
 
     summary_supported: bool = True
@@ -151,16 +150,16 @@ class Session:
 
     @property
     def enabled(self) -> frozenset[Packet]:
-        """The periodic packets that the host has switched on."""
+        """The periodic packets that the host has enabled."""
         return self._enabled
 
     @property
     def active(self) -> bool:
-        """Whether a host has spoken on this connection."""
+        """Whether the host has sent anything on this connection."""
         return self._heard_at is not None
 
     def hear(self, data: bytes, now: float) -> list[Request]:
-        """Take the host's bytes, heard at ``now`` [s]; return the requests in them."""
+        """Process the host's bytes at ``now`` [s]; return the requests in them."""
         if self._heard_at is None:
             self._lifesign_at = now + self.lifesign_s
         self._heard_at = now
@@ -180,20 +179,20 @@ class Session:
         return frames
 
     def next_due(self) -> float:
-        """Return when something is to be said or the host is to be dropped [s]."""
+        """Return when to send something or to disconnect the host [s]."""
         answer = self._answers[0][0] if self._answers else inf
         return min(answer, self._lifesign_at, self._drop_at())
 
     def host_is_lost(self, now: float) -> bool:
-        """Tell whether the host has been silent for too long."""
+        """Whether the host has been silent for too long."""
         return self._drop_at() <= now
 
     def forget_enables(self) -> None:
-        """Take it that the host has enabled nothing; the connection stays."""
+        """Forget the enabled packets but keep the connection."""
         self._enabled = frozenset()
 
     def forget(self) -> None:
-        """End the connection: nothing is enabled, nothing is owed."""
+        """End the connection, without enabled packets or pending answers."""
         self.__post_init__()
 
     def _drop_at(self) -> float:
@@ -223,25 +222,25 @@ class Session:
 
 
 class BioHarness(VirtualDevice):
-    """A source of packets, a conversation and a port, with the faults of the link.
+    """A source of packets, a session and a port, with the faults of the link.
 
     Parameters
     ----------
     source
-        Of its packets.
+        Source of its packets.
     session
-        How it converses; as new firmware does by default.
+        Command session; that of new firmware by default.
     buffer_bytes
-        What the radio keeps for a host that does not read.
+        Size of the radio's buffer for a host that does not read.
     tcp
-        A TCP server instead of a pseudo-terminal; by default where there is none.
+        Use a TCP server instead of a pseudo-terminal; default on systems without one.
     **specimen
-        As for every virtual device: see `Specimen`. Wearer, drift and jitter are the source's.
+        As for every virtual device: see `Specimen`. Wearer, drift and jitter belong to the source.
 
     Attributes
     ----------
     source, session
-        To be changed in the world's loop only.
+        May only be changed in the world's event loop.
     """
 
     sensor = "zephyr"
@@ -271,14 +270,14 @@ class BioHarness(VirtualDevice):
 
     @property
     def port(self) -> str:
-        """What a host opens as a serial port; the same over drops."""
+        """Name of its serial port for the host; it stays the same after lost links."""
         if self._port is None:
             raise RuntimeError("the virtual BioHarness is not switched on")
         return self._port.name
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The field ``port``."""
+        """The setting ``port``."""
         return {"port": self.port}
 
     async def _start(self) -> None:
@@ -297,18 +296,18 @@ class BioHarness(VirtualDevice):
             self._port.dispose()
 
     def _note(self, frame: Outgoing, *, sent: bool) -> None:
-        """Hear of each frame of the source that was due and enabled, and whether it left."""
+        """Record a frame that was due and enabled, and whether it was sent."""
 
     def _heard(self, data: bytes) -> None:
         if self._stalled:
-            # RFCOMM is reliable: what the host says meanwhile waits in the radio.
+            # RFCOMM is reliable, so the host's data wait in the radio meanwhile.
             self._unheard += data
             return
         self.session.hear(data, self.world.clock())
         self._take_turn()
 
     def _take_turn(self) -> None:
-        """Say what is due, and be back when more is."""
+        """Send what is due, and schedule the next turn."""
         now = self.world.clock()
         if self.session.host_is_lost(now):
             self._link_lost()

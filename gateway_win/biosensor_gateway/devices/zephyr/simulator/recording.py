@@ -1,4 +1,4 @@
-"""A virtual device that plays bytes of a real BioHarness 3."""
+"""A virtual device that replays recorded data of a real BioHarness 3."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from biosensor_gateway.system.clock import Clock
 RECORDING_150_S = "zephyr_bh3_2012-09-26_150s"
 """1 479 frames with the arrival times of their reads."""
 RECORDING_WITH_GAP = "zephyr_bh3_2012-04-06_with_gap"
-"""1 157 frames; a link glitch lost bytes once and left 39 that are no frame."""
+"""1 157 frames; a link error lost bytes once and left 39 invalid bytes."""
 
 _LENGTHS = {
     Packet.GENERAL: 53,
@@ -53,28 +53,28 @@ _HANG_UP_AFTER_S = 0.5
 
 
 class Arrival(NamedTuple):
-    """One read of the recording host: when [s], and how many bytes there were by then."""
+    """One read of the recording host: time [s] and total number of bytes so far."""
 
     time: float
     total_bytes: int
 
 
 def read_timing(text: str) -> list[Arrival]:
-    """Return the reads that a timing file lists, one ``seconds,total`` a line."""
+    """Return the reads in a timing file, one ``seconds,total`` per line."""
     rows = (line.split(",") for line in text.splitlines() if line)
     return [Arrival(float(time), int(total)) for time, total in rows]
 
 
 @dataclass(frozen=True)
 class RecordedItem:
-    """A frame of a recording, or the bytes between two that are no frame."""
+    """A frame of a recording, or invalid bytes between two frames."""
 
     data: bytes
     is_frame: bool
 
     @property
     def packet(self) -> Packet | None:
-        """Kind of the frame; None for junk, answers and unknown message ids."""
+        """Kind of the frame; None for invalid bytes, answers and unknown message ids."""
         if not self.is_frame or self.is_answer or self.data[1] not in set(Packet):
             return None
         return Packet(self.data[1])
@@ -86,7 +86,7 @@ class RecordedItem:
 
     @property
     def leaves_at_ms(self) -> float:
-        """When it was complete by its own stamp [ms, any origin]; -inf without a stamp."""
+        """Time of completion by its own timestamp [ms, any origin]; -inf without one."""
         packet = self.packet
         if packet is None or packet is Packet.LIFESIGN:
             return -inf
@@ -97,7 +97,7 @@ class RecordedItem:
 
 
 def split(data: bytes) -> Iterator[RecordedItem]:
-    """Yield a recording's frames and the junk between them; together they are ``data``."""
+    """Yield a recording's frames and the invalid bytes between them."""
     position = junk_from = 0
     while position < len(data):
         end = _frame_end(data, position)
@@ -113,7 +113,7 @@ def split(data: bytes) -> Iterator[RecordedItem]:
 
 
 def _frame_end(data: bytes, start: int) -> int | None:
-    """Return where the frame that begins at ``start`` ends; None if none does."""
+    """Return the end of the frame that begins at ``start``; None if there is none."""
     if data[start] != STX or start + 5 > len(data):
         return None
     message_id, length = data[start + 1], data[start + 2]
@@ -126,33 +126,31 @@ def _frame_end(data: bytes, start: int) -> int | None:
 
 
 class RecordedSource:
-    """Plays a recording, byte for byte and at its own pace.
+    """Replays a recording, byte for byte and with its original timing.
 
-    Recorded answers are left out (the device answers by itself), as are frames of
-    periodic packets that the host has not enabled. Lifesigns, events and junk are
-    always played. Playback begins when all periodic packets of the recording are
-    enabled, or ``settle_s`` after the last change if a host wants only some; it
-    begins again on every connection.
+    Recorded answers are left out, because the device answers by itself, as are periodic packets
+    that the host has not enabled. Lifesigns, events and invalid bytes are always replayed. The
+    replay starts when all periodic packets of the recording are enabled, or ``settle_s`` after the
+    last change if a host enables only some; it restarts with every connection.
 
     Parameters
     ----------
     data
         The recorded bytes.
     timing
-        The recording host's reads. None: each frame leaves when its own stamp says
-        that its last sample was measured, what has no stamp with the one before.
+        The recording host's reads. If None, each frame is sent at the time of its last sample
+        according to its timestamp, and frames without a timestamp with the previous one.
     speed
-        Factor on the recording's pace.
+        Speed factor.
     on_end
-        After the last byte: say nothing more, or end the connection once the host
-        has read everything.
+        After the last byte: stay silent, or end the connection once the host has read everything.
     settle_s
         Longest wait for further enables.
 
     Raises
     ------
     ValueError
-        If there is nothing but answers in the recording.
+        If the recording contains nothing but answers.
     """
 
     def __init__(
@@ -197,7 +195,7 @@ class RecordedSource:
         Raises
         ------
         FileNotFoundError
-            If there is no recording of that name.
+            If there is no recording with that name.
         """
         folder = files("biosensor_gateway").joinpath("devices/zephyr/simulator/recordings")
         timing = folder.joinpath(f"{name}-timing.csv")
@@ -210,14 +208,14 @@ class RecordedSource:
 
     @property
     def speaks_lifesigns(self) -> bool:
-        """From the begin of the playback on, also when it has ended."""
+        """Whether the replay has started, even if it has ended."""
         return self._began_at is not None
 
     def power_on(self, clock: Clock) -> None:
-        """Nothing to do: a recording waits for its host."""
+        """Do nothing, because a recording waits for its host."""
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
-        """Return the frames whose time has come, without those that nobody enabled."""
+        """Return the frames that are due, without disabled ones."""
         self._begin_if_ready(now, enabled)
         if self._began_at is None:
             return []
@@ -228,7 +226,7 @@ class RecordedSource:
         return [f for f in frames if f.packet not in _PERIODIC or f.packet in enabled]
 
     def next_due(self) -> float:
-        """Return when the next frame leaves, the playback begins or the device hangs up."""
+        """Return when the next frame is sent, the replay starts or the device disconnects."""
         if self._began_at is None:
             return self._changed_at + self._settle_s if self._enabled else inf
         if self._position < len(self._due_s):
@@ -236,7 +234,7 @@ class RecordedSource:
         return self._hangs_up_at()
 
     def hangs_up(self, now: float) -> bool:
-        """Tell whether the recording is over and was to end the connection."""
+        """Whether the recording is over and should end the connection."""
         return self._position == len(self._due_s) and now >= self._hangs_up_at()
 
     def connection_ended(self) -> None:
@@ -260,28 +258,28 @@ class RecordedSource:
 
 
 def _due_by_reads(items: Sequence[RecordedItem], timing: Sequence[Arrival]) -> list[float]:
-    """Give each item the time [s] of the read that held its last byte."""
+    """Return for each item the time [s] of the read with its last byte."""
     totals = [arrival.total_bytes for arrival in timing]
     ends = accumulate(len(item.data) for item in items)
     return [timing[min(bisect_left(totals, end), len(timing) - 1)].time for end in ends]
 
 
 def _due_by_stamps(items: Sequence[RecordedItem]) -> list[float]:
-    """Give each item the time [s] of its own stamp, or of the item before if later."""
+    """Return for each item the time [s] of its timestamp, but not before the previous item."""
     times = list(accumulate((item.leaves_at_ms for item in items), max))
     first = next((time for time in times if time > -inf), 0.0)
     return [max(time, first) / 1000 for time in times]
 
 
 class RecordedZephyr(BioHarness):
-    """The recording of 150 s, from its start whenever it has ended.
+    """The recording of 150 s, in a loop.
 
-    Its bytes cannot be changed, so it has only the faults of its link, and no truth.
+    Its bytes cannot be changed, so it only has link faults and no truth.
 
     Parameters
     ----------
     kept
-        Without effect.
+        No effect.
     """
 
     expected = Expected(
@@ -303,7 +301,7 @@ class RecordedZephyr(BioHarness):
 
     @classmethod
     def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
-        """Play the same for everybody."""
+        """Return no options, because the recording is the same for every wearer."""
         del wearer, number
         return {}
 

@@ -1,9 +1,9 @@
-"""Encodes what a BioHarness 3 sends, and reads what a host sends.
+"""Encodes a BioHarness 3's frames, and parses a host's requests.
 
-Written from the vendor's layout alone and shared with no decoder, so that a
-mistake in one of them shows as a disagreement. Sources of the layouts: real
-captures and the BSD-2 project zephyr-bt; App-Zephyr of labstreaminglayer for the
-100 mg acceleration packet (0x2A), which no capture holds.
+It was written only from the vendor's layout and shares no code with the decoder, so that a mistake
+in either shows as a difference. Sources of the layouts: real captures and the BSD-2 project
+zephyr-bt; App-Zephyr of labstreaminglayer for the 100 mg acceleration packet (0x2A), which is in
+no capture.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MS_PER_DAY = 86_400_000
 
 @unique
 class Packet(IntEnum):
-    """Message ids that the device sends without being asked each time."""
+    """Message ids of packets that the device sends without individual requests."""
 
     GENERAL = 0x20
     BREATHING = 0x21
@@ -53,7 +53,7 @@ REQUESTS: Mapping[int, Packet] = MappingProxyType(
 
 
 class WaveformLayout(NamedTuple):
-    """Samples in a packet: how many, of how many channels, how far apart."""
+    """Number of samples in a packet, channels, and sample period."""
 
     samples: int
     channels: int
@@ -79,13 +79,13 @@ def duration_ms(packet: Packet) -> int:
 
 
 class DeviceStamp(NamedTuple):
-    """The device's naive local clock, as the packets carry it."""
+    """The device's naive local time, as in packets."""
 
     day: date
     ms_of_day: int
 
     def plus(self, milliseconds: int) -> DeviceStamp:
-        """Return the reading so many milliseconds later (or earlier)."""
+        """Return the time this many milliseconds later or earlier."""
         days, ms_of_day = divmod(self.ms_of_day + milliseconds, MS_PER_DAY)
         return DeviceStamp(self.day + timedelta(days=days), ms_of_day)
 
@@ -101,12 +101,12 @@ def crc8(payload: bytes) -> int:
 
 
 def frame(message_id: int, payload: bytes = b"", end: int = ETX) -> bytes:
-    """Return a whole frame; the check covers the payload only."""
+    """Return a complete frame; the CRC covers the payload only."""
     return bytes((STX, message_id, len(payload), *payload, crc8(payload), end))
 
 
 def with_wrong_check(data: bytes) -> bytes:
-    """Return a frame whose check is another than that of its payload."""
+    """Return a frame with a wrong CRC."""
     return data[:-2] + bytes((data[-2] ^ 0xFF, data[-1]))
 
 
@@ -122,7 +122,7 @@ def pack_10_bit(values: Sequence[int]) -> bytes:
 
 
 def header(sequence: int, stamp: DeviceStamp) -> bytes:
-    """Return the nine bytes that every periodic packet and event begins with."""
+    """Return the nine-byte header of periodic packets and events."""
     day = stamp.day
     return struct.pack("<BHBBI", sequence & 0xFF, day.year, day.month, day.day, stamp.ms_of_day)
 
@@ -143,7 +143,7 @@ def waveform(packet: Packet, sequence: int, stamp: DeviceStamp, values: Sequence
     Raises
     ------
     ValueError
-        If the number of values is not the packet's.
+        If the number of values is wrong.
     """
     layout = WAVEFORMS[packet]
     if len(values) != layout.samples * layout.channels:
@@ -158,7 +158,7 @@ def event(sequence: int, stamp: DeviceStamp, code: int, data: bytes = b"") -> by
 
 
 class Request(NamedTuple):
-    """What a host asked for; not ``intact`` if length, check or end were wrong."""
+    """A host's request; not ``intact`` if length, CRC or end were wrong."""
 
     request_id: int
     payload: bytes
@@ -166,14 +166,14 @@ class Request(NamedTuple):
 
 
 class RequestReader:
-    """Cuts a host's byte stream into requests; keeps at most one unfinished one."""
+    """Splits a host's byte stream into requests; buffers at most one incomplete request."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._fed_at = -inf
 
     def feed(self, data: bytes, now: float) -> list[Request]:
-        """Return the requests that ``data``, heard at ``now`` [s], completes."""
+        """Return the requests completed by ``data``, received at ``now`` [s]."""
         if now - self._fed_at > LONGEST_PAUSE_IN_A_REQUEST_S:
             self._buffer.clear()
         self._fed_at = now
@@ -196,13 +196,13 @@ class RequestReader:
         if len(buffer) < length + 5:
             return None
         payload, check, end = bytes(buffer[3 : length + 3]), buffer[length + 3], buffer[length + 4]
-        # Without its end mark the length itself is in doubt: look for the next start inside.
+        # Without its end mark the length is doubtful, so search for the next start inside.
         del buffer[: length + 5 if end == ETX else 1]
         return Request(request_id, payload, intact=end == ETX and check == crc8(payload))
 
 
 Values = Mapping[str, float | None]
-"""Field name (its unit is the suffix) → value; None or absent is "invalid"."""
+"""Values by field name, with the unit as suffix; None or absent means "invalid"."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _byte(offset: int, code: str, invalid: int) -> _Field:
 
 
 def _axes(offset: int) -> dict[str, _Field]:
-    """Lay out minimum and peak of the three axes from ``offset`` on."""
+    """Return the fields for minimum and peak of the three axes, from ``offset`` on."""
     names = [
         f"{axis}_{end}_g" for axis in ("vertical", "lateral", "sagittal") for end in ("min", "peak")
     ]

@@ -1,4 +1,4 @@
-"""The virtual BioHarness 3 on a wearer, with every fault and its truth in declared units."""
+"""A virtual BioHarness 3 on a wearer, with all faults and a truth in declared units."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ SDNN_WINDOW_BEATS = 300
 _MAX_COUNTS = 1023
 _COUNTS = frozenset({Packet.ECG, Packet.BREATHING, Packet.ACCELERATION})
 _UV_PER_COUNT = 8.0
-# The strap swings by `BREATHING_SWING_COUNTS` where the wearer's chest pulls 12 N +- 3 N.
+# The signal swings by `BREATHING_SWING_COUNTS` for a force of 12 N +- 3 N.
 _RESTING_FORCE_N, _COUNTS_PER_N = 12.0, BREATHING_SWING_COUNTS / 3
-# Standard deviation in the packet's own unit; an interval is exact.
+# Standard deviations in the packets' own units; intervals are exact.
 _CONVERTER_NOISE: Mapping[Packet, float] = MappingProxyType(
     {
         Packet.ECG: 0.5,
@@ -62,7 +62,7 @@ Floats = NDArray[np.float64]
 
 
 class Inputs:
-    """A wearer as the device's converters see them."""
+    """The wearer's signals in ADC counts."""
 
     def __init__(self, wearer: Wearer) -> None:
         self._wearer = wearer
@@ -142,27 +142,27 @@ _STATUS_NOT_WORN = 0x33
 
 
 class SyntheticSource:
-    """A device on a wearer; it measures whether or not a host listens.
+    """A device on a wearer, which always measures.
 
-    Sequence numbers, sample numbers and clock advance while nothing is sent, so
-    that after a break exactly the samples of the missing packets are missing.
+    Sequence numbers, sample numbers and clock advance even while nothing is sent, so after a break
+    exactly the samples of the lost packets are missing.
 
     Parameters
     ----------
     clock_start
-        Reading of the device's clock at power-on.
+        Time of the device's clock at power-on.
     speed
-        Device seconds in a second.
+        Device seconds per second.
     hrv_after_s
-        HRV is invalid until so long after power-on [device s].
+        Time after power-on until HRV is valid [device s].
     **specimen
-        As for every virtual device: see `Specimen`. The jitter of the stamps comes from the
-        seed, too.
+        As for every virtual device: see `Specimen`. The seed also determines the jitter of
+        timestamps.
 
     Attributes
     ----------
     battery_percent
-        The battery's charge now.
+        Current battery level.
     """
 
     def __init__(
@@ -187,21 +187,21 @@ class SyntheticSource:
 
     @property
     def speaks_lifesigns(self) -> bool:
-        """Never: they are the conversation's."""
+        """False, because the session sends lifesigns."""
         return False
 
     def power_on(self, clock: Clock) -> None:
-        """Set device time 0 to the clock's now."""
+        """Start device time at 0 now."""
         self._oscillator = Oscillator(clock, self._oscillator_ppm(self._drift_ppm))
 
     def power_cycle(self) -> None:
-        """Begin again with every number at 0; the clock has gone on."""
+        """Restart all numbers at 0, but keep the device's clock."""
         self.step_clock(round(1000 * self._oscillator.now()))
         self.power_on(self._oscillator.clock)
         self._begin_measuring()
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
-        """Return events, then the enabled packets whose last sample is measured."""
+        """Return events, then the enabled packets whose last sample was measured."""
         device_ms = 1000 * self._oscillator.at(now)
         frames = [self._event(code, data, device_ms) for code, data in self._events]
         self._events.clear()
@@ -218,38 +218,38 @@ class SyntheticSource:
         return self._true_s(self._queue[0][0])
 
     def hangs_up(self, now: float) -> bool:
-        """Never."""
+        """Return False, because the device never disconnects."""
         del now
         return False
 
     def connection_ended(self) -> None:
-        """Measure on: a device does not need a host for that."""
+        """Do nothing, because the device measures without a host."""
 
     def set_worn(self, *, worn: bool) -> None:
-        """Put the strap on or off: status, confidence, vitals and event 0x1040.
+        """Put the strap on or take it off, which changes status and vitals and sends event 0x1040.
 
-        The waveforms stay what they are: pure functions of the sample number.
+        The waveforms do not change, because they only depend on the sample number.
         """
         if worn != self._worn:
             self.add_event(0x1040, bytes((0, 100)) if worn else bytes((100, 0)))
         self._worn = worn
 
     def set_drift(self, ppm: float) -> None:
-        """Run the oscillator so much too fast from now on."""
+        """Let the oscillator run too fast from now on."""
         self._drift_ppm = ppm
         self._oscillator.set_drift(self._oscillator_ppm(ppm))
 
     def step_clock(self, milliseconds: int) -> None:
-        """Set the device's clock forward (or back); measuring is not disturbed."""
+        """Set the device's clock forward or back; the measurement continues."""
         self._clock = self._clock.plus(milliseconds)
 
     def midnight_in(self, milliseconds: int) -> None:
-        """Set the clock forward so that it turns midnight in so many device milliseconds."""
+        """Set the clock forward so that midnight is in this many device milliseconds."""
         ms_of_day = self._clock.plus(round(1000 * self._oscillator.now())).ms_of_day
         self.step_clock(MS_PER_DAY - milliseconds - ms_of_day)
 
     def add_event(self, code: int, data: bytes) -> None:
-        """Have an event happen at the next `poll`."""
+        """Add an event for the next `poll`."""
         self._events.append((code, data))
 
     def _begin_measuring(self) -> None:
@@ -288,7 +288,7 @@ class SyntheticSource:
         return Outgoing(data, packet, index, stamp, measured_at, period_s, first, samples)
 
     def _vitals(self, packet: Packet, t: float) -> Values:
-        """Return what a summary or general data packet at ``t`` [device s] holds."""
+        """Return the values of a summary or general data packet at ``t`` [device s]."""
         worn = self._worn
         shared: dict[str, float | None] = {
             "heart_rate_bpm": self._inputs.heart_rate_bpm(t) if worn else None,
@@ -330,14 +330,14 @@ class SyntheticSource:
         return 1e6 * (self._speed * (1 + drift_ppm * 1e-6) - 1)
 
     def _rng(self, packet: Packet, index: int, purpose: int) -> np.random.Generator:
-        """Return the random numbers of one packet, the same whenever asked for."""
+        """Return the random generator of one packet, which is always the same."""
         return np.random.default_rng((self._seed, packet, index, purpose))
 
 
 EXPECTED = Expected(
     without_contact=("hr", "br"),
     by_agent=frozenset({"quality"}),
-    # Packets are numbered and stamped; after a restart it measures between two of them.
+    # Packets have numbers and timestamps; after a restart, the measurement starts between two.
     impossible={
         FaultKind.REPEAT: "the sign of an interval tells whether it is a new one",
         Untidiness.RATE: ONE_RATE,
@@ -372,10 +372,10 @@ _GENERAL_WORN, _GENERAL_HR_LOW = 0x80, 0x20
 
 
 class _Notes:
-    """Writes frames into a truth.
+    """Records frames in the truth.
 
-    An interval (``ibi``) has the time of the R-to-R sample that shows it first; one that
-    a host cannot see, since the sample before it was not sent, is not noted.
+    An interval (``ibi``) has the time of the first R-to-R sample that shows it; one that a host
+    cannot detect, because the previous sample was not sent, is not recorded.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ class _Notes:
         self._beat_before: tuple[int, int] | None = None
 
     def note(self, frame: Outgoing, *, sent: bool) -> None:
-        """Note what a frame holds, as sent or as lost."""
+        """Record the samples of a frame as sent or lost."""
         first_s = frame.measured_at
         if first_s is None:
             return
@@ -404,14 +404,14 @@ class _Notes:
         self, frame: Outgoing, samples: Integers, times: list[float], *, sent: bool
     ) -> None:
         if frame.packet is Packet.RR:
-            if sent:  # how many beats a lost packet showed is not worth a guess
+            if sent:  # beats in lost packets are not counted
                 self._intervals(frame.first_index or 0, samples[:, 0].tolist(), times)
         elif frame.packet is not None:
             rows = _scaled(frame.packet, samples)
             self._put(_WAVEFORMS[frame.packet], times, rows, sent=sent)
 
     def _intervals(self, first: int, values: list[int], times: list[float]) -> None:
-        """Note the samples at which the sign turns: each beat turns it."""
+        """Record the samples at which the sign changes, as it does with each beat."""
         known = self._beat_before is not None and self._beat_before[0] == first - 1
         before = self._beat_before[1] if known and self._beat_before else values[0]
         for value, time_s in zip(values, times, strict=True):
@@ -440,7 +440,7 @@ def _scaled(packet: Packet, samples: Integers) -> list[list[float]]:
 
 
 def _vitals(values: Values, *, general: bool) -> dict[str, list[float]]:
-    """Return what a packet of vital signs says, by stream."""
+    """Return the values of a vital signs packet by data name."""
     rows = {
         name: [float(value)]
         for name, field in _VITALS.items()
@@ -465,15 +465,15 @@ def _number(value: float | None) -> float:
 
 
 _UNKNOWN_PACKET = 0x26
-"""Of a Zephyr HxM, which speaks likewise."""
+"""Message id of a Zephyr HxM, which has a similar protocol."""
 _DENIABLE = (0x16, 0x1E, 0x19, 0x15)
-"""Requests for ECG, acceleration, intervals and breathing; one is denied at each time."""
+"""Requests for ECG, acceleration, intervals and breathing, denied one at a time."""
 
 
 class SimulatedZephyr(BioHarness):
-    """A BioHarness 3 that somebody wears.
+    """A BioHarness 3 on a wearer.
 
-    Its `truth` holds the streams of the packets that the host switched on.
+    Its `truth` contains the streams of the enabled packets.
     """
 
     expected = EXPECTED
