@@ -1,1 +1,1 @@
-"""What virtual devices share: world, wearer, oscillator, faults and links."""
+"""The shared parts of virtual devices: world, wearer, oscillator, faults and links."""

@@ -1,4 +1,4 @@
-"""What an agent can know about a virtual device, as expected by the tests of all sensors."""
+"""The facts that an agent can know about a virtual device, for the tests of all sensors."""
 
 from __future__ import annotations
 
