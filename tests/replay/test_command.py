@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from biosensor_gateway.recording.replay.player import (
     Track,
 )
 from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
+from biosensor_gateway.recording.replay.told import ReplayJob
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.replay import files
 from tests.replay.playing import PATIENCE_S, playing
@@ -98,6 +101,34 @@ def test_a_loop_begins_again_is_not_played_twice_and_ends_by_ctrl_c(tmp_path: Pa
     times = [stamp - (pulled[0][1] or 0.0) for _, stamp in pulled if stamp is not None]
     assert times == pytest.approx([0.0, 0.1, 0.3, 1.3, 1.4, 1.6], abs=1e-6)
     assert re.search(r"Ended at 0:00:0\d of 0:00:00 of round \d+\.\n\d+ samples", replay.said)
+
+
+# A player of the page that hangs as it closes, as liblsl does at times with an outlet.
+CLOSING_NEVER_ENDS = """
+import threading
+from biosensor_gateway.recording.replay import player_process
+player_process.words.ended = lambda *_arguments, **_options: threading.Event().wait()
+player_process.ENDS_WITHIN_S = 0.5
+player_process.play_for_another()
+"""
+
+
+@pytest.mark.nightly
+def test_a_player_that_hangs_ends_with_its_page_all_the_same(long: Path) -> None:
+    job = ReplayJob(file=long).model_dump_json(exclude_unset=True).encode() + b"\n"
+    command = [sys.executable, "-c", CLOSING_NEVER_ENDS]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as player:
+        assert player.stdin is not None
+        assert player.stdout is not None
+        player.stdin.write(job)
+        player.stdin.flush()
+        # It plays: this is what it tells its page.
+        assert player.stdout.read(1)
+        player.stdin.close()
+        try:
+            assert player.wait(PATIENCE_S) == 1
+        finally:
+            player.kill()
 
 
 @pytest.mark.nightly

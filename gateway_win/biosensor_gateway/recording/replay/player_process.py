@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.ending import end_within
 from biosensor_common.errors import GatewayError
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.agent.feed import ReaderQueue
@@ -34,6 +35,8 @@ from biosensor_gateway.recording.replay.told import (
 from biosensor_gateway.system.child import first_line, when_input_ends
 
 FLUSH_S = 0.04
+ENDS_WITHIN_S = 10.0
+"""Limit for the end; closing the outlets of many streams takes some seconds."""
 _TOLD_EVERY = 12
 _ALLOWED_BY = "tick 'also beside the real sensors'"
 
@@ -43,7 +46,13 @@ def play_for_another() -> int:
     job = ReplayJob.model_validate_json(first_line())
     configure_lsl(job.lsl.overrides)
     stopping = threading.Event()
-    when_input_ends(stopping.set)
+
+    def end() -> None:
+        stopping.set()
+        # liblsl may hang while it destroys an outlet, and perhaps nobody is left to kill this.
+        end_within(ENDS_WITHIN_S)
+
+    when_input_ends(end)
     teller = _Teller(sys.stdout.buffer)
     try:
         said = _play(job, stopping, teller)
