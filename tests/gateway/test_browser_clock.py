@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import random
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from biosensor_gateway.page.experiments.conversation import (
     BrowserClock,
     Exchange,
 )
+from biosensor_gateway.system import browser
 from biosensor_gateway.system.browser import apps
 
 # The clock of a browser, from exchanges whose truth is known.
@@ -121,3 +124,35 @@ def test_browsers_of_a_mac_are_found_in_its_folders_of_applications(tmp_path: Pa
     # What is left of a removed one is none.
     (everybody / "Chromium.app" / "Contents").mkdir(parents=True)
     assert list(apps((everybody, own))) == [str(chrome), str(edge)]
+
+
+# From where it reads the file that leads to the page.
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="there it is given the address itself")
+
+
+@POSIX
+def test_the_file_is_where_browsers_may_read_and_no_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, runtime, snaps = (tmp_path / each for each in ("home", "run", "snap"))
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
+    monkeypatch.setattr(browser, "_SNAPS", (str(snaps),))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def parent() -> Path:
+        return Path(browser.way_in("http://127.0.0.1:1/door?token=x").redirect).parents[1]
+
+    assert parent() == tmp_path
+    runtime.mkdir()
+    assert parent() == runtime
+    snaps.mkdir()
+    # No hidden folder of the home, either.
+    assert parent() == home
+
+
+@POSIX
+def test_where_no_file_can_be_written_the_browser_is_not_given_the_address(tmp_path: Path) -> None:
+    way = browser.WayIn("http://127.0.0.1:1/door?token=x", str(tmp_path / "not" / "there" / "open"))
+    assert not browser.open_page(way, in_window=True)
