@@ -31,10 +31,11 @@ def test_a_measurement_fills_rate_intervals_and_quality(
     emitter: StrapEmitter, sink: EmitterSink
 ) -> None:
     emitter.measurement(bytes.fromhex("108e9d01a801"), ARRIVAL_S)
-    assert firsts(sink) == {"hr": [142], "ibi": [413 / 1024, 424 / 1024], "quality": [1]}
-    assert sink.times["hr"] == sink.times["quality"] == [ARRIVAL_S]
+    emitter.measurement(bytes.fromhex("008e"), ARRIVAL_S + 1)
+    assert firsts(sink) == {"hr": [142] * 2, "ibi": [413 / 1024, 424 / 1024], "quality": [1] * 2}
+    assert sink.times["hr"] == sink.times["quality"] == [ARRIVAL_S, ARRIVAL_S + 1]
     assert sink.times["ibi"] == [ARRIVAL_S - 424 / 1024, ARRIVAL_S]
-    assert (sink.heard_count, sink.dropped_bytes) == (1, 0)
+    assert (sink.heard_count, sink.dropped_bytes) == (2, 0)
 
 
 def test_beats_keep_their_distances_although_packets_jitter(

@@ -104,9 +104,37 @@ def test_a_sleep_just_after_a_gap_is_none(seed: int, gap: int, between: int, sto
     assert abs(world.errors[-1]) < 0.2
 
 
-def test_packets_are_held_back_only_while_it_is_unclear() -> None:
+def begun() -> StoredBeats:
+    """Return a clock that has placed beats at 99 and 100 s."""
     clock = StoredBeats()
-    clock.place([Beat(0.8)], 100.0)
+    assert not clock.place([Beat(0.8)], 99.0)
+    assert len(clock.place([Beat(0.8)], 100.0)) == 2
+    return clock
+
+
+@given(st.integers(0, 99), st.integers(2, 30), st.booleans())
+def test_what_waited_at_the_begin_of_a_connection_is_where_it_was(
+    seed: int, stored: int, is_timely_later: bool
+) -> None:
+    world = World(seed)
+    # What nobody waits for is sent when the connection ends, or after a while.
+    end_s = world.second + stored + (0 if is_timely_later else HOLD_LIMIT_S + 1)
+    for number in range(stored):
+        world.send(arrival_s=world.second + stored - number + 0.002 * number)
+    assert not world.intervals_found
+    if is_timely_later:
+        world.run(2)
+    else:
+        world.take(world.clock.place([], end_s))
+    assert world.intervals_found
+    # The newest packet is up to a second late.
+    errors = np.array(world.errors)
+    assert errors.min() > -0.3
+    assert errors.max() < 1.0
+
+
+def test_packets_are_held_back_only_while_it_is_unclear() -> None:
+    clock = begun()
     assert not clock.place([Beat(0.8)], 110.0)
     for second in range(1, 2 * GROUP - 1):
         assert not clock.place([Beat(0.8)], 110.0 + second)
@@ -115,8 +143,7 @@ def test_packets_are_held_back_only_while_it_is_unclear() -> None:
 
 
 def test_a_strap_that_is_taken_off_meanwhile_does_not_hold_beats_for_ever() -> None:
-    clock = StoredBeats()
-    clock.place([Beat(0.8)], 100.0)
+    clock = begun()
     assert not clock.place([Beat(0.8)], 110.0)
     assert not clock.place([], 111.0)
     ((beat, time_s),) = clock.place([], 110.5 + HOLD_LIMIT_S)
@@ -124,8 +151,7 @@ def test_a_strap_that_is_taken_off_meanwhile_does_not_hold_beats_for_ever() -> N
 
 
 def test_what_is_held_back_is_released_by_a_restart() -> None:
-    clock = StoredBeats()
-    clock.place([Beat(0.8)], 100.0)
+    clock = begun()
     assert not clock.place([Beat(0.7, is_valid=False)], 110.0)
     ((beat, time_s),) = clock.restart()
     assert (beat, time_s) == (Beat(0.7, is_valid=False), pytest.approx(110.0))

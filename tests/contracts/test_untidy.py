@@ -161,6 +161,8 @@ async def test_what_waits_longer_than_the_connection_lasts_is_right_or_said(
                 # A heart rate is as old as the packet before it.
                 errors_s = errors_by_value(device, run, name, begin_s)
                 assert np.count_nonzero(errors_s > UNSTAMPED_LIMIT_S) <= late[name], name
+                # Intervals tell the times of each other.
+                assert name != "ibi" or errors_s.max(initial=0.0) < UNSTAMPED_LIMIT_S, errors_s
             else:
                 errors_s = errors_by_place(device, run, name, begin_s)
                 assert np.abs(errors_s).max(initial=0.0) < LONG_LIMIT_S, (name, errors_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import accumulate, islice
 from typing import NamedTuple
 
@@ -38,6 +38,23 @@ class BeatClock:
         self._arrival_s: float | None = None
         self._upper: deque[float] = deque(maxlen=WINDOW_PACKETS)
         self._lower: deque[float] = deque(maxlen=WINDOW_PACKETS)
+
+    def anchor(self, packets: Iterable[tuple[Sequence[float], float]]) -> None:
+        """Begin where the earliest of the first packets puts the beats, however late others are.
+
+        Parameters
+        ----------
+        packets
+            Intervals and arrival of each, as for `place`, which they are still to be given to.
+        """
+        elapsed_s, uppers = self._elapsed_s, list[float]()
+        for intervals_s, arrival_s in packets:
+            elapsed_s += sum(intervals_s)
+            if intervals_s:
+                uppers.append(arrival_s - elapsed_s)
+        if uppers:
+            self._offset_s = min(uppers)
+            self._upper.append(self._offset_s)
 
     def place(self, intervals_s: Sequence[float], arrival_s: float) -> list[float]:
         """Return the time of the beat at the end of each interval.
@@ -104,6 +121,8 @@ def walk_back(last_s: float, intervals_s: Sequence[float]) -> list[float]:
 # strap or by this computer while the agent was not running. To decide, a few packets are held
 # back. Stored packets follow each other faster than the heart beats, or their lateness decreases;
 # then the beats continue without a gap. Otherwise the clock is anchored again at their arrival.
+# The first packets of a connection may have been stored, too, and nothing is known before them:
+# they are held back until one arrives that was not.
 
 GROUP = 3
 """Number of packets needed to measure their pace."""
@@ -112,6 +131,8 @@ STORED_PACE = 0.5
 SHRINKS_S = 1.0
 """Minimum decrease in lateness from one group to the next while stored packets arrive."""
 HOLD_LIMIT_S = 10.0
+MOST_FIRST = 64
+"""Most packets held back at the start of a connection."""
 TOGETHER_S = 0.3
 """Packets in faster succession were stored, because no heart beats this fast."""
 TIMELY_S = 3.0
@@ -144,14 +165,22 @@ class _Packet(NamedTuple):
 class StoredBeats:
     """Places the beats of one strap, including stored ones; see :class:`.BeatClock`.
 
+    Parameters
+    ----------
+    holds_first
+        Whether the first packets of a connection are held back until one arrives without delay; not
+        for a strap whose packets hold the beats of many seconds.
+
     Attributes
     ----------
     is_placed_by_arrival
         No packet since the start has been known to arrive without delay.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, holds_first: bool = True) -> None:
+        self._holds_first = holds_first
         self._clock = BeatClock()
+        self._first: list[_Packet] | None = [] if holds_first else None
         self._held: list[_Packet] = []
         self._may_be_stored = False
         self._was_empty = False
@@ -160,8 +189,10 @@ class StoredBeats:
 
     def restart(self) -> list[PlacedBeat]:
         """Start again after a new connection; return the beats held back."""
-        released = self._anchored_again() if self._held else []
-        self._clock = BeatClock()
+        released = self._begin()
+        if self._held:
+            released += self._anchored_again()
+        self._clock, self._first = BeatClock(), [] if self._holds_first else None
         self._may_be_stored = self._was_empty = False
         self._arrival_s, self.is_placed_by_arrival = None, True
         return released
@@ -177,10 +208,25 @@ class StoredBeats:
             LSL clock when the packet arrived.
         """
         packet = _Packet(beats, arrival_s)
-        before_s = self._arrival_s
-        if before_s is not None and TOGETHER_S < arrival_s - before_s < TIMELY_S:
+        before_s, self._arrival_s = self._arrival_s, arrival_s
+        is_timely = before_s is not None and TOGETHER_S < arrival_s - before_s < TIMELY_S
+        if is_timely:
             self.is_placed_by_arrival = False
-        self._arrival_s = arrival_s
+        if self._first is None:
+            return self._taken(packet)
+        self._first.append(packet)
+        is_overdue = arrival_s - self._first[0].arrival_s > HOLD_LIMIT_S
+        return self._begin() if is_timely or is_overdue or len(self._first) == MOST_FIRST else []
+
+    def _begin(self) -> list[PlacedBeat]:
+        """Place the first packets of a connection by the one that waited least."""
+        first, self._first = self._first or [], None
+        if first:
+            self._clock.anchor((each.intervals_s, each.arrival_s) for each in first)
+        return [beat for packet in first for beat in self._taken(packet)]
+
+    def _taken(self, packet: _Packet) -> list[PlacedBeat]:
+        beats, arrival_s = packet
         # Checked before adding this packet, because its own delay says nothing about the others.
         overdue = bool(self._held) and arrival_s - self._held[0].arrival_s > HOLD_LIMIT_S
         placed = self._anchored_again() if overdue else []

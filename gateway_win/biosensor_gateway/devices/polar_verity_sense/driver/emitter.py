@@ -103,7 +103,7 @@ class _Beats:
     """Places intervals by their lengths, and keeps their other data."""
 
     def __init__(self) -> None:
-        self._stored = StoredBeats()
+        self._stored = StoredBeats(holds_first=False)
         self._waiting: list[PulseInterval] = []
 
     def place(
