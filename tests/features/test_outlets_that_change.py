@@ -10,10 +10,17 @@ import pylsl
 import pytest
 from pylsl import util
 
+from biosensor_common import naming
+from biosensor_common.description_xml import append_children
 from biosensor_common.lsl import inlet as inlet_module
 from biosensor_common.lsl.inlet import read_description
+from biosensor_common.lsl_header import describe
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
+from biosensor_common.table import channels, raw
+from biosensor_gateway.devices.muse import SPEC as MUSE
 from biosensor_gateway.features import live as live_module
-from biosensor_gateway.features.live import DUPLICATE_S, SETTLED_S, Live
+from biosensor_gateway.features.live import DUPLICATE_S, SETTLED_S, SILENT_S, Live
 from biosensor_gateway.features.sources import Source
 
 FIRST, SECOND = "uid-1", "uid-2"
@@ -35,7 +42,8 @@ class Outlet:
         channel.append_child_value("label", "ECG")
         channel.append_child_value("unit", unit)
         self.xml = info.as_xml()
-        self.is_gone = False
+        self.is_gone = self.sends = False
+        self._count, self._row = 0, [1.0]
         self.openings = self.closings = 0
 
     def uid(self) -> str:
@@ -53,13 +61,37 @@ class Outlet:
     def pull_chunk(self, _timeout: float, _most: int) -> tuple[list[Any], list[float]]:
         if self.is_gone:
             raise util.LostError
-        return [], []
+        if not self.sends:
+            return [], []
+        self._count += 1
+        return [self._row], [self._count / 130]
 
     def time_correction(self, _timeout: float) -> float:
         return 0.0
 
     def close_stream(self) -> None:
         self.closings += 1
+
+
+class Own(Outlet):
+    """One of ours, all of one device."""
+
+    WATCH = DeviceIdentity("watch", "")
+
+    def __init__(self, uid: str, stream: StreamSpec) -> None:
+        super().__init__(uid, naming.source_id(self.WATCH, stream.data_name))
+        self._row = [1.0] * len(stream.channels)
+        assert isinstance(stream.rate, float | int)
+        info = pylsl.StreamInfo(
+            naming.lsl_name(self.WATCH, stream.data_name),
+            stream.content_type.value,
+            len(stream.channels),
+            stream.rate,
+            stream.format.value,
+            self.source_id(),
+        )
+        append_children(info.desc(), describe(stream, self.WATCH, DeviceInfo(model="any")))
+        self.xml = info.as_xml()
 
 
 class Immediate:
@@ -84,6 +116,14 @@ class Told:
 
     def refused(self, sentence: str) -> None:
         self.sentences.append(sentence)
+
+    def with_beats(self) -> list[str]:
+        """The source_ids of the streams of which beats were computed."""
+        return [
+            each.source_id
+            for each in self.sources
+            if "beats" in {feature.stream.data_name for feature in each.features}
+        ]
 
 
 class Watched:
@@ -187,6 +227,37 @@ def test_what_a_stream_leaves_is_computed_of_another_one_of_its_device(watched: 
     assert {each.source_id for each in watched.told.sources} == {"ppg"}
     data_names = {each.stream.data_name for each in watched.told.sources[-1].features}
     assert {"beats", "hr_live"} <= data_names
+
+
+ECG = raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ecg"), 130)
+PPG = raw("ppg", ContentType.PPG, channels(Unit.COUNTS, "green"), 64)
+
+
+@pytest.mark.parametrize(
+    ("sends_not", "sends"),
+    [
+        (ECG, PPG),
+        (MUSE.stream("optics"), MUSE.stream("ppg")),
+        (MUSE.stream("ppg"), MUSE.stream("optics")),
+    ],
+    ids=lambda stream: stream.data_name,
+)
+def test_what_a_stream_never_sends_is_computed_of_another_one_of_its_device(
+    watched: Watched, sends_not: StreamSpec, sends: StreamSpec
+) -> None:
+    """A Muse 2 has no optics, an Athena no PPG, and each announces both."""
+    silent, pulse = Own(FIRST, sends_not), Own(SECOND, sends)
+    # Before the device sends anything, nobody knows which of them will.
+    for _ in range(3):
+        watched.see(silent, pulse, seconds=SILENT_S)
+    assert watched.told.with_beats() == []
+    pulse.sends = True
+    for _ in range(3):
+        watched.see(silent, pulse, seconds=SILENT_S)
+    assert watched.told.with_beats() == [pulse.source_id()]
+    silent.sends = True
+    watched.see(silent, pulse, seconds=SILENT_S)
+    assert watched.told.with_beats() == [pulse.source_id()]
 
 
 def test_an_outlet_that_has_the_port_of_another_does_not_describe_it() -> None:

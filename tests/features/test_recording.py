@@ -61,6 +61,20 @@ def _own(number: int, spec: StreamSpec, values: signals.Array, rate: float) -> b
     return header + made.samples(number, "float32", rows, stamps)
 
 
+@pytest.mark.parametrize(("empty", "full"), [("a", "b"), ("b", "a")])
+def test_beats_are_of_the_stream_that_has_samples(tmp_path: Path, empty: str, full: str) -> None:
+    path, target = tmp_path / "pulse.xdf", tmp_path / "features.xdf"
+    specs = [raw(each, ContentType.PPG, channels("counts", "green"), 64) for each in (empty, full)]
+    recorded = made.xdf(
+        _own(1, specs[0], np.zeros((0, 1)), 64), _own(2, specs[1], signals.pulse(64, 40)[0], 64)
+    )
+    path.write_bytes(recorded)
+    compute_recording(path, target, print_json=False)
+    counts = {each["info"]["name"][0]: len(each["time_stamps"]) for each in _loaded(str(target))}
+    (beats,) = (count for name, count in counts.items() if name.endswith("-beats"))
+    assert beats > 30
+
+
 def test_motion_of_a_recording_is_that_of_its_accelerometer(tmp_path: Path) -> None:
     path, target = tmp_path / "walk.xdf", tmp_path / "features.xdf"
     ppg = raw("ppg", ContentType.PPG, channels("counts", "green"), 64)

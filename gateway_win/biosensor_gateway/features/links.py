@@ -48,6 +48,8 @@ class Link:
         Of the outlet.
     is_here
         Whether the sender is this computer, whose stamps need no clock correction.
+    has_received
+        Whether a sample has come.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Link:
         length = buffer_length(source.header.rate, _BUFFER_S)
         self.connection = Connection(info, asking, _OPEN_S, length)
         self.is_here = info.hostname() == socket.gethostname()
+        self.has_received = False
         self._computer = source.new_computer(witnesses)
         self._told = self._gone = self._told_gone = self._told_values = 0
         # nothing is dropped: what is given up is counted in `read` and told by `remarks`
@@ -86,6 +89,7 @@ class Link:
         pulled: tuple[Any, Any] = inlet.pull_chunk(0.0, _MOST_SAMPLES)
         samples, stamps = pulled
         if stamps:
+            self.has_received = True
             events = self._computer.take(
                 np.array(stamps, np.float64), np.array(samples, np.float64)
             )

@@ -21,6 +21,7 @@ from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.links import Link, Remark
@@ -34,6 +35,8 @@ LOOK_EVERY = 25
 """Number of readings between two looks at the network."""
 SETTLED_S = 3.0
 """How long to wait for all streams of a device; later ones get the features that are left."""
+SILENT_S = 20.0
+"""For how long a source may send nothing while its device sends, before the next one is taken."""
 DUPLICATE_S = 7.0
 """Age at which a second outlet is a duplicate; an ended one is found for some seconds more."""
 _DESCRIPTION_S = 3.0
@@ -70,21 +73,21 @@ class Sender:
                 outlet.push_chunk(values, [each.stamp + correction_s for each in own])
 
 
+class _Seen:
+    def __init__(self, source: Source, info: pylsl.StreamInfo, since_s: float) -> None:
+        self.source, self.info, self.since_s = source, info, since_s
+
+
 class _Stage:
     """Receives one source, over successive outlets, and sends its features."""
 
-    def __init__(
-        self,
-        source: Source,
-        info: pylsl.StreamInfo,
-        asking: ThreadPoolExecutor,
-        witnesses: Witnesses,
-    ) -> None:
-        self.source, self._witnesses = source, witnesses
-        self.is_lost = False
+    def __init__(self, seen: _Seen, asking: ThreadPoolExecutor, witnesses: Witnesses) -> None:
+        self.source, self.info, self.since_s = seen.source, seen.info, seen.since_s
+        self._witnesses = witnesses
+        self.is_lost = self.has_rival = False
         self._sender: Sender | None = None
         self._asking = asking
-        self._link = Link(source, info, asking, witnesses)
+        self._link = Link(seen.source, seen.info, asking, witnesses)
 
     @property
     def uid(self) -> str:
@@ -93,12 +96,18 @@ class _Stage:
 
     @property
     def has_begun(self) -> bool:
-        """Whether the source was ever received."""
+        """Whether its outlets are open."""
         return self._sender is not None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether no sample has come yet from its present outlet."""
+        return not self._link.has_received
 
     def follow(self, info: pylsl.StreamInfo) -> None:
         """Go on with another outlet that has the same header."""
         self.close()
+        self.info = info
         self._link = Link(self.source, info, self._asking, self._witnesses)
         self.is_lost = False
 
@@ -120,8 +129,9 @@ class _Stage:
         if self.is_lost:
             return  # nothing is dropped: its outlet has ended
         known = self._link.read()
-        if self._link.connection.is_open:
-            # The outlets are opened only now, so that there are none for a stream that has ended.
+        if self._link.has_received or (self._link.connection.is_open and not self.has_rival):
+            # The outlets are opened only now, so that there are none for a stream that has ended,
+            # or that never sends while another one does: Muse 2 has no optics, Athena no PPG.
             self._sender = self._sender or Sender(self.source)
             for events, seconds in known:
                 self._sender.send(events, seconds)
@@ -133,11 +143,6 @@ class _Stage:
     def close(self) -> None:
         """Close the inlet."""
         self._link.connection.close()
-
-
-class _Seen:
-    def __init__(self, source: Source, info: pylsl.StreamInfo, since_s: float) -> None:
-        self.source, self.info, self.since_s = source, info, since_s
 
 
 class Live:
@@ -171,6 +176,8 @@ class Live:
         self._spare: dict[str, _Seen] = {}
         self._taken: Taken = set()
         self._stages: dict[str, _Stage] = {}
+        # When the first sample of each device came.
+        self._sending: dict[DeviceIdentity, float] = {}
         self._witnesses: Witnesses = {}
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
@@ -218,6 +225,7 @@ class Live:
         self._described = [each for each in self._described if not each[1].done()]
         for info, description in done:
             self._judge(info, description)
+        self._replace_silent()
         self._begin()
         connections = (each.connection for each in self._stages.values())
         self._measured = [each for each in connections if each is not None]
@@ -235,6 +243,8 @@ class Live:
                 # No more files may be opened: neither for an inlet nor for outlets.
                 self._refuse(Refusal.NO_FEATURES, about=stage.source.name, why=error)
                 self._give_up(key)
+            if not stage.is_silent:
+                self._sending.setdefault(stage.source.identity, self._clock())
             if stage.has_begun and not had_begun and stage.source.features:
                 self._listener.found(stage.source)
             for what, count, why in stage.remarks():
@@ -257,6 +267,36 @@ class Live:
         for uid, seen in list(self._spare.items()):
             if seen.source.identity == identity:
                 self._waiting.append(self._spare.pop(uid))
+
+    def _replace_silent(self) -> None:
+        """Leave the features of sources that send nothing to others of their devices that may."""
+        now = self._clock()
+        for key, stage in list(self._stages.items()):
+            sending_s = self._sending.get(stage.source.identity, now)
+            if (
+                stage.has_rival
+                and not stage.has_begun
+                and now - max(sending_s, stage.since_s) > SILENT_S
+            ):
+                self._give_up(key)
+                self._spare_for_later(stage.source, stage.info)
+
+    def _spare_for_later(self, source: Source, info: pylsl.StreamInfo) -> None:
+        """Keep features that another stream of the device provides now."""
+        known = self._spare.get(info.uid())
+        if known is not None:
+            source = replace(source, features=(*known.source.features, *source.features))
+        self._spare[info.uid()] = _Seen(source, info, self._clock())
+
+    def _has_rival(self, source: Source) -> bool:
+        """Whether another stream of the device could provide some of the features."""
+        wanted = {each.stream.data_name for each in source.features}
+        return any(
+            each.stream.data_name in wanted
+            for seen in self._spare.values()
+            if seen.source.identity == source.identity
+            for each in seen.source.features
+        )
 
     def _is_held(self, info: pylsl.StreamInfo, present: Container[str]) -> bool:
         """Whether this outlet, or another one of its stream, is received."""
@@ -317,17 +357,19 @@ class Live:
             source = by_header.get(id(seen.source.header))
             features = source.features if source else ()
             if left := [each for each in seen.source.features if each not in features]:
-                rest = replace(seen.source, features=tuple(left))
-                self._spare[seen.info.uid()] = _Seen(rest, seen.info, now)
+                self._spare_for_later(replace(seen.source, features=tuple(left)), seen.info)
             if source is not None:
                 self._start(source, seen.info)
+        for stage in self._stages.values():
+            stage.has_rival = self._has_rival(stage.source)
 
     def _start(self, source: Source, info: pylsl.StreamInfo) -> None:
         """Compute features of a stream, in addition to those that it has already."""
         if (earlier := self._stages.pop(_key(info), None)) is not None:
             earlier.close()
             source = replace(source, features=(*earlier.source.features, *source.features))
-        self._stages[_key(info)] = _Stage(source, info, self._asking, self._witnesses)
+        seen = _Seen(source, info, self._clock())
+        self._stages[_key(info)] = _Stage(seen, self._asking, self._witnesses)
 
 
 def _key(info: pylsl.StreamInfo) -> str:

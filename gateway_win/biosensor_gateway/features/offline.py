@@ -17,7 +17,7 @@ from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event
-from biosensor_gateway.features.sources import Source, choose, judge
+from biosensor_gateway.features.sources import Source, Taken, choose, judge
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
@@ -101,7 +101,12 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
             continue  # nothing is dropped: as above
         if source is not None:
             found.append(source)
-    return [(by_header[id(each.header)], each) for each in choose(found, set())], refused
+    # A stream without samples gets what is left: Muse 2 has no optics, Athena no PPG.
+    full = [each for each in found if by_header[id(each.header)].sample_count]
+    empty = [each for each in found if not by_header[id(each.header)].sample_count]
+    taken: Taken = set()
+    chosen = [*choose(full, taken), *choose(empty, taken)]
+    return [(by_header[id(each.header)], each) for each in chosen], refused
 
 
 def _witnesses(pairs: _Pairs) -> Witnesses:
@@ -109,7 +114,7 @@ def _witnesses(pairs: _Pairs) -> Witnesses:
     witnesses: Witnesses = {}
     for stream, source in pairs:
         witness = source.new_witness(keep_s=math.inf)
-        if witness is not None:
+        if witness is not None and stream.sample_count:
             witnesses[source.key] = witness
             for samples in stream.blocks():
                 witness.take(samples.stamps, source.scaled(samples.values))

@@ -75,7 +75,8 @@ class Source:
         Parameters
         ----------
         witnesses
-            Of all devices; if this source is a witness, it is added.
+            Of all devices; if this source is a witness, it is added, and replaces another one with its
+            first sample.
         """
         return Computer(self, {} if witnesses is None else witnesses)
 
@@ -99,9 +100,9 @@ class Computer:
     def __init__(self, source: Source, witnesses: Witnesses) -> None:
         header = source.header
         self._source = source
-        self._witness = source.new_witness()
+        self._witness, self._witnesses = source.new_witness(), witnesses
         if self._witness is not None:
-            witnesses[source.key] = self._witness
+            witnesses.setdefault(source.key, self._witness)
         self._beside = Beside(witnesses, *source.key)
         self._wanted = {each.name for each in source.features}
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
@@ -121,6 +122,8 @@ class Computer:
         if not len(stamps):
             return []  # nothing is dropped: they wait for even stamps
         if self._witness is not None:
+            # Of two accelerometers of a device, one may never send.
+            self._witnesses[self._source.key] = self._witness
             self._witness.take(stamps, scaled)
         events = self._runs.take(stamps, scaled)
         ready = self._beside.take(events, float(stamps[-1]))
