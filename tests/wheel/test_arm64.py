@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -18,6 +19,11 @@ FORMATS = ("bids", "csv", "edf", "mcap")
 UNIT = ("tests/common", "tests/xdf", "tests/recording_export", "tests/polar_h10")
 # They read the tree's source, which is the same on all processors, or simulate hours, for minutes.
 TOO_LONG = ("predicates", "system_programs", "clock_accuracy*", "device_clock*")
+# Errors of a recording that no slow computer makes.
+BY_PROCESSOR = {
+    *("damaged", "no-header", "footer-count", "duplicate-source-id", "counters", "too-many"),
+    *("wrong-clock", "bad-stamps", "stray-stamps", "backwards"),
+}
 
 pytestmark = [
     pytest.mark.nightly,
@@ -43,9 +49,9 @@ def arm(arm_wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Generator[
     shutil.rmtree(folder)
 
 
-def test_it_shows_itself_in_one_command(arm: Arm64) -> None:
+def test_it_shows_itself_in_one_command(arm: Arm64, wheel: Path, tmp_path: Path) -> None:
     assert "aarch64" in arm.run("doctor", codes=(0, 1))
-    # How much of it is held, and so the colour, says how fast the emulation was.
+    # How much of it is held, and so the colour, says how fast the emulation was; but red is red.
     said = arm.run("try", "--no-open", "--seconds", "20", codes=(0, 1))
     assert "3 sensors stream." in said
     assert re.search(r"^(green|amber|red): ", said, re.MULTILINE), said
@@ -53,6 +59,11 @@ def test_it_shows_itself_in_one_command(arm: Arm64) -> None:
         found = re.search(rf"^ *{stream} +(\d+) ", said, re.MULTILINE)
         assert found is not None and int(found[1]) > 100, said
     assert "_csv (" in said
+    (recorded,) = (arm.home / "biosensor-gateway-try").glob("*.xdf")
+    here = Installed(tmp_path / "pc", wheel)
+    report = json.loads(here.run("xdf", "check", "--json", str(recorded), codes=(0, 1)))
+    wrong = [each for each in report["findings"] if each["level"] == "error"]
+    assert not BY_PROCESSOR & {each["code"] for each in wrong}, wrong
 
 
 def test_a_recording_is_exported_as_on_other_computers(
