@@ -1,4 +1,4 @@
-"""Finding a Bluetooth LE device: which one it is, and the scan that all share."""
+"""Finding a Bluetooth LE device: by name or address, and leaving others' devices alone."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from typing import Any
 
 import pytest
 from bleak import BleakScanner
+from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolReason
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice, ble_scanner
 from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_scanner import advertisements, scan
+from biosensor_gateway.transports.nearby import Advertisement
 from tests.ble.conftest import absence, heard
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
 from tests.rigs.probe import Probe
-from tests.rigs.probe_link import DEADLINE_S, choice, refusal, switched_on
+from tests.rigs.probe_link import DEADLINE_S, choice, generic_choice, refusal, switched_on
+
+# Finding a Bluetooth LE device: which one it is, and the scan that all share.
 
 
 async def hang(*_: Any) -> None:
@@ -140,3 +145,159 @@ async def test_a_scan_that_hangs_up_does_not_hold_its_listener(
     link = BleLink(choice("1"))
     await asyncio.wait_for(link.open(), DEADLINE_S)
     await link.close()
+
+
+# A device whose name is not heard is taken by its address.
+ADDRESS = "00:55:DA:B0:3A:1F"
+
+
+def by_name(seen: Advertisement) -> str | None:
+    """Tell a kind as drivers do whose devices say it in their name alone."""
+    return seen.name.removeprefix("Kind ") if seen.name.startswith("Kind ") else None
+
+
+def test_the_address_alone_is_enough() -> None:
+    choice = Choice(by_name, "Kind", ADDRESS.lower())
+    assert choice.claims(Advertisement(ADDRESS), from_generic=False)
+    assert not choice.claims(Advertisement("00:55:DA:B0:3A:20"), from_generic=False)
+    assert not Choice(by_name, "Kind", "3A1F").claims(Advertisement(ADDRESS), from_generic=False)
+
+
+# Two devices of one name: who was connected is never changed for somebody else.
+NAME = "Probe 1"
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize("device", ["", "1", NAME])
+async def test_a_device_that_is_away_is_not_replaced_by_its_namesake(
+    radio: Radio, probe: Probe, device: str
+) -> None:
+    chosen = choice(device)
+    first = BleLink(chosen)
+    assert (await first.open()).address == probe.address
+    namesake = switched_on(radio, 2, NAME)
+    probe.drop()
+    await first.close()
+    with capture_logs() as logs:
+        for _ in range(2):
+            async with heard(namesake):
+                error = await absence(BleLink(chosen))
+            assert f"({probe.address}) is not in range, only another" in str(error)
+            assert f"({namesake.address}); press its button, or set `device`" in str(error)
+    (warning,) = [each["event"] for each in logs if each["log_level"] == "warning"]
+    assert warning == (
+        f"another device answers to {device or 1} ({NAME} {namesake.address}); it is not taken in "
+        f"place of the one that was connected ({probe.address})"
+    )
+    probe.restore()
+    again = BleLink(chosen)
+    assert (await again.open()).address == probe.address
+    await again.close()
+
+
+@pytest.mark.usefixtures("hurry")
+async def test_two_of_a_name_are_refused_by_address(radio: Radio, probe: Probe) -> None:
+    namesake = switched_on(radio, 2, NAME)
+    async with heard(probe, namesake):
+        error = await refusal(BleLink(choice(NAME)).open())
+    assert error.reason is ProtocolReason.REFUSED
+    assert f"called {NAME} ({probe.address}, {namesake.address}); set `device`" in str(error)
+    link = BleLink(choice(namesake.address))
+    assert (await link.open()).address == namesake.address
+    await link.close()
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize(("device", "level"), [("", "info"), (NAME, "warning")])
+async def test_an_address_is_proposed_for_what_was_not_told_by_one(
+    probe: Probe, device: str, level: str
+) -> None:
+    chosen = choice(device)
+    with capture_logs() as logs:
+        for _ in range(2):
+            link = BleLink(chosen)
+            await link.open()
+            await link.close()
+    (proposal,) = [each for each in logs if "set device = " in each["event"]]
+    assert proposal["log_level"] == level
+    assert f'device = "{probe.address}"' in proposal["event"]
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize("device", ["1", "A0:9E:1A:00:00:01"])
+async def test_nothing_is_proposed_for_an_id_or_an_address(probe: Probe, device: str) -> None:
+    link = BleLink(choice(device))
+    with capture_logs() as logs:
+        assert (await link.open()).address == probe.address
+    assert not [each for each in logs if each["log_level"] != "debug"]
+    await link.close()
+
+
+# A choice that does not tell its device by id or address leaves others theirs.
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize("device", ["", "1", "Probe 1", "A0:9E:1A:00:00:01"])
+async def test_a_device_of_a_kind_of_its_own_is_left_to_that_kind(
+    radio: Radio, device: str
+) -> None:
+    special, generic = choice(device), generic_choice()
+    await absence(BleLink(special))
+    probe = switched_on(radio, 1)
+    async with heard(probe):
+        error = await absence(BleLink(generic))
+    assert f"other tables of the settings use (Probe 1 {probe.address})" in str(error)
+    other = switched_on(radio, 2, "Thing")
+    links = [BleLink(generic), BleLink(special)]
+    found = await asyncio.gather(*(link.open() for link in links))
+    assert [each.address for each in found] == [other.address, probe.address]
+    for link in links:
+        await link.close()
+
+
+@pytest.mark.usefixtures("hurry")
+async def test_it_is_not_left_to_a_kind_that_nobody_looks_for(probe: Probe) -> None:
+    link = BleLink(generic_choice())
+    assert (await link.open()).address == probe.address
+    await link.close()
+
+
+@pytest.mark.usefixtures("hurry")
+async def test_what_another_has_connected_stays_its(radio: Radio, probe: Probe) -> None:
+    """Also while its link is cut, and where both have no `device`."""
+    chosen, late = choice(), choice()
+    link = BleLink(chosen)
+    await link.open()
+    await link.close()
+    async with heard(probe):
+        error = await absence(BleLink(late))
+    assert probe.address in str(error)
+    other = switched_on(radio, 2)
+    second, first = BleLink(late), BleLink(chosen)
+    assert (await second.open()).address == other.address
+    assert (await first.open()).address == probe.address
+    await second.close()
+    await first.close()
+
+
+@pytest.mark.usefixtures("hurry")
+async def test_two_that_look_at_the_same_time_get_one_each(
+    probe: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # For one of them it is there, for the other one it is not.
+    monkeypatch.setattr(ble_choice, "SCAN_S", 2.0)
+    links = [BleLink(choice()), BleLink(choice())]
+    outcomes = await asyncio.gather(*(link.open() for link in links), return_exceptions=True)
+    assert sorted(isinstance(each, Exception) for each in outcomes) == [False, True]
+    for link in links:
+        await link.close()
+
+
+@pytest.mark.usefixtures("hurry")
+async def test_who_names_an_address_gets_it(probe: Probe) -> None:
+    """Two tables that name the same device are the user's own choice."""
+    chosen = choice()
+    first = BleLink(chosen)
+    await first.open()
+    await first.close()
+    second = BleLink(generic_choice(probe.address))
+    assert (await second.open()).address == probe.address
+    await second.close()

@@ -1,16 +1,29 @@
-"""The driver reads the virtual device, on every rig."""
+"""The driver reads the virtual device, and values against vectors and any bytes."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+import math
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
+from biosensor_gateway.devices.bluetooth_health import SPEC
 from biosensor_gateway.devices.bluetooth_health.driver import recognise
-from biosensor_gateway.devices.bluetooth_health.driver.services import SPOT_CHECK
+from biosensor_gateway.devices.bluetooth_health.driver.services import (
+    ROWS,
+    SPOT_CHECK,
+    Revolutions,
+    long_float,
+    sfloat,
+)
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
@@ -23,6 +36,8 @@ from tests.rigs.truth import assert_once_and_in_order
 
 if TYPE_CHECKING:
     from biosensor_gateway.devices.bluetooth_health.simulator import SimulatedHealthDevice
+
+# The driver reads the virtual device, on every rig.
 
 STREAMS = ("spo2", "temp", "running", "power")
 
@@ -129,3 +144,112 @@ async def test_an_oximeter_with_spot_checks_alone_is_told_from_others(
 def test_anything_else_is_none() -> None:
     assert recognise(Advertisement("C8:26:00:00:00:01", "Nonin3230_1", -60)) is None
     assert recognise(SerialPort("COM7", "Nonin3230_1")) is None
+
+
+# Values of characteristics, against vectors and against any bytes.
+VECTORS: list[dict[str, Any]] = json.loads(
+    (Path(__file__).parent / "vectors/bluetooth_health.json").read_text(encoding="utf-8")
+)
+BY_STREAM = {row.stream: row for row in ROWS}
+
+
+def of_kind(kind: str) -> pytest.MarkDecorator:
+    found = [vector for vector in VECTORS if vector["kind"] == kind]
+    return pytest.mark.parametrize("vector", found, ids=[vector["name"] for vector in found])
+
+
+@of_kind("value")
+def test_a_value_makes_the_sample_that_it_means(vector: dict[str, Any]) -> None:
+    row = BY_STREAM[vector["stream"]]
+    found = row.parse(bytes.fromhex(vector["hex"]))
+    if vector["expected"] == "cut":
+        assert found is None
+        return
+    assert found is not None
+    is_off = row.contact is not None and row.contact(found) is False
+    sample = None if is_off else row.sample(2.1)(found, 0.0)
+    expected = vector["expected"]
+    if expected is None:
+        assert sample is None
+    else:
+        wanted = [math.nan if each is None else each for each in expected]
+        assert sample == pytest.approx(wanted, nan_ok=True)
+
+
+@of_kind("fields")
+def test_a_value_has_the_counts_that_another_program_reads(vector: dict[str, Any]) -> None:
+    found = BY_STREAM[vector["stream"]].parse(bytes.fromhex(vector["hex"]))
+    assert found is not None
+    turns = {name: found[name] for name in found if name.endswith("_turns")}
+    assert turns == vector["expected"]
+
+
+@of_kind("sfloat")
+def test_decimal_numbers_of_16_bits(vector: dict[str, Any]) -> None:
+    number = sfloat(bytes.fromhex(vector["hex"]))
+    expected = math.nan if vector["expected"] is None else vector["expected"]
+    assert number == pytest.approx(expected, nan_ok=True)
+
+
+@given(st.integers(-2045, 2045), st.integers(-8, 7))
+def test_any_decimal_number_is_read_as_it_was_written(mantissa: int, exponent: int) -> None:
+    short = (mantissa & 0xFFF | (exponent & 0xF) << 12).to_bytes(2, "little")
+    long = (mantissa & 0xFFFFFF | (exponent & 0xFF) << 24).to_bytes(4, "little")
+    assert sfloat(short) == long_float(long) == pytest.approx(mantissa * 10.0**exponent)
+
+
+@given(st.binary(max_size=40), st.sampled_from(ROWS))
+def test_any_bytes_make_a_sample_of_the_declaration_or_none(data: bytes, row: Any) -> None:
+    found = row.parse(data)
+    if found is None:
+        return
+    sample = row.sample(2.1)(found, 0.0)
+    assert sample is None or len(sample) == len(SPEC.stream(row.stream).channels)
+    if row.contact is not None:
+        assert row.contact(found) in (True, False)
+
+
+def test_every_row_has_a_stream_and_a_service_of_its_own() -> None:
+    assert set(BY_STREAM) <= {stream.data_name for stream in SPEC.streams}
+    for part in ("stream", "service", "characteristic"):
+        assert len({getattr(row, part) for row in ROWS}) == len(ROWS)
+
+
+def test_turns_are_rates_over_roll_overs_and_standstill() -> None:
+    wheel = Revolutions(16, 1024)
+    assert math.isnan(wheel.rate(65535, 65024, 0.0))
+    # Two turns in a second.
+    assert wheel.rate(1, 512, 1.0) == pytest.approx(2.0)
+    assert math.isnan(wheel.rate(1, 512, 2.0))
+    assert wheel.rate(1, 512, 4.5) == 0.0
+    assert math.isnan(wheel.rate(None, None, 5.0))
+
+
+def test_a_long_stop_is_as_long_as_it_was() -> None:
+    """The device's clock of 16 bits has rolled over meanwhile."""
+    wheel = Revolutions(0, 1024)
+    wheel.rate(10, 0, 1.0)
+    assert wheel.rate(12, 1024, 2.0) == 2.0
+    for second in range(3, 67):
+        assert wheel.rate(12, 1024, float(second)) in (0.0, pytest.approx(math.nan, nan_ok=True))
+    ticks = round(1024 * 66.5) % 65536
+    assert wheel.rate(13, ticks, 67.6) == pytest.approx(1 / 65.5)
+
+
+@pytest.mark.parametrize(
+    ("saturation", "pulse", "sample", "contact"),
+    [
+        (0x07FF, 72, [math.nan, 72.0, math.nan], True),
+        (97, 0x07FF, [97.0, math.nan, math.nan], True),
+        (0x07FF, 0x07FF, None, False),
+    ],
+)
+def test_what_an_oximeter_finds_does_not_wait_for_the_rest(
+    saturation: int, pulse: int, sample: list[float] | None, contact: bool
+) -> None:
+    row = next(row for row in ROWS if row.stream == "spo2")
+    found = row.parse(struct.pack("<BHH", 0, saturation, pulse))
+    assert found is not None
+    assert row.sample(1.0)(found, 0.0) == (sample and pytest.approx(sample, nan_ok=True))
+    assert row.contact is not None
+    assert row.contact(found) is contact

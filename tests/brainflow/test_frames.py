@@ -1,4 +1,4 @@
-"""What comes from the process that reads a board, in any pieces, and when it is none of it."""
+"""What comes from the process that reads a board, and the packet numbers in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.brainflow.driver.emitter import Frames, Rows, Told
+from biosensor_gateway.devices.brainflow.driver.emitter import Frames, Rows, SampleCount, Told
+
+# What comes from the process that reads a board, in any pieces, and when it is none of it.
 
 
 def frame(kind: bytes, preset: int, content: bytes) -> bytes:
@@ -60,3 +62,39 @@ def test_no_bytes_are_anything_but_frames_or_one_reason(data: bytes) -> None:
 def test_what_is_no_frame_is_said(bad: bytes) -> None:
     with pytest.raises(ProtocolError, match="started again"):
         list(Frames().feed(bad))
+
+
+# Packet numbers of boards that count, and of those that do not.
+@given(
+    turn=st.sampled_from([201, 256]),
+    first=st.integers(0, 200),
+    lost=st.sets(st.integers(1, 998)),
+    cuts=st.lists(st.integers(1, 60), min_size=30, max_size=60),
+)
+def test_what_is_missing_is_counted_and_keeps_its_place(
+    turn: int, first: int, lost: set[int], cuts: list[int]
+) -> None:
+    kept = np.array([place for place in range(1000) if place not in lost])
+    # More than a turn in a row cannot be seen in the number.
+    if np.diff(kept).max() >= turn:
+        return
+    count = SampleCount(turn)
+    places: list[int] = []
+    missing = 0
+    begin = 0
+    for cut in [*cuts, 1000]:
+        part = kept[begin : begin + cut]
+        begin += cut
+        if len(part):
+            found, gone = count.place(((first + part) % turn).astype(np.float64))
+            places += found.tolist()
+            missing += gone
+    assert places == kept.tolist()
+    assert missing == 1000 - len(kept) - (999 - kept[-1])
+
+
+@pytest.mark.parametrize("numbers", [[5.0, 5.0, 5.0, 5.0], [9.0, 1.0, 700.0, 3.0]])
+def test_a_board_that_counts_nothing_loses_nothing(numbers: list[float]) -> None:
+    places, missing = SampleCount(0).place(np.array(numbers))
+    assert places.tolist() == [0, 1, 2, 3]
+    assert missing == 0

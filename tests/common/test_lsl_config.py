@@ -1,14 +1,36 @@
-"""The configuration of LSL: whose file is read, and what is laid over it."""
+"""How LSL is configured: whose file is read, which library, which predicates find streams."""
 
 from __future__ import annotations
 
+import ast
 import configparser
+import re
+import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import pylsl
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common import liblsl
+from biosensor_common.errors import ConfigError, ConfigReason, SpecError
 from biosensor_common.lsl.inlet import MOST_BUFFERED, buffer_length
+from biosensor_common.lsl.network import matches_query
+from biosensor_common.lsl.predicates import (
+    EVERYTHING,
+    NOTHING,
+    Predicate,
+    all_of,
+    any_of,
+    ends_with,
+    equals,
+    has,
+    none_of,
+    of_user,
+)
 from biosensor_common.lsl_config import (
     LslOverrides,
     config_places,
@@ -16,6 +38,10 @@ from biosensor_common.lsl_config import (
     home_config_file,
     user_config_file,
 )
+from biosensor_gateway.features.outputs import feature_streams
+from lsl_to_ros.lsl.inlets import FROM_ROS
+
+# The configuration of LSL: whose file is read, and what is laid over it.
 
 
 def overlaid(text: str, overrides: LslOverrides, folder: Path) -> dict[str, dict[str, str]]:
@@ -108,3 +134,267 @@ def test_no_rate_takes_more_memory_than_the_bound_or_a_second(rate: float) -> No
     assert 1 <= length < 120
     assert length * rate <= max(MOST_BUFFERED, rate)
     assert buffer_length(rate, 10, 200_000) <= length
+
+
+# Which library pylsl is given where it brings none, and what is said where there is none.
+BROUGHT = {
+    "pylsl": "lib/liblsl.so",
+    "biosensor_liblsl": "liblsl.so",
+    "mne_lsl": "lsl/lib/liblsl.so.1.17.7",
+}
+
+
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of packages in place of those that are installed, on Linux."""
+
+    def find_spec(name: str) -> SimpleNamespace | None:
+        folder = tmp_path / name
+        return (
+            SimpleNamespace(submodule_search_locations=[str(folder)]) if folder.is_dir() else None
+        )
+
+    monkeypatch.setattr(liblsl, "find_spec", find_spec)
+    monkeypatch.setattr(sys, "platform", "linux")
+    (tmp_path / "pylsl" / "lib").mkdir(parents=True)
+    return tmp_path
+
+
+def _bring(packages: Path, name: str) -> str:
+    library = packages / name / BROUGHT[name]
+    library.parent.mkdir(parents=True, exist_ok=True)
+    library.touch()
+    return str(library)
+
+
+@pytest.mark.parametrize(
+    ("there", "taken"),
+    [
+        ((), ""),
+        (("mne_lsl",), "mne_lsl"),
+        (("mne_lsl", "biosensor_liblsl"), "biosensor_liblsl"),
+        (("pylsl", "biosensor_liblsl"), ""),
+    ],
+)
+def test_another_library_is_taken_only_where_pylsl_brings_none(
+    packages: Path, there: tuple[str, ...], taken: str
+) -> None:
+    places = {name: _bring(packages, name) for name in there}
+    environment: dict[str, str] = {}
+    liblsl.provide(environment)
+    assert environment == ({liblsl.VARIABLE: places[taken]} if taken else {})
+
+
+def test_what_a_person_has_named_stays(packages: Path) -> None:
+    _bring(packages, "biosensor_liblsl")
+    environment = {liblsl.VARIABLE: "/opt/liblsl.so"}
+    liblsl.provide(environment)
+    assert environment == {liblsl.VARIABLE: "/opt/liblsl.so"}
+
+
+def test_nothing_is_named_on_other_systems(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _bring(packages, "biosensor_liblsl")
+    monkeypatch.setattr(sys, "platform", "darwin")
+    environment: dict[str, str] = {}
+    liblsl.provide(environment)
+    assert environment == {}
+
+
+@pytest.mark.parametrize(
+    ("machine", "libc", "said"),
+    [
+        ("x86_64", ("glibc", "2.36"), "--force-reinstall pylsl"),
+        ("x86_64", ("glibc", "2.31"), "--no-deps mne-lsl"),
+        ("aarch64", ("glibc", "2.36"), "--no-deps mne-lsl"),
+        ("aarch64", ("", ""), "set PYLSL_LIB"),
+        ("armv7l", ("glibc", "2.36"), "set PYLSL_LIB"),
+    ],
+)
+def test_the_remedy_is_one_for_this_computer(
+    monkeypatch: pytest.MonkeyPatch, machine: str, libc: tuple[str, str], said: str
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr("platform.libc_ver", lambda: libc)
+    assert said in liblsl.remedy()
+
+
+def test_other_errors_are_not_taken_for_it() -> None:
+    with pytest.raises(RuntimeError, match="LSL binary") as raised:
+        raise RuntimeError("LSL binary library file was not found")
+    assert liblsl.what_is_missing(raised.value) == ""
+
+
+def test_a_program_that_lacks_it_ends_with_one_sentence(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # As pylsl does when it is imported.
+    code = compile("raise RuntimeError('not found. Please\\nread on')", "lib", "exec")
+    with pytest.raises(SystemExit) as ended, liblsl.needed_by("lsl_to_ros"):
+        exec(code, {"__name__": "pylsl.lib"})
+    assert ended.value.code == 1
+    said = capsys.readouterr().err
+    assert said.startswith("lsl_to_ros: liblsl, the library of the Lab Streaming Layer, cannot be")
+    assert said.count("\n") == 1
+    with pytest.raises(RuntimeError), liblsl.needed_by("lsl_to_ros"):
+        raise RuntimeError("another one")
+
+
+# Predicates of resolvers: liblsl puts the session before them, and no value escapes.
+ROOT = Path(__file__).parents[2]
+PRODUCT = ("common", "gateway_win", "ros_side")
+BUILDER = "predicates.py"
+# What XPath looks like.
+XPATH = re.compile(
+    r"\b(name|type|source_id|session_id|uid|hostname|channel_count)\s*=\s*['\"]"
+    r"|\b(starts-with|string-length|substring)\(|\btrue\(\)|\bcontains\(\w+,|^desc/\w+ "
+)
+# Sentences for a person, and what another program is told.
+NO_PREDICATES = ("LSL query", "in pylsl", "netsh ")
+RESOLVING = {"ContinuousResolver", "resolve_bypred"}
+WITHOUT_BRACKETS = {"resolve_byprop", "resolve_stream"}
+ECG = pylsl.StreamInfo('it\'s "P01"', "ECG", 1, 130.0, "float32", "p01-ecg")
+BUILT = [
+    EVERYTHING,
+    any_of(equals("type", "PPG"), equals("type", "ECG")),
+    any_of(equals("type", "ECG"), equals("type", "PPG"), EVERYTHING),
+    all_of(any_of(equals("name", ECG.name()), NOTHING), equals("type", "ECG")),
+    any_of(NOTHING, ends_with("source_id", "-ecg")),
+    none_of(equals("type", "PPG"), has("desc/ros")),
+    none_of(FROM_ROS),
+    of_user("type='PPG' or type='ECG'"),
+]
+
+
+@pytest.mark.parametrize("predicate", BUILT)
+def test_a_stream_of_another_session_is_never_found(predicate: Predicate) -> None:
+    assert matches_query(ECG, predicate)
+    # So liblsl writes it.
+    assert not matches_query(ECG, f"session_id='another one' and {predicate}")
+
+
+def test_the_features_of_another_session_are_never_found() -> None:
+    info = pylsl.StreamInfo("any", "HR", 1, 0.0, "float32", "p01-hr_live")
+    assert matches_query(info, feature_streams())
+    assert not matches_query(info, f"session_id='another one' and {feature_streams()}")
+
+
+@pytest.mark.parametrize(
+    ("predicate", "fits"),
+    [
+        (equals("type", "PPG"), False),
+        (ends_with("source_id", "ecg"), True),
+        (ends_with("source_id", "p01-ecg and more"), False),
+        (ends_with("source_id", "-hr"), False),
+        (all_of(), True),
+        (any_of(), False),
+        (none_of(), True),
+        (all_of(equals("type", "ECG"), equals("name", "other")), False),
+        (none_of(equals("type", "ECG")), False),
+        (equals("name", "it's"), False),
+        (equals("source_id", "p01-ecg\0"), False),
+        (ends_with("source_id", "ecg\0"), False),
+    ],
+)
+def test_a_predicate_finds_what_it_says(predicate: Predicate, fits: bool) -> None:
+    assert matches_query(ECG, predicate) is fits
+
+
+# liblsl writes a header and reads it again, and XML makes one space of others.
+TEXT = st.text(st.sampled_from("ab'\"()[]=/ or,äµ"), min_size=1).map(str.strip).filter(bool)
+
+
+@given(name=TEXT, other=TEXT)
+def test_each_value_is_found_and_no_other(name: str, other: str) -> None:
+    info = pylsl.StreamInfo(name, "Test", 1, 0.0, "float32", "any")
+    assert matches_query(info, equals("name", name))
+    assert matches_query(info, ends_with("name", name))
+    assert matches_query(info, equals("name", other)) is (name == other)
+
+
+@given(text=st.text(st.sampled_from("a=1'\"()[]|/ ")))
+def test_what_a_person_wrote_stays_in_its_brackets(text: str) -> None:
+    try:
+        predicate = of_user(text)
+    except SpecError:
+        return
+    assert not matches_query(ECG, f"session_id='another one' and {predicate}")
+
+
+@pytest.mark.parametrize(
+    "text", ["'", '"', "(", ")", "true()) or (true()", "(]", "name='a)", "true()] | /info[true()"]
+)
+def test_what_is_open_is_refused(text: str) -> None:
+    with pytest.raises(SpecError, match="without its partner"):
+        of_user(text)
+
+
+def _modules() -> Iterator[tuple[Path, ast.Module]]:
+    for folder in PRODUCT:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            if "build" not in path.parts and path.name != BUILDER:
+                yield path, ast.parse(path.read_text("utf-8"))
+
+
+def _xpath_in(module: ast.AST) -> Iterator[str]:
+    docstrings = {
+        id(node.body[0].value)
+        for node in ast.walk(module)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(module):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            is_said = id(node) in docstrings or any(each in node.value for each in NO_PREDICATES)
+            if not is_said and XPATH.search(node.value):
+                yield f"{node.lineno}: {node.value}"
+
+
+def _wrong_calls_in(module: ast.AST) -> Iterator[str]:
+    for node in ast.walk(module):
+        if not isinstance(node, ast.Call):
+            continue
+        called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        asked = [*node.args, *(each.value for each in node.keywords if each.arg == "pred")]
+        is_text = any(isinstance(each, ast.Constant | ast.JoinedStr) for each in asked[:1])
+        if called in WITHOUT_BRACKETS or (called in RESOLVING and is_text):
+            yield f"{node.lineno}: {ast.unparse(node)}"
+
+
+def _makes_predicates(module: ast.AST) -> bool:
+    return any(
+        isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Predicate"
+        for node in ast.walk(module)
+    )
+
+
+def test_doctor_alone_looks_into_other_sessions() -> None:
+    using = [path.name for path, _ in _modules() if "IN_ANY_SESSION" in path.read_text("utf-8")]
+    assert using == ["survey.py"]
+
+
+def test_only_the_builder_makes_predicates() -> None:
+    found = {
+        str(path.relative_to(ROOT)): lines
+        for path, module in _modules()
+        if (lines := [*_xpath_in(module), *_wrong_calls_in(module)]) or _makes_predicates(module)
+    }
+    assert found == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "f\"type='{x}'\"",
+        "\"starts-with(name, 'p01-')\"",
+        "'desc/ros and not(desc/replay)'",
+        "'true()'",
+        'pylsl.resolve_byprop("source_id", x)',
+        'pylsl.ContinuousResolver(pred="kind")',
+        "pylsl.resolve_bypred(f'{x}')",
+    ],
+)
+def test_a_predicate_elsewhere_would_be_found(line: str) -> None:
+    module = ast.parse(f"x = {line}")
+    assert [*_xpath_in(module), *_wrong_calls_in(module)]

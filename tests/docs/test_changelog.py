@@ -1,4 +1,4 @@
-"""Each fragment of the changelog has a right name and text, and all are joined into one page."""
+"""The changelog's fragments and CITATION.cff are whole and agree with the project."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from click.testing import CliRunner
+
+# Each fragment of the changelog has a right name and text, and all are joined into one page.
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "changelog.d"
@@ -63,3 +66,36 @@ def test_fragments_are_joined_by_type(tmp_path: Path, monkeypatch: pytest.Monkey
         "## 1.2.3 - 2026-01-31\n\n### Added\n\n- Two is added.\n\n"
         "### Fixed\n\n- One is fixed,\n  really."
     ), drawn.output
+
+
+# CITATION.cff says what the project's other files say.
+CITATION: dict[str, Any] = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+
+
+def test_it_has_what_the_format_demands() -> None:
+    assert CITATION["cff-version"] == "1.2.0"
+    assert CITATION["message"]
+    assert CITATION["title"]
+    assert CITATION["type"] == "software"
+    assert CITATION["authors"]
+    assert all(author["name"] for author in CITATION["authors"])
+    known = {
+        "abstract", "authors", "cff-version", "date-released", "doi", "identifiers", "keywords",
+        "license", "message", "repository-code", "title", "type", "url", "version",
+    }  # fmt: skip
+    assert set(CITATION) <= known
+
+
+def test_it_agrees_with_the_package() -> None:
+    assert str(CITATION["version"]) == PROJECT["project"]["version"]
+    assert CITATION["license"] == PROJECT["project"]["license"]
+    assert CITATION["keywords"] == PROJECT["project"]["keywords"]
+
+
+def test_a_date_of_release_is_that_of_the_changelog() -> None:
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    version = re.escape(PROJECT["project"]["version"])
+    dated = re.search(rf"^## \[?{version}\]? - (\d{{4}}-\d\d-\d\d)$", changelog, re.MULTILINE)
+    released = CITATION.get("date-released")
+    # A version that is not released yet has none.
+    assert (str(released) if released else None) == (dated[1] if dated else None)

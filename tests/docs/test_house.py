@@ -1,12 +1,17 @@
-"""The report of how the code is cut counts what is in a small tree, and fits a terminal."""
+"""How the code is written: its cut into modules, their heads, words, broad excepts."""
 
 from __future__ import annotations
 
+import ast
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.docs import house
+
+# The report of how the code is cut counts what is in a small tree, and fits a terminal.
 
 TREE = {
     "common/box/__init__.py": '"""A box."""\n',
@@ -81,6 +86,8 @@ def close(how: str) -> None:
     "gateway_win/build/lib/copy.py": "import box.lid\n",
     "tests/test_lid.py": "import box.lid\n",
 }
+
+
 FOUND = {
     "modules with one importer": ["common/box/lid.py <- box.closing"],
     "  in the same folder": ["common/box/lid.py <- box.closing"],
@@ -132,3 +139,130 @@ def test_the_report_has_every_count_and_fits_a_terminal(tree: Path) -> None:
     assert {name: counts[name] for name in FOUND} == {
         name: [str(len(found))] for name, found in FOUND.items()
     }
+
+
+# Whoever catches everything says in the same line why; CONTRIBUTING.md says where that may be.
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("common", "gateway_win", "ros_side")
+BROAD = {"Exception", "BaseException"}
+# The part behind the rule that ruff is told to leave out, of so many words at least.
+REASON = re.compile(r"#(?: noqa: BLE001 -)?(?! noqa)(?: \S+){4,}$")
+
+
+def _is_broad(caught: ast.expr | None) -> bool:
+    if isinstance(caught, ast.Tuple):
+        return any(map(_is_broad, caught.elts))
+    return caught is None or (isinstance(caught, ast.Name) and caught.id in BROAD)
+
+
+def _broad_lines(source: str) -> Iterator[str]:
+    """Give the lines that catch or suppress everything."""
+    lines = source.splitlines()
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.ExceptHandler(type=caught):
+                is_broad = _is_broad(caught)
+            case ast.Call(
+                func=ast.Name(id="suppress") | ast.Attribute(attr="suppress"), args=suppressed
+            ):
+                is_broad = any(map(_is_broad, suppressed))
+            case _:
+                continue
+        if is_broad:
+            yield lines[node.lineno - 1]
+
+
+def _without_reason(source: str) -> list[str]:
+    return [line.strip() for line in _broad_lines(source) if not REASON.search(line)]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_each_broad_except_has_its_reason_in_its_line(package: str) -> None:
+    modules = [path for path in (ROOT / package).rglob("*.py") if "build" not in path.parts]
+    assert modules
+    bare = {
+        str(path.relative_to(ROOT)): found
+        for path in modules
+        if (found := _without_reason(path.read_text("utf-8")))
+    }
+    assert bare == {}
+
+
+@pytest.mark.parametrize(
+    "caught",
+    [
+        "except:",
+        "except Exception:",
+        "except Exception:  # noqa: BLE001",
+        "except Exception:  # noqa: BLE001 - it fails",
+        "except BaseException as error:  # whatever",
+        "except (ValueError, Exception) as error:",
+    ],
+)
+def test_one_without_a_reason_is_found(caught: str) -> None:
+    assert _without_reason(f"try:\n    pass\n{caught}\n    pass\n") == [caught]
+
+
+@pytest.mark.parametrize("call", ["suppress(Exception)", "contextlib.suppress(OSError, Exception)"])
+def test_suppressing_everything_is_found(call: str) -> None:
+    assert _without_reason(f"with {call}:\n    pass\n") == [f"with {call}:"]
+
+
+@pytest.mark.parametrize(
+    "caught",
+    [
+        "except ValueError:",
+        "except Exception:  # noqa: BLE001 - a driver must not end the others",
+        "except Exception as error:  # backends raise what their system does",
+    ],
+)
+def test_a_class_or_a_reason_is_enough(caught: str) -> None:
+    assert _without_reason(f"try:\n    pass\n{caught}\n    pass\n") == []
+
+
+# Words that are never right here, in code or in documents: the field has a plainer one.
+INSTEAD = {
+    r"anew": "again",
+    r"mend(s|ed|ing)?": "fix",
+    r"one a (device|stream|sensor)": "one per device",
+}
+FOLDERS = ("benchmarks", "common", "docs", "examples", "gateway_win", "installer", "ros_side")
+ENDINGS = {".py", ".md", ".js", ".html", ".nsi", ".ps1"}
+_WORD = re.compile(rf"(?<![A-Za-z])({'|'.join(INSTEAD)})(?![A-Za-z])", re.IGNORECASE)
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_plainer_word_stands_instead(folder: str) -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {match[0]}"
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in ENDINGS and "vendor" not in path.parts and path.is_file()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if (match := _WORD.search(line))
+    ]
+    assert not found, f"{INSTEAD}: {found}"
+
+
+# Each module says first what it does or holds, in words that a stranger can look for.
+PRODUCT = ("common", "gateway_win", "ros_side", "installer")
+# "What a strap sends" makes a reader look on for whether it is sent, read or described here.
+QUESTIONS = {"how", "what", "when", "where", "whether", "which", "who", "why"}
+
+
+def _modules(folder: str) -> list[Path]:
+    modules = [path for path in (ROOT / folder).rglob("*.py") if "build" not in path.parts]
+    assert modules
+    return modules
+
+
+@pytest.mark.parametrize("folder", PRODUCT)
+def test_a_module_begins_with_no_question(folder: str) -> None:
+    said = {
+        path: ast.get_docstring(ast.parse(path.read_text("utf-8"))) for path in _modules(folder)
+    }
+    questions = [
+        f"{path.relative_to(ROOT)}: {text.splitlines()[0]}"
+        for path, text in said.items()
+        if text and text.split()[0].strip(",:").lower() in QUESTIONS
+    ]
+    assert questions == []

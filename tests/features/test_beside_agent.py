@@ -1,12 +1,14 @@
-"""``run --features``: a process of its own, which comes back and ends with the agent."""
+"""``run --features``: a process of its own, which measures the clocks of other computers."""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -18,15 +20,18 @@ import pylsl
 import pytest
 
 from biosensor_gateway.cli import SEND_FEATURES
+from biosensor_gateway.features import live as live_module
+from biosensor_gateway.features.live import Live
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.features.test_sender_that_hangs import Noted
+from tests.rigs.lsl_streams import note_askers, wait_until
+
+pytestmark = pytest.mark.nightly
+
+# ``run --features``: a process of its own, which comes back and ends with the agent.
 
 DEADLINE_S = 30.0
 ECG_PERIOD_S = 1 / 130
-
-pytestmark = [
-    pytest.mark.nightly,
-    pytest.mark.skipif(sys.platform == "win32", reason="kills by signals"),
-]
 
 
 def _until(condition: Callable[[], object], what: str) -> None:
@@ -90,6 +95,7 @@ def _inlet(data_name: str) -> pylsl.StreamInlet:
     return pylsl.StreamInlet(info, recover=False)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 def test_who_dies_comes_back_costs_no_sample_and_ends_with_the_agent(tmp_path: Path) -> None:
     with _agent(tmp_path) as agent:
         _until(lambda: _features_of(agent), "features")
@@ -118,6 +124,7 @@ def test_who_dies_comes_back_costs_no_sample_and_ends_with_the_agent(tmp_path: P
     assert _logged(tmp_path).count(said) == 1
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 def test_it_ends_with_an_agent_that_is_killed(tmp_path: Path) -> None:
     with _agent(tmp_path) as agent:
         _until(lambda: _features_of(agent), "features")
@@ -125,3 +132,29 @@ def test_it_ends_with_an_agent_that_is_killed(tmp_path: Path) -> None:
         agent.kill()
         agent.wait(DEADLINE_S)
         _until(lambda: _has_ended(features), "its end")
+
+
+# The clocks of other computers are measured by inlets that bring no data.
+def test_an_inlet_of_data_is_never_asked_for_its_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would measure for the rest of its life, and grow: docs/liblsl-time-receiver.md."""
+    monkeypatch.setattr(live_module, "SETTLED_S", 0.0)
+    asked, pulled = note_askers(monkeypatch)
+    info = pylsl.StreamInfo("pulse", "PPG", 1, 64.0, "float32", "pulse")
+    channel = info.desc().append_child("channels").append_child("channel")
+    channel.append_child_value("label", "green")
+    channel.append_child_value("unit", "none")
+    _outlet = pylsl.StreamOutlet(info)
+    # Else its stamps need no correction.
+    monkeypatch.setattr(socket, "gethostname", lambda: "another-computer")
+    noted, stopping = Noted(), threading.Event()
+    live = Live(noted)
+    running = threading.Thread(target=live.run, args=[stopping])
+    running.start()
+    try:
+        wait_until(lambda: noted.names == ["pulse"] and pulled and asked, "a measurement")
+        (stage,) = live._stages.values()  # pyright: ignore[reportPrivateUsage]
+        wait_until(lambda: (it := stage.connection) and it.correction is not None, "its result")
+    finally:
+        stopping.set()
+        running.join()
+    assert not {id(each) for each in asked} & {id(each) for each in pulled}

@@ -1,10 +1,8 @@
-"""Live heart rates of other programs that push many samples at once, by the real program.
-
-Such a sender stamps all of a packet alike, or counts back from when it came, so stamps overlap.
-"""
+"""Senders of other programs that push in bursts, or end before they are received."""
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -21,6 +19,8 @@ from tests.features import hearts
 from tests.features.signals import Array
 
 pytestmark = pytest.mark.seam
+
+# Live heart rates of other programs that push many samples at once, by the real program.
 
 LASTS_S, DEADLINE_S = 45.0, 60.0
 BURST = 73
@@ -120,3 +120,54 @@ def test_a_stranger_that_sends_in_bursts_has_its_heart_rate(tmp_path: Path) -> N
             mean = 60.0 / np.diff(truth).mean()
             assert len(told_s)
             assert np.abs(told[:, 0] - mean).max() < 5.0
+
+
+# A stream that ends before it is received holds up no other one, nor the end of the program.
+GONE_DEADLINE_S = 60.0
+LIVES_S = 1.5
+"""Its header is read by then, and it is not received yet: devices settle for 3 s."""
+
+
+def _outlet(name: str) -> pylsl.StreamOutlet:
+    info = pylsl.StreamInfo(name, "PPG", 1, 64.0, "float32", name)
+    channel = info.desc().append_child("channels").append_child("channel")
+    channel.append_child_value("label", "green")
+    channel.append_child_value("unit", "none")
+    return pylsl.StreamOutlet(info)
+
+
+@contextmanager
+def _features(said: Path) -> Generator[subprocess.Popen[bytes]]:
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "features"]
+    with said.open("wb") as output, subprocess.Popen(command, stdout=output, stderr=output) as it:
+        try:
+            yield it
+        finally:
+            it.kill()
+
+
+def _wait_for(said: Path, text: str) -> None:
+    end = time.monotonic() + GONE_DEADLINE_S
+    while text not in said.read_text("utf-8"):
+        assert time.monotonic() < end, f"{text!r} was never said: {said.read_text('utf-8')}"
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="ends a process by a signal")
+def test_others_go_on_and_a_signal_ends_it(tmp_path: Path) -> None:
+    said = tmp_path / "said.txt"
+    with _features(said) as program:
+        _wait_for(said, "looking for raw streams")
+        stays = _outlet("first")
+        _wait_for(said, "first: ")
+        for count in range(2):
+            goes = _outlet(f"goes-{count}")
+            time.sleep(LIVES_S)
+            del goes
+        later = _outlet("later")
+        _wait_for(said, "later: ")
+        comes_back = _outlet("goes-1")
+        _wait_for(said, "goes-1: ")
+        program.send_signal(signal.SIGTERM)
+        assert program.wait(GONE_DEADLINE_S) == 0
+        del stays, later, comes_back

@@ -1,9 +1,13 @@
-"""The driver streams from virtual headbands: all of it, once, at the right time."""
+"""The driver streams from virtual headbands, tidy or not, and finds them."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import random
+from collections.abc import Iterable
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,17 +16,46 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.muse.driver.protocol import EEG, FRAMES
+from biosensor_gateway.captures.file import Event
+from biosensor_gateway.captures.redaction import Redaction
+from biosensor_gateway.devices.muse.driver import (
+    ATHENA_PRESETS,
+    CLASSIC_PRESETS,
+    DRIVER,
+    MuseSettings,
+    athena_preset,
+    classic_preset,
+    identify,
+    model_of,
+    recognise,
+)
+from biosensor_gateway.devices.muse.driver.emitter import ClassicEmitter
+from biosensor_gateway.devices.muse.driver.protocol import (
+    EEG,
+    EEG_UV,
+    FRAMES,
+    PPG,
+    TELEMETRY,
+    Answers,
+    Floats,
+)
 from biosensor_gateway.devices.muse.simulator import SimulatedAthena, SimulatedMuse
+from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
+from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.tap import What
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import Run, connected, streaming
+from tests.rigs.emitter_sink import EmitterSink
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
 
 if TYPE_CHECKING:
     from tests.muse.conftest import Make
+
+# The driver streams from virtual headbands: all of it, once, at the right time.
 
 SECONDS = 24.0
 PATIENCE_S = 15.0
@@ -248,3 +281,182 @@ async def test_what_was_lost_within_a_connection_is_counted_exactly(headband: Ma
             lost = run.sink.lost_count(name)
             assert lost == device.truth.unsent_count(name), name
             assert lost > 0
+
+
+# Which advertisements are Muse headbands, and which preset each is told.
+ADDRESS = "00:55:DA:B0:3A:1F"
+
+
+def seen(name: str) -> Advertisement:
+    service = frozenset({"0000fe8d-0000-1000-8000-00805f9b34fb"})
+    return Advertisement(ADDRESS, name, -60, service)
+
+
+@pytest.mark.parametrize("name", ["Muse-3A1F", "MuseS-3A1F", "Muse Athena-3A1F"])
+def test_a_headband_is_found_with_the_settings_that_lead_to_it(name: str) -> None:
+    found = recognised(drivers_by_precedence(), seen(name))
+    assert found is not None
+    assert (found.sensor, found.name) == ("muse", name)
+    settings = MuseSettings.model_validate({"sensor": found.sensor, **found.settings})
+    assert (settings.unit, settings.device) == ("3A1F", ADDRESS)
+    assert identify(seen(name)) == "3A1F"
+
+
+@pytest.mark.parametrize("name", ["Muse", "Museum-12", "My Muse-3A1F", "Polar H10 A1B2C3D4"])
+def test_anything_else_is_none(name: str) -> None:
+    assert recognise(seen(name)) is None
+
+
+def test_a_headband_without_a_name_is_told_by_its_service() -> None:
+    found = recognised(drivers_by_precedence(), seen(""))
+    assert found is not None
+    assert (found.sensor, found.settings) == ("muse", {"unit": "3A1F", "device": ADDRESS})
+    assert recognise(Advertisement(ADDRESS)) is None
+
+
+def test_a_serial_port_is_none() -> None:
+    assert recognise(SerialPort("COM7", "Muse-3A1F")) is None
+
+
+@pytest.mark.parametrize("serial", ["4021-3A1F-0001", "5031-3A1F-0001", "6002-3A1F-0001", ""])
+@pytest.mark.parametrize("aux", [True, False])
+@pytest.mark.parametrize("ppg", [True, False])
+def test_the_preset_of_a_classic_has_what_is_wanted_and_no_more(
+    serial: str, aux: bool, ppg: bool
+) -> None:
+    sent = CLASSIC_PRESETS[classic_preset(serial, aux=aux, ppg=ppg)]
+    assert (sent.has_aux, sent.light > 0) == (aux, ppg)
+
+
+@pytest.mark.parametrize(
+    ("aux", "light", "preset"),
+    [
+        (False, 0, "p21"),
+        (False, 4, "p1035"),
+        (False, 8, "p1034"),
+        (False, 16, "p1041"),
+        (True, 0, "p1045"),
+        (True, 8, "p1043"),
+        (True, 16, "p1041"),
+    ],
+)
+def test_the_preset_of_an_athena_is_the_smallest_that_has_what_is_wanted(
+    aux: bool, light: int, preset: str
+) -> None:
+    assert athena_preset(aux=aux, light=light) == preset
+    assert preset in ATHENA_PRESETS
+
+
+def test_the_model_is_told_by_the_serial_number() -> None:
+    models = [model_of(serial) for serial in ("4021-1", "5031-1", "7001-1", "9", "")]
+    assert models == ["Muse 2", "Muse S", "Muse S Athena", "", ""]
+
+
+REAL = json.loads((Path(__file__).parent / "vectors" / "real_control_pieces.json").read_text())
+PACKET_BYTES = 20
+
+
+def packet(piece: str) -> Event:
+    """Return a packet of text, which begins with its length and is filled up."""
+    data = bytes([len(piece)]) + piece.encode()
+    return Event(t=0.0, link=0, what=What.CAME, data=data.ljust(PACKET_BYTES, b"\0").hex())
+
+
+@pytest.mark.parametrize("known", [(), ("2031-TZRW-1324",)])
+def test_a_headbands_numbers_are_replaced_across_packets(known: tuple[str, ...]) -> None:
+    events = [packet(piece) for piece in REAL["pieces"]]
+    told = Redaction(lambda _: False, DRIVER.identifiers).of(events, known)
+    answers, before = Answers(), REAL["expected"]
+    complete = filter(None, [answers.feed(event.bytes) for event in told])
+    status = next(each for each in complete if "sn" in each)
+    own = before[3]
+    for key in ("sn", "ma", "id", "hn"):
+        assert status[key] != own[key]
+        assert len(str(status[key])) == len(own[key])
+    # By the first character of its serial number the driver knows the model.
+    assert str(status["sn"])[:1] == "2"
+    assert {key: status[key] for key in ("bp", "ts", "ps", "rc")} == {
+        key: own[key] for key in ("bp", "ts", "ps", "rc")
+    }
+
+
+# Electrodes whose packets are missing or late, and a battery that is more than full.
+BEGIN_S = 1000.0
+RATES = {"eeg": (EEG, 12, 256.0), "ppg": (PPG, 6, 64.0)}
+Sent = tuple[float, str, bytes]
+
+
+def packets(name: str, seconds: float = 60) -> Iterable[tuple[int, int, Sent]]:
+    """Return packets with their number and channel; each value is its sample's number."""
+    uuids, samples, rate_hz = RATES[name]
+    for number in range(int(seconds * rate_hz / samples)):
+        indices = range(number * samples, (number + 1) * samples)
+        if name == "eeg":
+            counts = [each % 4096 for each in indices]
+            text = "".join(f"{each:03x}" for each in counts)
+        else:
+            text = "".join(f"{each:06x}" for each in indices)
+        data = number.to_bytes(2, "big") + bytes.fromhex(text)
+        for channel, uuid in enumerate(uuids):
+            at_s = BEGIN_S + indices.stop / rate_hz + 0.001 * channel
+            yield number, channel, (at_s, uuid, data)
+
+
+def emitted(sent: Iterable[Sent]) -> EmitterSink:
+    """Return what is emitted of packets."""
+    sink = EmitterSink("muse")
+    emitter = ClassicEmitter(sink, DeviceLog("test", sink.identity))
+    emitter.started(has_aux=False)
+    for at_s, uuid, data in sent:
+        assert emitter.take(uuid, data, at_s)
+    return sink
+
+
+@pytest.mark.parametrize("name", ["eeg", "ppg"])
+@pytest.mark.parametrize("times", [1, 3, 7])
+def test_an_electrode_that_is_missing_some_times_doubles_no_rows(name: str, times: int) -> None:
+    _, samples, _ = RATES[name]
+    all_of = list(packets(name))
+    last = len(RATES[name][0]) - 1
+    missing = range(100, 100 + times)
+    sink = emitted(each for n, channel, each in all_of if n not in missing or channel != last)
+    rows = np.array(sink.emitted[name])
+    count = len({n for n, _, _ in all_of}) * samples
+    assert len(rows) == count
+    assert not sink.losses.get(name)
+    without = np.isnan(rows[:, last])
+    # One more, where it came after nobody waited for it any longer.
+    assert times * samples <= without.sum() <= (times + 1) * samples
+    assert not np.isnan(rows[:, :last]).any()
+    np.testing.assert_allclose(np.diff(sink.times[name]), 1 / RATES[name][2], rtol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_packets_that_are_lost_at_random_double_no_rows(seed: int) -> None:
+    chance = random.Random(seed)
+    came = [(n, each) for n, _, each in packets("eeg", 15) if chance.random() > 0.1 + seed / 25]
+    sink = emitted(each for _, each in came)
+    numbers = {n for n, _ in came}
+    rows: Floats = np.array(sink.emitted["eeg"], np.float64)
+    # The last one may still be waited for.
+    assert len(rows) in (12 * len(numbers), 12 * len(numbers) - 12)
+    values: Floats = np.nanmax(rows, axis=1)
+    counts = np.round(values / EEG_UV) + 2048
+    assert (np.diff(counts) > 0).all()
+    assert sink.losses.get("eeg", 0) == counts[-1] - counts[0] + 1 - len(rows)
+    errors_s = np.array(sink.times["eeg"]) - BEGIN_S - (counts + 1) / 256
+    assert np.abs(errors_s).max() < 0.02
+
+
+def test_a_packet_that_comes_twice_is_one() -> None:
+    sent = [each for _, _, each in packets("eeg", 20) for _ in range(2)]
+    sink = emitted(sent)
+    assert len(sink.emitted["eeg"]) == len(sent) // 8 * 12
+    assert not sink.losses.get("eeg")
+
+
+@pytest.mark.parametrize(("told", "emitted_as"), [(90.5, 90.5), (100.0, 100), (100.5, 100)])
+def test_a_full_battery_is_full(told: float, emitted_as: float) -> None:
+    data = bytes(2) + round(told * 512).to_bytes(2, "big") + bytes(16)
+    sink = emitted([(BEGIN_S, TELEMETRY, data)])
+    assert sink.values("bat") == [emitted_as]

@@ -1,8 +1,12 @@
-"""What each data frame puts into which stream, and what it does not."""
+"""What each data frame puts into which stream, when it was measured, and what is missing."""
 
 from __future__ import annotations
 
+import json
 import struct
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
+from biosensor_common.refusal import Refusal
+from biosensor_gateway.devices.polar_h10.driver.emitter import FrameTimeline, Placed, PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from tests.rigs.emitter_sink import EmitterSink
+
+# What each data frame puts into which stream, and what it does not.
 
 START_NS = 599_616_000_000_000_000
 START_S = START_NS / 1e9
@@ -178,3 +185,188 @@ def test_any_frames_are_emitted_or_counted(frames: list[tuple[int, bytes]]) -> N
         before = sink.dropped_bytes
         emitter.frame(frame, ARRIVAL_S + second)
         assert sink.dropped_bytes - before in {0, len(frame)}
+
+
+# Frames that come twice or in another order, as reported in polar-ble-sdk #387.
+def taken(sink: EmitterSink, *numbers: int) -> list[int]:
+    """Take frames in, each as soon as the newest is complete; return whose samples were emitted."""
+    emitter, newest = PolarEmitter(sink), 0
+    emitter.started(ECG, 130, 1.0)
+    for number in numbers:
+        newest = max(newest, number)
+        emitter.frame(ecg(number), arrival(newest))
+    return [int(value) for value in sink.values("ecg")[::COUNT]]
+
+
+def test_a_copy_is_left_out_and_said(sink: EmitterSink) -> None:
+    assert taken(sink, 0, 1, 1, 2, 0, 3) == [0, 1, 2, 3]
+    expected = [START_S + (k + 1) / 130 for k in range(4 * COUNT)]
+    assert sink.device_times["ecg"] == pytest.approx(expected, abs=1e-6)
+    assert (sink.losses, sink.refusals.count(Refusal.LEFT_OUT)) == ({}, 2 * COUNT)
+    assert sink.refusals.all[0].sentence == f"{2 * COUNT} samples were left out: they came twice"
+
+
+def test_what_comes_behind_a_later_one_is_lost_once_and_no_stamp_goes_back(
+    sink: EmitterSink,
+) -> None:
+    assert taken(sink, 0, 2, 1, 3, 4) == [0, 2, 3, 4]
+    times = sink.device_times["ecg"]
+    assert times == sorted(times)
+    assert sink.losses == {"ecg": COUNT}
+    assert sink.refusals.count(Refusal.LEFT_OUT) == COUNT
+
+
+def test_a_clock_that_was_set_back_goes_on_with_its_second_frame(sink: EmitterSink) -> None:
+    assert taken(sink, 5, 6, 1, 2, 3, 4) == [5, 6, 2, 3, 4]
+    assert sink.refusals.count(Refusal.LEFT_OUT) == COUNT
+
+
+# When samples were measured, and how many are missing, by the stamps of their frames.
+_FOLDER = Path(__file__).parent / "vectors"
+(VECTOR,) = [
+    vector["expected"]
+    for vector in json.loads((_FOLDER / "polar_pmd_h10.json").read_text(encoding="utf-8"))
+    if vector["kind"] == "timestamps"
+]
+
+
+class Device:
+    """Measures at a true rate, and stamps every frame at its last sample."""
+
+    def __init__(self, rate_hz: float = 130.0) -> None:
+        self.period_ns = 1e9 / rate_hz
+        self.measured = 0
+        self.timeline = FrameTimeline(130.0)
+
+    def skip(self, count: int) -> None:
+        self.measured += count
+
+    def true_times(self, count: int) -> list[int]:
+        return [
+            START_NS + round((self.measured + index + 1) * self.period_ns) for index in range(count)
+        ]
+
+    def frame(self, count: int = COUNT) -> Placed:
+        """Measure a frame and place it, as soon as it is complete."""
+        times = self.true_times(count)
+        self.measured += count
+        return self.timeline.place(times[-1], count, (times[-1] - START_NS) / 1e9)
+
+
+def worst(placed: Placed, expected: list[int]) -> int:
+    """Largest error in ns; whole numbers, which are too long for a float."""
+    return max(abs(a - b) for a, b in zip(placed.times_ns, expected, strict=True))
+
+
+def test_vector_of_the_first_frame() -> None:
+    expected: dict[str, Any] = VECTOR
+    timeline = FrameTimeline(expected["nominal_hz"])
+    placed = timeline.place(expected["frame_ns"], expected["n"], 0.0)
+    # The vector's times were computed in floating point, to 64 ns.
+    assert worst(placed, expected["sample_ns"]) <= 128
+    assert placed.times_ns[-1] == expected["frame_ns"]
+    assert (placed.lost, placed.steps_back) == (0, False)
+
+
+@pytest.mark.parametrize("rate_hz", [127.4, 130.0, 132.6])
+def test_the_true_rate_comes_from_the_stamps(rate_hz: float) -> None:
+    device = Device(rate_hz)
+    device.frame()
+    for _ in range(20):
+        expected = device.true_times(COUNT)
+        placed = device.frame()
+        assert worst(placed, expected) <= 2
+        assert placed.lost == 0
+
+
+@pytest.mark.parametrize("rate_hz", [127.4, 130.0, 132.6])
+@pytest.mark.parametrize("frames", [1, 2, 10, 100])
+def test_lost_frames_are_counted_in_samples(rate_hz: float, frames: int) -> None:
+    device = Device(rate_hz)
+    for _ in range(5):
+        device.frame()
+    device.skip(frames * COUNT)
+    expected = device.true_times(COUNT)
+    placed = device.frame()
+    assert placed.lost == frames * COUNT
+    # Not stretched over the gap.
+    assert worst(placed, expected) <= 100
+    assert device.frame().lost == 0
+
+
+def test_frames_of_one_sample_lose_single_samples() -> None:
+    device = Device()
+    assert [device.frame(1).lost for _ in range(10)] == [0] * 10
+    device.skip(1)
+    assert device.frame(1).lost == 1
+
+
+def test_a_restart_is_a_gap_of_known_length() -> None:
+    device = Device(131.0)
+    for _ in range(50):
+        device.frame()
+    device.timeline.restart(130.0)
+    device.skip(1310)
+    expected = device.true_times(COUNT)
+    placed = device.frame()
+    assert placed.lost == 1310
+    # The rate is known from before.
+    assert worst(placed, expected) <= 1000
+
+
+def test_another_rate_forgets_the_old_one() -> None:
+    timeline = FrameTimeline(50.0)
+    timeline.place(START_NS, 36, 0.0)
+    timeline.place(START_NS + 720_000_000, 36, 0.72)
+    timeline.restart(25.0)
+    placed = timeline.place(START_NS + 2_160_000_000, 36, 2.16)
+    assert np.diff(placed.times_ns) == pytest.approx([40_000_000] * 35)
+    assert placed.lost == 0
+
+
+def test_a_device_that_was_off_measured_nothing() -> None:
+    device = Device()
+    device.frame()
+    device.timeline.restart(130.0)
+    placed = device.timeline.place(START_NS + 10**9, COUNT, 300.0)
+    assert placed.lost == 0
+
+
+def test_a_clock_that_is_set_loses_nothing() -> None:
+    device = Device()
+    device.frame()
+    year_ns = 365 * 86_400 * 10**9
+    placed = device.timeline.place(START_NS + year_ns, COUNT, 1.1)
+    assert (placed.lost, placed.steps_back) == (0, False)
+    assert np.diff(placed.times_ns) == pytest.approx([1e9 / 130] * (COUNT - 1), abs=1)
+
+
+@pytest.mark.parametrize("back_ns", [0, 10**9])
+def test_a_clock_that_does_not_advance_falls_back_to_the_nominal_rate(back_ns: int) -> None:
+    timeline = FrameTimeline(130.0)
+    timeline.place(START_NS, COUNT, 0.0)
+    placed = timeline.place(START_NS - back_ns, COUNT, 0.56)
+    assert (placed.lost, placed.steps_back) == (0, True)
+    assert placed.times_ns[-1] == START_NS - back_ns
+    assert np.diff(placed.times_ns) == pytest.approx([1e9 / 130] * (COUNT - 1), abs=1)
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2**64 - 1), st.integers(1, 300), st.floats(0, 1e6), st.booleans()),
+        max_size=30,
+    )
+)
+def test_any_stamps_give_ascending_times_and_no_negative_loss(
+    frames: list[tuple[int, int, float, bool]],
+) -> None:
+    timeline, arrival = FrameTimeline(130.0), 0.0
+    for timestamp, count, pause, restarts in frames:
+        arrival += pause
+        if restarts:
+            timeline.restart(130.0)
+        placed = timeline.place(timestamp, count, arrival)
+        assert len(placed.times_ns) == count
+        assert placed.times_ns[-1] == timestamp
+        assert all(a <= b for a, b in pairwise(placed.times_ns))
+        assert 0 <= placed.lost < 200 * (pause + 10) + 1e6 * 200

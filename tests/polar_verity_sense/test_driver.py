@@ -1,4 +1,4 @@
-"""The driver streams from virtual optical sensors: all of it, once, at the right time."""
+"""The driver streams from virtual optical sensors, and finds them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ from structlog.testing import capture_logs
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
+from biosensor_gateway.devices.polar_verity_sense.driver import (
+    PolarVeritySenseSettings,
+    identify,
+    recognise,
+)
 from biosensor_gateway.devices.polar_verity_sense.simulator import (
     OH1,
     OLD_VERITY_SENSE,
@@ -20,10 +25,13 @@ from biosensor_gateway.devices.polar_verity_sense.simulator import (
     SimulatedPolarVeritySense,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
+
+# The driver streams from virtual optical sensors: all of it, once, at the right time.
 
 MakeSensor = Callable[..., SimulatedPolarVeritySense]
 REGULAR = ("ppg", "acc", "gyro", "mag")
@@ -204,3 +212,31 @@ async def test_a_rate_that_nobody_could_know_is_declared_before_its_samples_come
         await until(run.sink.has(2, "ppi"))
         assert run.sink.rates == {"ppg": 55, "acc": 52, "gyro": 52, "mag": 50}
         await until(lambda: run.supervisor.last_error is None)
+
+
+# Which advertisements are Polar's optical sensors, and the settings they make.
+HEART_RATE = frozenset({"0000180d-0000-1000-8000-00805f9b34fb"})
+
+
+def seen(name: str) -> Advertisement:
+    return Advertisement("A0:9E:1A:00:00:01", name, -58, HEART_RATE)
+
+
+@pytest.mark.parametrize("model", ["Sense", "Verity Sense", "OH1", "360"])
+def test_each_product_is_found_by_its_name(model: str) -> None:
+    found = recognise(seen(f"Polar {model} A1B2C3D4"))
+    assert found is not None
+    assert (found.sensor, found.rssi_dbm) == ("polar_verity_sense", -58)
+    assert found.name == f"Polar {model} A1B2C3D4"
+    settings = PolarVeritySenseSettings.model_validate({"sensor": found.sensor, **found.settings})
+    assert (settings.unit, settings.device) == ("A1B2C3D4", "A0:9E:1A:00:00:01")
+
+
+@pytest.mark.parametrize("name", ["", "Polar", "Polar H10 A1B2C3D4", "Polar 360", "Sense A1B2C3D4"])
+def test_other_names_are_other_devices(name: str) -> None:
+    assert identify(seen(name)) is None
+    assert recognise(seen(name)) is None
+
+
+def test_a_serial_port_is_none() -> None:
+    assert recognise(SerialPort("COM7", "Polar Sense A1B2C3D4")) is None

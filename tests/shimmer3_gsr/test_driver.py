@@ -1,4 +1,4 @@
-"""The driver against a virtual Shimmer3 on a real serial port, under its supervisor."""
+"""The driver against a virtual Shimmer3 on a real serial port, and how it is found."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
+from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.shimmer.driver import connection as module
 from biosensor_gateway.devices.shimmer.driver import conversation
-from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings
+from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings, recognise
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.driver_run import Run, supervised
 from tests.rigs.polling import until
+
+# The driver against a virtual Shimmer3 on a real serial port, under its supervisor.
 
 DEADLINE_S = 30.0
 WAVEFORMS = ("gsr", "ppg")
 NEVER = float("inf")
-
 Floats = NDArray[np.float64]
 
 
@@ -414,3 +417,30 @@ async def test_a_stop_while_connecting_leaves_the_device_idle(
             await asyncio.wait({task}, timeout=DEADLINE_S)
             run.sink.close()
             assert await is_idle(device)
+
+
+# Which serial ports are Shimmers.
+@pytest.mark.parametrize("name", ["Shimmer3-9A3F", "Shimmer3-9a3f"])
+def test_a_paired_shimmer_is_known_by_its_name(name: str) -> None:
+    found = recognise(SerialPort("COM7", name, "00:06:66:46:9A:3F"))
+    assert found == Found("shimmer3_gsr", name, {"unit": "9A3F", "port": "COM7"})
+    settings = ShimmerSettings(sensor=found.sensor, **found.settings)  # type: ignore[arg-type]  # a mapping of scalars, as the file has it
+    assert (settings.rate_hz, settings.gsr_range) == (128.0, "auto")
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        SerialPort("COM7"),
+        SerialPort("COM7", "BH ZBH001234", "00:07:80:00:00:01"),
+        SerialPort("COM7", "Shimmer3-9A3F2", "00:06:66:46:9A:3F"),
+        Advertisement("00:06:66:46:9A:3F", "Shimmer3-9A3F"),
+    ],
+)
+def test_others_are_not(seen: SerialPort | Advertisement) -> None:
+    assert recognise(seen) is None
+
+
+def test_the_driver_offers_it() -> None:
+    assert DRIVER.recognise is recognise
+    assert DRIVER.settings is ShimmerSettings

@@ -1,4 +1,4 @@
-"""What each kind of stream becomes on its stamped topic, of the node that colcon installed."""
+"""What each kind of stream becomes on its stamped topic, of the node that colcon built."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,12 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
-from tests.system.stamped_messages import Sample
-from tests.system.stamped_streams import DEADLINE_S, Listener, Source
+from tests.system.stamped_messages import Sample, samples_of
 from tests.system.workspace import Workspace
 
 pytestmark = pytest.mark.system
+
+# What each kind of stream becomes on its stamped topic, of the node that colcon installed.
 
 SAMPLES = "biosensor_msgs/msg/Samples"
 KEPT_SAMPLES = f"{SAMPLES}@latched"
@@ -303,3 +304,65 @@ def test_the_example_shows_how_old_samples_are(
     (first, *_) = re.findall(r"newest (\d+) ms old, lost: (\S+)", program.output)
     assert int(first[0]) >= 500
     assert first[1] in {"0", "unknown"}
+
+
+# Both ends of a stamped topic: a stream of another program, and a subscriber.
+DEADLINE_S = 30.0
+
+
+class Source:
+    """A stream of another program; its samples are numbered where nothing else is said."""
+
+    def __init__(self, name: str, content_type: str, form: str, channels: int, rate: float) -> None:
+        self._info = pylsl.StreamInfo(
+            name, content_type, channels, rate, form, f"test-{name}-{form}"
+        )
+        self._outlet: pylsl.StreamOutlet | None = None
+        self.topic = f"/biosensors/{name}/{content_type}_stamped"
+        self.channels = channels
+        self.pushed = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """End the outlet and make another one of the same source_id."""
+        self._outlet = None
+        self._outlet = pylsl.StreamOutlet(self._info)
+
+    def push(self, rows: Sequence[Sequence[Any]], stamps: Sequence[float]) -> None:
+        """Push samples that LSL hands on together."""
+        assert self._outlet is not None
+        self._outlet.push_chunk([list(row) for row in rows], list(stamps))
+
+    def push_number(self) -> None:
+        """Push one sample, measured now, whose values are its number."""
+        self.push([[self.pushed] * self.channels], [pylsl.local_clock()])
+        self.pushed += 1
+
+
+class Listener:
+    """What a process that subscribes to topics has received."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+
+    @property
+    def received(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """Topics and messages in the order of their arrival."""
+        return [(record["topic"], record["message"]) for record in self._program.records]
+
+    def messages(self, topic: str) -> list[Mapping[str, Any]]:
+        return [message for name, message in self.received if name == topic]
+
+    def samples(self, topic: str) -> list[Sample]:
+        return samples_of(self.messages(topic))
+
+    def wait_until(
+        self, condition: Callable[[], object], what: str, meanwhile: Callable[[], object] = int
+    ) -> None:
+        """Wait for something, doing something else again and again."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            said = self._program.output[-2000:]
+            assert time.monotonic() < deadline, f"{what} did not come:\n{said}"
+            meanwhile()
+            time.sleep(0.05)

@@ -1,23 +1,21 @@
-"""A plugin of pytest that reports where the time of a run went, and begins with the longest files.
-
-Processors and seconds are those of the process that ran the test and of the programs that
-it started and that have ended; a program counts where it ends.
-"""
+"""A plugin of pytest: where the time of a run went, and which files begin or take turns."""
 
 from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Generator
+from collections.abc import Collection, Generator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 from xdist.scheduler.protocol import Scheduling
 
 from tests.time_spent.account import ORDINARY, SYSTEM, Account, Folder
-from tests.time_spent.scheduling import TurnsOfTheHeavy
+
+# A plugin of pytest that reports where the time of a run went, and begins with the longest files.
 
 SLOWEST = 30
 SHORTEST_S = 0.5
@@ -114,3 +112,22 @@ def _folder(root: Path, item: pytest.Item) -> Folder:
     part = ORDINARY if item.get_closest_marker("system") is None else SYSTEM
     folders = item.path.parent.relative_to(root).parts
     return Folder(folders[1] if len(folders) > 1 else item.path.parent.name, part)
+
+
+# Distributes files to workers so that those that need a processor of their own take turns.
+class TurnsOfTheHeavy(LoadFileScheduling):
+    """A file's tests stay together, and heavy files are all one worker's.
+
+    Parameters
+    ----------
+    heavy
+        Files, relative to the root.
+    """
+
+    def __init__(self, config: pytest.Config, log: Producer, heavy: Collection[str]) -> None:
+        super().__init__(config, log)
+        self._heavy = heavy
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = super()._split_scope(nodeid)
+        return "heavy" if file in self._heavy else file

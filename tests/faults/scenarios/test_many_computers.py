@@ -1,23 +1,17 @@
-"""Four agents, two robots and a recorder: one is cut off, others are killed, all is accounted for.
-
-The first robot has its streams by multicast, but for those of the other site. The second one
-is at that site, without any multicast: it finds the agents by ``known_peers`` alone, most of
-them behind a link of 40 ms there and back, and is heard at the desk by way of a Fast DDS
-discovery server. A long run has 100 streams, and one network with and without multicast besides.
-Two cores do not bear twice as many: all these programs, most with threads for each stream, are
-on one machine.
-
-What a receiver got is compared with what the devices have sent.
-"""
+"""Four agents, two robots and a recorder: one is cut off, and all is accounted for."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
+import pyxdf
+from numpy.typing import NDArray
 
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.devices.registry import declaration
@@ -26,13 +20,14 @@ from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.holes import Hole, hole
 from tests.faults.scenarios.length import is_long
 from tests.faults.scenarios.many_computers import CUT_OFF, KILLED, RECORDER, Outcome, Stream, run
-from tests.faults.scenarios.recorded_lab import clock_errors_s, recorded
 from tests.rigs.hosts.completeness import Span
 from tests.rigs.hosts.link import Delays
 from tests.rigs.hosts.recordings import Recording
-from tests.rigs.hosts.sites import PCS, ROBOTS, Setting
+from tests.rigs.hosts.sites import CLOCK_OFFSETS_S, DESK, PCS, ROBOTS, Setting, unix_s
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+
+# Four agents, two robots and a recorder: one is cut off, others are killed, all is accounted for.
 
 TWO_SITES = Setting("two sites", Delays(0.030, 0.010), is_deaf=True)
 MULTICAST = Setting("multicast", None, is_deaf=False)
@@ -44,11 +39,9 @@ WORN: Mapping[str, Sequence[str]] = (
     if is_long()
     else {p: (s,) for p, s in zip(PCS, ONE_EACH, strict=True)}
 )
-
 # From the time of a sample to its receipt: a packet holds those of a second, and is on its way
 # over the link and through a node.
 ON_ITS_WAY_S = 1.5
-
 Holes = Mapping[Stream, Hole | None]
 
 
@@ -200,3 +193,41 @@ def test_clocks_of_the_computers_are_measured(judged: Judged, figures: Record) -
         figures(_fault(judged, "nothing yet"), f"error of the clock of {pc}", "reported", text)
         # Neither a second, by which namespaces differ at least, nor a computer is mistaken.
         assert worst_ms < 500.0
+
+
+# What LabRecorder wrote in a lab of many computers.
+_load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
+
+
+def recorded(path: Path, streams: Iterable[Stream]) -> dict[Stream, Recording]:
+    """Return the numbers of each stream; the arrival of a sample is its stamp, in Unix time."""
+    found = _by_stream(path, streams)
+    return {
+        each: _recording(each.pc, content)
+        for each, content in found.items()
+        if content["info"]["channel_format"] != ["string"]
+    }
+
+
+def clock_errors_s(path: Path, streams: Iterable[Stream]) -> dict[str, NDArray[np.float64]]:
+    """Return by how much LabRecorder mismeasured the clock of each computer, all its streams."""
+    errors: dict[str, list[float]] = {}
+    for each, content in _by_stream(path, streams).items():
+        true_s = CLOCK_OFFSETS_S[DESK] - CLOCK_OFFSETS_S[each.pc]
+        errors.setdefault(each.pc, []).extend(v - true_s for v in content["clock_values"])
+    return {pc: np.array(values) for pc, values in errors.items()}
+
+
+def _by_stream(path: Path, streams: Iterable[Stream]) -> Mapping[Stream, Mapping[str, Any]]:
+    contents, _ = _load_xdf(str(path), synchronize_clocks=False, dejitter_timestamps=False)
+    ids = [content["info"]["source_id"][0] for content in contents]
+    assert len(set(ids)) == len(ids), "a stream was recorded as two"
+    by_id = dict(zip(ids, contents, strict=True))
+    return {each: by_id[each.source_id] for each in streams}
+
+
+def _recording(pc: str, content: Mapping[str, Any]) -> Recording:
+    stamps = unix_s(pc, np.asarray(content["time_stamps"], np.float64))
+    channels = int(content["info"]["channel_count"][0])
+    rows = np.asarray(content["time_series"], np.float32).reshape(len(stamps), channels)
+    return Recording(stamps, stamps, rows)

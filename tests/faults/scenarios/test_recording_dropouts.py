@@ -1,20 +1,17 @@
-"""Radios that fall silent for two seconds while LabRecorder records.
-
-A reader of the file must not notice more than the gap: pyxdf's defaults draw a straight
-line through the stamps of a regular stream and would smear the gap over all of it, by a
-second at 64 Hz, unless the stream says that it can drop samples.
-"""
+"""Radios that fall silent, or send in bundles, while LabRecorder records."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.recording.xdf.verdict import Colour, check
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from tests.faults.agent import AgentProcess
 from tests.faults.expectations import source
 from tests.faults.matching import Places, match
@@ -23,8 +20,13 @@ from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.stage import is_streaming, lab_of, wait_until, write_settings
 from tests.faults.scenarios.xdf import load
 from tests.rigs.lab_client import Samples
+from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.priority import before_others
 from tests.system.lab_recorder import recording
+
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(240)]
+
+# Radios that fall silent for two seconds while LabRecorder records.
 
 LIMIT_S = 0.005
 # Virtual devices write when this computer lets them, and what it delays a clock takes for the
@@ -42,8 +44,6 @@ STREAMS = {
 }
 SENSORS = tuple(dict.fromkeys(name for name, _ in STREAMS.values()))
 FAULT = "2 s radio drop-out, LabRecorder, pyxdf's defaults"
-
-pytestmark = [pytest.mark.nightly, pytest.mark.timeout(240)]
 
 
 class Recording(NamedTuple):
@@ -125,3 +125,46 @@ def test_a_gap_moves_no_other_sample(
     assert found.moved_s < LIMIT_S
     assert np.median(found.errors_s) < LIMIT_S
     assert worst_s < BUSY * LIMIT_S
+
+
+# What comes in bundles of twelve seconds is recorded with its times, and is never green.
+SENSOR, STAMPED = "polar_h10", ("ecg", "acc")
+BUNDLED_STREAMS = (*STAMPED, "hr", "ibi", "quality")
+OF_THE_AGENT = "starts-with(source_id,'gateway-')"
+BUNDLE_S, LASTS_S, BUNDLED_SETTLE_S = 12.0, 30.0, 11.0
+BUNDLED_LIMIT_S = 0.05
+"""On a computer that others use, too."""
+
+
+def test_stamps_are_right_and_the_verdict_is_amber_with_what_happened(tmp_path: Path) -> None:
+    file = tmp_path / "bundles.xdf"
+    predicates = [f"source_id='{source(SENSOR, each)}'" for each in BUNDLED_STREAMS] + [
+        OF_THE_AGENT
+    ]
+    with lab_of((SENSOR,), tmp_path) as lab:
+        settings = write_settings(tmp_path, lab, {SENSOR: SENSOR})
+        with AgentProcess(tmp_path, *settings, environment=lab.environment) as agent:
+            wait_until(lambda: is_streaming(agent), "a device that streams")
+            time.sleep(BUNDLED_SETTLE_S)
+            with LabRecorder(file, predicates, len(predicates)):
+                time.sleep(BUNDLED_SETTLE_S)
+                lab.apply(SENSOR, Untidiness.BUNDLED.value, BUNDLE_S)
+                wait_until(lambda: not is_streaming(agent), "an agent that misses its device")
+                (status,) = agent.status().values()
+                assert "no data of" in status["error"]
+                time.sleep(LASTS_S)
+                wait_until(lambda: is_streaming(agent), "a device that streams again")
+                time.sleep(BUNDLED_SETTLE_S)
+            truth = lab.truth(SENSOR)
+    # As it was stamped: pyxdf draws a line through what is regular.
+    recorded = load(file, as_written=True)
+    for each in STAMPED:
+        received = recorded[source(SENSOR, each)]
+        errors_s = received.times - truth[each].times[match(received, truth[each])]
+        assert np.abs(errors_s).max() < BUNDLED_LIMIT_S, each
+    judged = check(file)
+    assert judged.colour is Colour.AMBER
+    found = {each.code: each.text for each in judged.findings}
+    assert {"away", "silent"} <= found.keys()
+    assert "not connected" in found["away"]
+    assert "waited" in found["silent"]

@@ -1,9 +1,11 @@
-"""The adapter and the service itself: org.bluez.Adapter1."""
+"""The adapter and the service itself, org.bluez.Adapter1, and the programs on the bus."""
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import ExitStack
-from typing import Self
+from typing import Any, Protocol, Self, cast
 
 from dbus_fast.aio import MessageBus
 from dbus_fast.message import Message
@@ -11,11 +13,12 @@ from dbus_fast.signature import Variant
 
 from biosensor_gateway.simulation.central import Central, Heard
 from biosensor_gateway.simulation.radio import Radio
-from tests.rigs.bluez.clients import watch_clients
 from tests.rigs.bluez.device import FakeDevice
 from tests.rigs.bluez.errors import BluezError, failed, not_ready
 from tests.rigs.bluez.objects import ObjectTree, Properties, Reply
 from tests.rigs.bluez.private_bus import PrivateBus
+
+# The adapter and the service itself: org.bluez.Adapter1.
 
 _NAME = "org.bluez"
 _ADAPTER = "org.bluez.Adapter1"
@@ -226,3 +229,42 @@ class FakeBluez:
     def _tell_discovering(self) -> None:
         discovering = Variant("b", bool(self._scanning))
         self.tree.change(_PATH, _ADAPTER, {"Discovering": discovering})
+
+
+# The programs on a bus, and when they leave it.
+_DAEMON = "org.freedesktop.DBus"
+_MEMBER = "NameOwnerChanged"
+
+
+class _Bus(Protocol):
+    """What is used of the bus, whose annotation leaves a type argument out."""
+
+    def call(self, msg: Message) -> Awaitable[object]: ...
+
+
+async def watch_clients(
+    bus: MessageBus, on_left: Callable[[str], Coroutine[Any, Any, None]]
+) -> None:
+    """Call back with the unique name of each program that leaves, killed or not."""
+    running: set[asyncio.Task[None]] = set()
+
+    def on_message(message: Message) -> None:
+        if message.member == _MEMBER and message.interface == _DAEMON:
+            name, _, owner = message.body
+            if not owner:
+                task = asyncio.ensure_future(on_left(name))
+                running.add(task)
+                task.add_done_callback(running.discard)
+
+    bus.add_message_handler(on_message)
+    rule = f"type='signal',interface='{_DAEMON}',member='{_MEMBER}'"
+    await cast("_Bus", bus).call(
+        Message(
+            destination=_DAEMON,
+            path="/org/freedesktop/DBus",
+            interface=_DAEMON,
+            member="AddMatch",
+            signature="s",
+            body=[rule],
+        )
+    )

@@ -1,30 +1,38 @@
-"""One run of the main job: devices, the installed program, ROS topics and an XDF file."""
+"""One run of the main job on a virtual PC: devices, the installed program, LabRecorder."""
 
 from __future__ import annotations
 
 import json
+import subprocess
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import TracebackType
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
+import pyxdf
+from numpy.typing import NDArray
 
 from biosensor_common import naming
+from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from installer.wine.prefix import windows_path
 from tests.rigs.hosts.completeness import MARGIN_S, Span
-from tests.rigs.hosts.lan import Lan
+from tests.rigs.hosts.counters import canonical
+from tests.rigs.hosts.lan import Host, Lan
 from tests.rigs.hosts.pair import VIRTUAL_UNIT, Observation, Pair, Place, Places
 from tests.rigs.hosts.programs import SteeredProgram
 from tests.rigs.lab_client import Samples
-from tests.rigs.windows import xdf
-from tests.rigs.windows.agent import InstalledAgent
+from tests.rigs.priority import before_others
 from tests.rigs.windows.clocks import Clocks
 from tests.rigs.windows.pc import WindowsPc
-from tests.rigs.windows.xdf import XdfStream
+from tests.rigs.windows.program import RunningProgram
+
+# One run of the main job: devices, the installed program, ROS topics and an XDF file.
 
 SENSORS = ("empatica_e4", "emotiv_insight", "shimmer3_gsr", "zephyr")
 # Wine has no Bluetooth.
@@ -127,7 +135,7 @@ def run(
         pair.expected,
         minute,
         truth,
-        xdf.read(Path(file)),
+        read(Path(file)),
         observation,
         status,
         {device["sensor"]: device for device in json.loads(figures)["devices"]},
@@ -222,3 +230,121 @@ def _truth(devices: SteeredProgram, clocks: Clocks, folder: Path) -> dict[str, S
                     arrays[f"{name}.times"] + clocks.unix_minus_lsl, arrays[f"{name}.values"]
                 )
     return truth
+
+
+# The installed program streaming on a Windows PC that is a computer of the network.
+_TAIL = 4000
+# Empty is unset for Windows: the program uses its user's own folders.
+_OWN_PLACES = {"BIOSENSOR_GATEWAY_SETTINGS": "", "BIOSENSOR_GATEWAY_STATE": ""}
+
+
+class InstalledAgent:
+    """``biosensor-gateway run`` of a PC; a context manager.
+
+    Leaving it ends the program by its own ``stop``, and then all that runs on the PC.
+
+    Parameters
+    ----------
+    pc
+        Has the program and its settings; what runs on it already is ended.
+    host
+        The computer of the network that it is; Wine's server starts there with the first
+        program, and the sockets of all of them are the server's.
+    environment
+        More variables for all its programs, as Windows is to see them.
+
+    Raises
+    ------
+    AssertionError
+        On leaving, if it does not end with exit code 0.
+    """
+
+    def __init__(self, pc: WindowsPc, host: Host, environment: Mapping[str, str]) -> None:
+        self._pc = pc
+        self._prefix = replace(
+            pc.prefix, environment={**environment, **_OWN_PLACES}, before=tuple(host.command())
+        )
+
+    def __enter__(self) -> Self:
+        self._prefix.end()
+        self._program = RunningProgram(self._prefix, self._pc.program, self._pc.user_folder)
+        # It starts Wine's server, which so has the same priority.
+        before_others(self._program.pid)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._program:
+            stopped = self.gateway("stop")
+            code = self._program.exit_code()
+            # The services of this Windows have the program's outputs, too.
+            self._prefix.end()
+        if error is None:
+            assert (stopped.returncode, code) == (0, 0), f"{stopped.stdout}\n{self.last_words}"
+
+    def gateway(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run another command of the installed program to its end."""
+        return self._prefix.attempt(self._pc.program, *arguments)
+
+    @property
+    def last_words(self) -> str:
+        """The end of what it wrote."""
+        return self._program.said()[-_TAIL:]
+
+
+# What LabRecorder has recorded of the agent's streams, sample by sample.
+_load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
+
+
+class XdfStream(NamedTuple):
+    """One stream.
+
+    Attributes
+    ----------
+    stamps : ndarray of float64, shape (n,)
+        On the sender's LSL clock, as they were sent.
+    times : ndarray of float64, shape (n,)
+        The same on the LSL clock of LabRecorder's computer, by its measurements.
+    rows : ndarray, shape (n, channels)
+        Values, as float32 or text.
+    corrections : ndarray of float64
+        What LabRecorder measured that its LSL clock is ahead of the sender's, in seconds.
+    """
+
+    stamps: NDArray[np.float64]
+    times: NDArray[np.float64]
+    rows: NDArray[Any]
+    corrections: NDArray[np.float64]
+
+
+def read(path: Path) -> dict[str, XdfStream]:
+    """Return all streams by source_id."""
+    sent, _ = _load_xdf(str(path), synchronize_clocks=False, dejitter_timestamps=False)
+    corrected, _ = _load_xdf(str(path), synchronize_clocks=True, dejitter_timestamps=False)
+    times = {_source_id(stream): stream["time_stamps"] for stream in corrected}
+    return {
+        source: XdfStream(
+            np.asarray(stream["time_stamps"], np.float64),
+            np.asarray(times[source], np.float64),
+            _rows(stream),
+            np.asarray(stream["clock_values"], np.float64),
+        )
+        for stream in sent
+        for source in (_source_id(stream),)
+    }
+
+
+def _source_id(stream: Mapping[str, Any]) -> str:
+    return stream["info"]["source_id"][0]
+
+
+def _rows(stream: Mapping[str, Any]) -> NDArray[Any]:
+    info, samples = stream["info"], stream["time_series"]
+    if info["type"] == [ContentType.COUNTERS]:
+        samples = [[canonical(json.loads(sample[0]))] for sample in samples]
+    kind = np.str_ if info["channel_format"] == ["string"] else np.float32
+    return np.array(samples, kind).reshape(len(samples), int(info["channel_count"][0]))
