@@ -139,41 +139,9 @@ async def test_warnings_have_the_shape_of_the_vectors(
             assert shape(warning) == shape(VECTORS[vector]["message"]["warning"])
 
 
-@pytest.mark.parametrize(("decide", "code"), [("approve", 9), ("reject", 10)])
-async def test_an_app_waits_for_the_users_decision(world: World, decide: str, code: int) -> None:
-    with SteeredCortex(world, Circumstances(user=User(approved=False))) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            assert not (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
-            assert not (await client.ask("requestAccess", **CREDENTIALS))["accessGranted"]
-            assert await refusal(client, "authorize", **CREDENTIALS) == -32102
-            getattr(cortex, decide)()
-            await client.until_warned(code)
-            granted = (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
-            assert granted == (decide == "approve")
-            if granted:
-                assert await client.authorize(*APP)
-
-
 def test_the_credentials_are_offered_as_environment(world: World) -> None:
     with SteeredCortex(world, Circumstances(app=App("a", "b"))) as cortex:
         assert cortex.environment == {"EMOTIV_CLIENT_ID": "a", "EMOTIV_CLIENT_SECRET": "b"}
-
-
-async def test_nothing_goes_without_a_login(world: World) -> None:
-    with SteeredCortex(world, Circumstances(user=User(logged_in=False))) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            assert await client.ask("getUserLogin") == []
-            assert await refusal(client, "authorize", **CREDENTIALS) == -32033
-            cortex.log_in()
-            await client.until_warned(2)
-            _, session = await client.begin(*APP, "eeg")
-            await client.until_data("eeg")
-            cortex.log_out()
-            await client.until_warned(3)
-            assert [w["message"]["sessionId"] for w in client.warnings if w["code"] == 1] == [
-                session
-            ]
-            assert await client.ask("getUserLogin") == []
 
 
 async def test_wrong_requests_are_told_by_their_codes(world: World) -> None:
@@ -255,22 +223,6 @@ async def test_a_licence_decides_about_eeg(
             await client.ask("updateSession", **own, status="active")
             await client.ask("subscribe", **own, streams=["eeg"])
             await client.until_data("eeg", 3)
-
-
-async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: World) -> None:
-    with SteeredCortex(world, Circumstances(user=User(session_quota=3))) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            token = await client.authorize(*APP)
-            await client.connect_headset()
-            asked = {"cortexToken": token, "status": "active"}
-            assert await refusal(client, "createSession", **asked) == -32019
-            await client.authorize(*APP, debit=10)
-            for _ in range(3):
-                session = await client.ask("createSession", **asked)
-                await client.ask(
-                    "updateSession", cortexToken=token, session=session["id"], status="close"
-                )
-            assert await refusal(client, "createSession", **asked) == -32019
 
 
 async def test_a_session_ends_with_its_connection_and_there_is_one_an_app(world: World) -> None:

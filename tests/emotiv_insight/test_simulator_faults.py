@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosedError
 
 from biosensor_gateway.devices.emotiv_insight.simulator import Circumstances, Leaf, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
@@ -88,23 +87,6 @@ async def test_stopping_removes_the_certificate_and_the_port(world: World) -> No
         await connect(settings["url"], ssl=ssl.create_default_context(), proxy=None)
 
 
-async def test_a_dropped_link_breaks_off_and_refuses_until_it_is_back(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            token, _ = await client.begin(*APP, "eeg")
-            await client.until_data("eeg")
-            cortex.apply(Fault(FaultKind.DROP, FOREVER))
-            assert await client.until_closed() is None
-            with pytest.raises(ConnectionRefusedError):
-                async with CortexClient(cortex.settings):
-                    pass
-            cortex.clear(FaultKind.DROP)
-        async with CortexClient(cortex.settings) as again:
-            assert await again.ask("querySessions", cortexToken=token) == []
-            (headset,) = await again.ask("queryHeadsets")
-            assert headset["status"] == "connected"
-
-
 async def test_a_half_open_link_answers_no_ping_and_sends_nothing(world: World) -> None:
     with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
@@ -128,17 +110,6 @@ async def test_a_half_open_link_answers_no_ping_and_sends_nothing(world: World) 
         lost = cortex.truth.unsent_count("eeg")
         counters = [row[0] for row in client.rows("eeg")]
         assert (counters[sent] - counters[sent - 1] - 1) % 128 == lost % 128
-
-
-async def test_a_client_that_pings_notices_a_half_open_link(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings, ping_s=0.3) as client:
-            cortex.apply(Fault(FaultKind.STALL, FOREVER))
-            await client.until_closed()
-            assert isinstance(client.socket.protocol.close_exc, ConnectionClosedError)
-        cortex.clear(FaultKind.STALL)
-        async with CortexClient(cortex.settings) as again:
-            await again.until(lambda: cortex.client_count == 1)
 
 
 async def test_a_restart_forgets_tokens_sessions_and_the_headset(world: World) -> None:

@@ -11,7 +11,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator import (
     INSIGHT_1,
     INSIGHT_1_GYRO,
@@ -61,20 +60,6 @@ class Recording:
         self.client = client
         self.columns = columns
 
-    def labelled(self, stream: str) -> list[dict[str, Any]]:
-        """Messages by the declaration's labels."""
-        names = cast("list[str]", flat(self.columns[stream]))
-        return [
-            {DECLARED_AS.get(n, n): v for n, v in zip(names, flat(row), strict=True)}
-            for row in self.client.rows(stream)
-        ]
-
-    def declared(self, data_name: str, stream: str) -> list[list[float]]:
-        """Messages in the declaration's channel order, NaN where there is nothing."""
-        labels = SPEC.stream(data_name).labels
-        rows = [[row.get(label) for label in labels] for row in self.labelled(stream)]
-        return [[np.nan if value is None else float(value) for value in row] for row in rows]
-
 
 def flat(values: list[Any]) -> list[Any]:
     """Take nested columns apart; the empty list of markers stays a value."""
@@ -94,29 +79,6 @@ async def record(cortex: SteeredCortex, eeg_samples: int, *streams: str) -> Reco
         await client.until(lambda: all(client.data[stream] for stream in streams))
         await client.ask("unsubscribe", **own, streams=list(streams))
     return Recording(client, {one["streamName"]: one["cols"] for one in subscribed["success"]})
-
-
-@pytest.mark.parametrize(
-    ("model", "version"),
-    [(INSIGHT_1, "4.8.32"), (INSIGHT_1_GYRO, "2.2.0"), (INSIGHT_2, "3.6.5")],
-)
-async def test_data_are_the_truth(world: World, model: Model, version: str) -> None:
-    with SteeredCortex(
-        world, Circumstances(release=Release(version)), model=model, seed=4, jitter_s=0.02
-    ) as cortex:
-        recording = await record(cortex, 200, *STREAMS)
-        truth = cortex.truth
-        names = {"eeg": "eeg", "eeg_status": "eeg", "pow": "pow", "met": "met", "dev": "dev"}
-        names |= {"mot": "mot"} | ({"gyro": "mot"} if model.has_gyroscope else {})
-        assert set(truth.data_names) == names.keys()
-        for data_name, stream in names.items():
-            true_times, true_values = truth.samples(data_name)
-            heard = np.array(recording.declared(data_name, stream))
-            np.testing.assert_array_equal(heard, true_values)
-            stamps = np.array(recording.client.times(stream))
-            offsets = stamps - true_times
-            assert np.ptp(offsets) < 2e-4
-            assert truth.unsent_count(data_name) == 0
 
 
 async def test_eeg_lies_on_its_offset_in_steps_of_the_converter(world: World) -> None:
@@ -212,82 +174,6 @@ async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
             await client.begin(*APP, "met")
             await client.until_data("met", 3)
     assert np.diff(client.times("met")).tolist() == pytest.approx([1.5, 1.5], abs=2e-4)
-
-
-async def test_the_headset_is_worn_and_taken_off_and_worn(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP, "eeg", "dev", "met", "pow")
-            await client.until_data("dev")
-            cortex.apply(Fault(FaultKind.OFF_BODY, np.inf))
-            await client.until_data("dev", 2)
-            await client.until_data("met", 2)
-            cortex.clear(FaultKind.OFF_BODY)
-            cortex.apply(Fault(FaultKind.LOW_BATTERY, 4))
-            await client.until_data("dev", 2)
-        dev = cortex.truth.samples("dev").values
-        overall = (dev[:, 7] > 0).tolist()
-        assert [worn for worn, _ in itertools.groupby(overall)] == [True, False, True]
-        for row in dev:
-            assert (row[2:7] > 0).all() == (row[7] > 0)
-        assert dev[0, [0, 8]].tolist() == [4, 80]
-        assert dev[-1, [0, 8]].tolist() == [1, 4]
-        met = cortex.truth.samples("met").values
-        assert np.isnan(met).all(axis=1).any()
-        assert not cortex.truth.samples("pow").values.all()
-        raw_cq = cortex.truth.samples("eeg_status").values[:, 2]
-        eeg = cortex.truth.samples("eeg").values
-        assert (eeg[raw_cq == 0].std(axis=0) > 1.5 * eeg[raw_cq > 0].std(axis=0)).all()
-
-
-async def test_lost_samples_show_in_the_counter_and_whole_seconds_only_in_time(
-    world: World,
-) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP, "eeg")
-            await client.until_data("eeg", 3)
-            cortex.drop_samples(3)
-            await client.until_data("eeg", 20)
-            cortex.skip_seconds(1)
-            await client.until_data("eeg", 20)
-        assert cortex.truth.unsent_count("eeg") == 3 + 128
-    counters = np.array([row[0] for row in client.rows("eeg")])
-    by_counter = (np.diff(counters) - 1) % 128
-    by_time = np.rint(np.diff(client.times("eeg")) * 128) - 1
-    assert by_counter[by_counter > 0].tolist() == [3]
-    assert by_time[by_time > 0].tolist() == [3, 128]
-
-
-async def test_samples_can_be_filled_in_marked_and_sent_twice(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP, "eeg")
-            cortex.interpolate(20)
-            await client.until(lambda: sum(row[1] for row in client.rows("eeg")) == 20)
-            cortex.mark("stim", 7)
-            await client.until(lambda: any(row[9] for row in client.rows("eeg")))
-            cortex.repeat_samples(5)
-            await client.until_data("eeg", 15)
-        status = cortex.truth.samples("eeg_status").values
-        assert (status[:, 1].sum(), status[:, 3].sum()) == (20, 1)
-    ((flag, (marker,)),) = [row[8:10] for row in client.rows("eeg") if row[9]]
-    assert (flag, marker["label"], marker["value"]) == (1, "stim", 7)
-    repeated = [a == b for a, b in itertools.pairwise(client.rows("eeg"))]
-    assert sum(repeated) == 5
-    assert len(client.data["eeg"]) == len(status) + 5
-
-
-async def test_the_clock_of_cortex_can_be_set(world: World) -> None:
-    with SteeredCortex(world) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP, "eeg")
-            await client.until_data("eeg", 3)
-            cortex.time_jump(-3600)
-            await client.until_data("eeg", 10)
-        offsets = np.array(client.times("eeg")) - cortex.truth.samples("eeg").times
-    jumps = np.diff(offsets)
-    assert jumps[np.abs(jumps) > 1].tolist() == pytest.approx([-3600], abs=1e-3)
 
 
 async def test_the_clock_of_cortex_drifts(world: World) -> None:

@@ -88,15 +88,6 @@ async def test_the_wristband_may_be_taken_off_and_put_on_again(
         assert steps == [-1, 1]
 
 
-async def test_a_low_battery_is_told(world: World, running: Running) -> None:
-    with SteeredE4(world, timing=Timing(battery_interval_s=0.5)) as server:
-        async with running(server.settings) as run:
-            await run.until(run.sink.has(1, "bat"))
-            server.apply(Fault(FaultKind.LOW_BATTERY, 4))
-            await run.until(lambda: run.sink.array("bat")[-1, 0] == pytest.approx(4))
-            assert run.sink.array("bat")[0, 0] == pytest.approx(82)
-
-
 async def test_manual_radio_is_connected_by_the_driver(world: World, running: Running) -> None:
     with SteeredE4(world, automatic=False) as server:
         async with running(server.settings) as run:
@@ -106,18 +97,6 @@ async def test_manual_radio_is_connected_by_the_driver(world: World, running: Ru
     assert asked[:4] == [
         "device_list", "device_discover_list", "device_connect_btle", "device_connect",
     ]  # fmt: skip
-
-
-async def test_a_wristband_that_is_switched_on_later_is_found(
-    world: World, running: Running
-) -> None:
-    with SteeredE4(world, automatic=False) as server:
-        server.turn_off()
-        async with running(server.settings) as run:
-            await run.until(lambda: "switch it on" in run.error)
-            assert State.BACKOFF not in run.states
-            server.turn_on()
-            await run.until_more()
 
 
 async def test_a_server_that_starts_later_is_found(world: World, running: Running) -> None:

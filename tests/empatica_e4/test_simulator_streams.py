@@ -61,17 +61,6 @@ def assert_equals_truth(server: SteeredE4, client: Any, *words: str) -> None:
         np.testing.assert_allclose([declared(word, line.values) for line in lines], truth)
 
 
-def test_every_stream_says_the_truth(world: World, line_client: Any) -> None:
-    with (
-        SteeredE4(world, timing=Timing(battery_interval_s=1.0), seed=3) as server,
-        line_client(server.settings) as client,
-    ):
-        gather(client)
-        assert_equals_truth(server, client)
-        assert set(server.truth.data_names) == set(DATA_NAMES.values())
-        assert all(server.truth.unsent_count(name) == 0 for name in DATA_NAMES.values())
-
-
 def test_stamps_count_samples_by_the_nominal_rate(world: World, line_client: Any) -> None:
     with (
         SteeredE4(world, jitter_s=0.05, drift_ppm=200) as server,
@@ -230,30 +219,6 @@ def test_nothing_arrives_before_it_is_measured_nor_out_of_order(
         times = server.truth.samples("bvp").times[: len(client.raw("E4_Bvp"))][-len(arrivals) :]
     assert stamps == sorted(stamps)
     assert all(arrival >= time for arrival, time in zip(arrivals, times, strict=True))
-
-
-def test_a_wristband_that_is_taken_off_reads_exactly_no_conductance(
-    world: World, line_client: Any
-) -> None:
-    with (
-        SteeredE4(world, timing=Timing(beat_delay_s=0.0, burst=1)) as server,
-        line_client(server.settings) as client,
-    ):
-        client.begin()
-        client.until_lines("E4_Ibi", 2)
-        server.apply(Fault(FaultKind.OFF_BODY, float("inf")))
-        client.until(lambda: client.raw("E4_Gsr")[-1].endswith(b" 0\r\n"))
-        beats = len(client.raw("E4_Ibi"))
-        client.until_lines("E4_Gsr", len(client.raw("E4_Gsr")) + 12)
-        assert len(client.raw("E4_Ibi")) == beats
-        server.clear(FaultKind.OFF_BODY)
-        client.until_lines("E4_Ibi", beats + 2)
-        assert not client.raw("E4_Gsr")[-1].endswith(b" 0\r\n")
-        assert_equals_truth(server, client, "E4_Gsr", "E4_Ibi", "E4_Temperature", "E4_Acc")
-        worn = ~np.isnan(server.truth.samples("gsr").values[:, 0])
-        assert np.count_nonzero(np.diff(worn.astype(int))) == 2
-        # No interval spans the time without contact.
-        assert max(line.values[0] for line in client.lines("E4_Ibi")) < 1.2
 
 
 def test_equal_wearers_measure_equal_things(world: World, line_client: Any) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from biosensor_gateway.devices.movesense.simulator import Firmware
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import GattHost, advertised, connection
@@ -66,25 +64,6 @@ async def test_it_has_room_for_four_subscriptions(sensor: MakeSensor) -> None:
         for reference, path in enumerate((b"Acc/13", b"Gyro/13", b"Magn/13", b"Temp", b"HR"), 1):
             await tell(host, bytes([1, reference]), b"/Meas/", path)
         await until(lambda: bytes([1, 5, 0x01, 0xFB]) in host.all(DATA))
-
-
-async def test_samples_are_the_truth_and_stamped_at_the_first(sensor: MakeSensor) -> None:
-    movesense = sensor(deviation=0.0)
-    async with connection(NAME) as host:
-        await host.subscribe(DATA)
-        await tell(host, b"\x01\x63/Meas/IMU6/104")
-        firsts = await packets(host, 99, 3)
-        others = await packets(host, 99, 3, part=3)
-    whole = [first[2:] + other[2:] for first, other in zip(firsts, others, strict=True)]
-    stamps = [struct.unpack_from("<I", each)[0] for each in whole]
-    assert np.diff(stamps).tolist() == [77, 77]
-    values = np.array([np.frombuffer(each[4:], "<f4").reshape(2, 8, 3) for each in whole])
-    for column, (name, unit) in enumerate((("acc", 9.80665), ("gyro", 1.0))):
-        sent = values[:, column].reshape(-1, 3) / unit
-        truth = movesense.truth.samples(name)
-        np.testing.assert_allclose(truth.values[: len(sent)], sent, rtol=1e-6)
-    times = movesense.truth.samples("acc").times
-    np.testing.assert_allclose(np.diff(times[:24:8]), np.diff(stamps) / 1000, atol=1e-3)
 
 
 async def test_it_is_silent_after_it_was_told_to_be(sensor: MakeSensor) -> None:

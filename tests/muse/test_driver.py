@@ -221,15 +221,6 @@ async def test_a_headband_without_a_name_is_found(headband: Make, wanted: str) -
 
 
 @ON_BUMBLE
-async def test_a_full_battery_is_told_as_full(headband: Make) -> None:
-    device = headband()
-    device.apply(Fault(FaultKind.LOW_BATTERY, 100.0))
-    async with streaming(device) as run:
-        await until(run.sink.has(1, "bat"))
-    assert run.sink.rows["bat"][0] == [100]
-
-
-@ON_BUMBLE
 async def test_it_is_kept_alive(headband: Make) -> None:
     device = headband(patience_s=PATIENCE_S)
     async with streaming(device) as run:

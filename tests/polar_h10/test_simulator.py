@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from bleak.exc import BleakGATTProtocolError
-from numpy.typing import NDArray
 
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.simulation.wearer import Wearer
@@ -36,10 +35,6 @@ pytestmark = ON_BUMBLE
 @pytest.fixture
 def h10(make_h10: MakeH10) -> SteeredPolarH10:
     return make_h10()
-
-
-def int16(body: bytes) -> NDArray[np.int16]:
-    return np.frombuffer(body, "<i2").reshape(-1, 3)
 
 
 async def test_it_is_advertised_as_an_h10_is(h10: SteeredPolarH10) -> None:
@@ -73,19 +68,6 @@ async def test_it_says_what_it_is(h10: SteeredPolarH10) -> None:
         assert bytes(await read("2a19")) == b"\x57"
         assert bytes(await read(CONTROL)).hex() == "0f05" + 15 * "00"
     assert h10.truth.samples("rssi").values.tolist() == [[-58.0]]
-
-
-async def test_heart_rate_carries_intervals_and_nothing_about_contact(make_h10: MakeH10) -> None:
-    h10 = make_h10(wearer=Wearer(heart_rate_bpm=140.0))
-    async with connection(NAME) as host:
-        await host.subscribe(HEART_RATE)
-        values = await host.more(HEART_RATE, 4, 0)
-    assert {data[0] for data in values} == {0x10}
-    rates = [float(data[1]) for data in values if data[1]]
-    intervals = [rr / 1024 for data in values for rr in np.frombuffer(data[2:], "<u2").tolist()]
-    assert len(intervals) >= 5
-    assert h10.truth.samples("hr").values[: len(rates), 0].tolist() == rates
-    assert h10.truth.samples("ibi").values[: len(intervals), 0].tolist() == intervals
 
 
 async def test_the_handshake_is_as_published(h10: SteeredPolarH10) -> None:
@@ -128,20 +110,6 @@ async def test_ecg_frames_are_the_truth(make_h10: MakeH10) -> None:
     np.testing.assert_allclose(np.diff(stamps_s), 73 / 130, atol=1e-8)
     np.testing.assert_allclose(np.diff(last_s), 73 / 130 / (1 + 150e-6), atol=1e-7)
     assert all(one.arrival >= time for one, time in zip(heard, last_s, strict=True))
-
-
-async def test_acceleration_frames_are_the_truth(h10: SteeredPolarH10) -> None:
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        await host.ask(CONTROL, START_ACC)
-        await until(lambda: len(frames_of(host, 2)) >= 6)
-        frames = frames_of(host, 2)[:6]
-    assert [(frame.layout, len(frame.body)) for frame in frames] == 6 * [(1, 216)]
-    values = np.concatenate([int16(frame.body) for frame in frames])
-    truth = h10.truth.samples("acc")
-    np.testing.assert_allclose(truth.values[: len(values)], values / 1000, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(values, axis=1), 1000, atol=60)
-    np.testing.assert_allclose(np.diff(truth.times), 1 / 200, atol=1e-9)
 
 
 async def test_the_ecg_beats_where_the_intervals_end(make_h10: MakeH10) -> None:

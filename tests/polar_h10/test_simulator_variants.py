@@ -124,12 +124,3 @@ async def test_a_former_host_may_have_left_a_measurement_on(make_h10: MakeH10) -
         assert await host.ask(CONTROL, START_ECG) == "f002000600"
         assert await host.ask(CONTROL, "0300") == "f003000000"
         assert await host.ask(CONTROL, START_ECG) == "f002000000"
-
-
-async def test_a_stop_can_be_announced_besides(make_h10: MakeH10) -> None:
-    make_h10(Quirks(announces_stops=True))
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        await host.ask(CONTROL, START_ECG)
-        assert await host.ask(CONTROL, "0300") == "f003000000"
-        assert (await host.more(CONTROL, 1, 2)) == [b"\1\0"]

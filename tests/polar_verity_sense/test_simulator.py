@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -112,28 +111,6 @@ def test_whatever_it_hears_it_answers(commands: list[bytes], product: Product) -
         packets = point.answer(command, FULL_MTU)
         assert packets
         assert all(packet[0] in (0xF0, 0x01) for packet in packets)
-
-
-@ON_BUMBLE
-async def test_light_intervals_and_compressed_acceleration_are_the_truth(
-    sensor: MakeSensor,
-) -> None:
-    sense = sensor()
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        for command in ("0203", START_PPG):
-            assert (await host.ask(CONTROL, command))[6:8] == "00"
-        assert await host.ask(CONTROL, START_ACC) == "f002020000050140da7f39"
-        await until(lambda: all(frames_of(host, kind) for kind in (1, 2, 3)))
-        ppg, acc, ppi = (frames_of(host, kind)[0] for kind in (1, 2, 3))
-    assert (ppg.layout, acc.layout, ppi.layout, ppi.stamp_ns) == (0x80, 0x80, 0, 0)
-    reference = [int.from_bytes(ppg.body[at : at + 3], "little", signed=True) for at in (0, 3, 6)]
-    assert sense.truth.samples("ppg").values[0, :3].tolist() == reference
-    counts = np.frombuffer(acc.body[:6], "<i2")
-    np.testing.assert_allclose(sense.truth.samples("acc").values[0], counts * 0.000244)
-    lengths = [int.from_bytes(ppi.body[at + 1 : at + 3], "little") / 1000 for at in (0, 6)]
-    assert sense.truth.samples("ppi").values[:2, 0].tolist() == lengths
-    assert ppi.body[5] & 0b111 == 0b110
 
 
 @ON_BUMBLE

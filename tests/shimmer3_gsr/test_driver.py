@@ -275,28 +275,6 @@ async def test_a_device_that_falls_silent_is_asked_then_connected_again(
     assert run.lost == dict.fromkeys(WAVEFORMS, pytest.approx(unsent, abs=40))
 
 
-async def test_a_refusing_device_is_left_alone_until_it_obeys(streaming: Streaming) -> None:
-    async with streaming(seed=9) as run:
-        await run.more()
-        run.device.apply(Fault(FaultKind.REFUSE, NEVER))
-        await until(lambda: State.BACKOFF in run.states)
-        assert "refuses" in (run.supervisor.last_error or "")
-        run.device.clear(FaultKind.REFUSE)
-        await until(lambda: run.supervisor.connections == 2)
-        await run.more()
-        await run.assert_nothing_invented()
-
-
-async def test_late_answers_are_waited_for(streaming: Streaming) -> None:
-    async with streaming(seed=10) as run:
-        await run.more()
-        run.device.apply(Fault(FaultKind.LATE, 0.3))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.more()
-        await run.assert_nothing_invented()
-        assert run.lost == {}
-
-
 async def test_answers_that_come_too_late_never_pass_for_others(
     streaming: Streaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -309,19 +287,6 @@ async def test_answers_that_come_too_late_never_pass_for_others(
         await until(lambda: run.supervisor.connections == 2)
         await run.more()
         await run.assert_nothing_invented()
-
-
-async def test_garbage_costs_no_sample_and_makes_none(streaming: Streaming) -> None:
-    async with streaming(seed=12) as run:
-        for number in range(1, 6):
-            await run.more(20)
-            run.device.apply(Fault(FaultKind.GARBAGE, 100))
-            await until(lambda: run.sink.dropped_bytes >= 80 * number)  # noqa: B023 - awaited here
-        await run.more(40)
-        received, measured = await run.both()
-    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
-    assert run.sink.dropped_bytes == 500
-    assert run.lost == {}
 
 
 async def test_the_battery_is_asked_for_while_streaming(

@@ -104,10 +104,6 @@ class Host:
         """Whether nothing is said before the answer to a ping, and no answer comes twice."""
         return self.ask("96") == "ff" and not self.unread
 
-    def until_hung_up(self) -> None:
-        with pytest.raises(OSError):
-            self.until(lambda: False)
-
     def close(self) -> None:
         self._serial.close()
 
@@ -181,23 +177,6 @@ def test_the_recommended_conversation(host: Host) -> None:
     host.until(lambda: host.unread.endswith(b"\xff\xf4"))
 
 
-def test_what_is_decoded_is_the_truth(host: Host, device: SimulatedShimmer3) -> None:
-    host.ask_all(*GSR_PPG_128_HZ, "07")
-    packets = host.packets(150)
-    settled(device, "ppg", 150)
-    gsr, ppg = device.truth.samples("gsr"), device.truth.samples("ppg")
-    np.testing.assert_allclose(gsr.values[:150, 0], [packet.gsr_us for packet in packets])
-    np.testing.assert_allclose(ppg.values[:150, 0], [packet.ppg_mv for packet in packets])
-    np.testing.assert_array_equal(gsr.times, ppg.times)
-    np.testing.assert_allclose(np.diff(gsr.times), 1 / 128, atol=1e-9)
-    own_time = gsr.times[:150] - device.started_s
-    worn = device.wearer.skin_conductance_us(own_time)
-    np.testing.assert_allclose(gsr.values[40:150, 0], worn[40:], rtol=0.01)
-    quality = device.truth.samples("quality")
-    assert quality.values[0, 0] == 1
-    assert quality.values[-1, 1] == packets[-1].gsr_range == 1
-
-
 def test_no_packet_leaves_before_it_was_measured(host: Host, device: SimulatedShimmer3) -> None:
     host.ask_all(*GSR_PPG_128_HZ, "07")
     host.packets(30)
@@ -218,15 +197,6 @@ def test_ticks_wrap_at_24_bits(world: World, hosts: SerialHosts[Host]) -> None:
 def test_without_power_the_pulse_is_near_zero(host: Host) -> None:
     host.ask_all("08040100", "2104", "5e00", "050001", "07")
     assert all(packet.ppg_mv < 15 for packet in host.packets(20))
-
-
-def test_a_fixed_range_stays(host: Host, device: SimulatedShimmer3) -> None:
-    host.ask_all("08040100", "2102", "5e01", "050001", "07")
-    packets = host.packets(20)
-    assert {packet.gsr_range for packet in packets} == {2}
-    settled(device, "gsr", 20)
-    # 5 uS are 200 kohm: beyond the range, so the least that it can say.
-    np.testing.assert_allclose(device.truth.samples("gsr").values[:20, 0], 1000 / 220)
 
 
 def test_battery_and_acceleration_stream_too(host: Host) -> None:
@@ -312,72 +282,7 @@ def test_whole_packets_are_dropped_when_the_host_does_not_read(
     assert 0 < lost <= device.truth.unsent_count("gsr")
 
 
-def test_the_truth_tells_the_battery_that_was_said(host: Host, device: SimulatedShimmer3) -> None:
-    answer = bytes.fromhex(host.ask("95", 6))
-    assert volts_of(answer[3] | answer[4] << 8) == pytest.approx(3.9628, abs=1e-3)
-    settled(device, "bat", 1)
-    assert device.truth.samples("bat").values[0, 0] == pytest.approx(80, abs=0.2)
-
-
 class TestFaults:
-    def test_drop_takes_the_port_away_and_brings_it_back(
-        self, hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
-    ) -> None:
-        host.ask_all(*GSR_PPG_128_HZ, "07")
-        before = host.packets(3)
-        device.apply(Fault(FaultKind.DROP, math.inf))
-        host.until_hung_up()
-        with pytest.raises(OSError):
-            Host(device.port)
-        device.clear(FaultKind.DROP)
-        again = hosts.connect(device.port)
-        assert again.is_quiet()
-        again.ask_all("07")
-        # The oscillator has gone on.
-        assert again.packets(1)[0].ticks > before[-1].ticks
-
-    def test_restart_begins_with_new_ticks_and_no_clock(
-        self, world: World, hosts: SerialHosts[Host]
-    ) -> None:
-        with SimulatedShimmer3(world, first_tick=1_000_000) as device:
-            host = hosts.connect(device.port)
-            host.ask_all(*GSR_PPG_128_HZ, "8f" + 16 * "0", "06")
-            device.apply(Fault(FaultKind.RESTART, 0.2))
-            host.until_hung_up()
-            again = hosts.connect(device.port)
-            assert again.ask("72", 4) == "ff8a7120"
-            assert again.ask("03", 4) == "ff040001"
-            again.ask_all("07")
-            assert again.packets(1)[0].ticks < 1_000_000
-
-    def test_stall_neither_speaks_nor_hears(self, host: Host, device: SimulatedShimmer3) -> None:
-        host.ask_all(*GSR_PPG_128_HZ, "07")
-        packets = host.packets(3)
-        device.apply(Fault(FaultKind.STALL, math.inf))
-        host.send("20")
-        unsent(device, "ppg", 20)
-        device.clear(FaultKind.STALL)
-        packets += host.packets(60)
-        lost = sum(step // 256 - 1 for step in gaps(packets))
-        assert lost == device.truth.unsent_count("gsr") > 20
-
-    def test_garbage_comes_between_messages(self, host: Host, device: SimulatedShimmer3) -> None:
-        assert host.is_quiet()
-        device.apply(Fault(FaultKind.GARBAGE, 64))
-        assert len(set(host.take(64))) > 8
-        assert host.is_quiet()
-
-    def test_refuse_answers_every_command_with_a_refusal(
-        self, hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
-    ) -> None:
-        assert host.is_quiet()
-        device.apply(Fault(FaultKind.REFUSE, math.inf))
-        host.until_hung_up()
-        again = hosts.connect(device.port)
-        assert [again.ask(command) for command in ("20", "3f", "07")] == ["fe"] * 3
-        device.clear(FaultKind.REFUSE)
-        assert again.is_quiet()
-
     def test_old_firmware_refuses_in_silence(self, world: World, hosts: SerialHosts[Host]) -> None:
         with SimulatedShimmer3(world, firmware=(0, 16, 11)) as device:
             device.apply(Fault(FaultKind.REFUSE, math.inf))
@@ -391,48 +296,6 @@ class TestFaults:
             # It pushes its status once it has heard the command, which has no answer.
             host.until(docked_and_told)
             assert host.take(4).hex() == "ff8a7121"
-
-    def test_late_delays_answers_in_order(
-        self, hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
-    ) -> None:
-        assert host.is_quiet()
-        device.apply(Fault(FaultKind.LATE, 0.3))
-        host.until_hung_up()
-        again = hosts.connect(device.port)
-        sent_s = LSL_CLOCK()
-        again.send("3f")
-        again.send("72")
-        assert again.take(7).hex() == "ff2503ff8a7120"
-        assert LSL_CLOCK() - sent_s >= 0.3
-        device.clear(FaultKind.LATE)
-        assert again.is_quiet()
-
-    def test_low_battery_shows_in_reading_and_lamp(
-        self, host: Host, device: SimulatedShimmer3
-    ) -> None:
-        assert host.ask("32", 3) == "ff3104"
-        device.apply(Fault(FaultKind.LOW_BATTERY, 4))
-        answer = bytes.fromhex(host.ask("95", 6))
-        assert answer[3] | answer[4] << 8 < 2500
-        assert host.ask("32", 3) == "ff3101"
-
-    def test_off_body_opens_the_electrodes_and_stills_the_pulse(
-        self, host: Host, device: SimulatedShimmer3
-    ) -> None:
-        host.ask_all(*GSR_PPG_128_HZ, "07")
-        assert not math.isnan(host.packets(60)[-1].gsr_us)
-        device.apply(Fault(FaultKind.OFF_BODY, math.inf))
-        off = host.packets(200)[-30:]
-        assert all(math.isnan(packet.gsr_us) and packet.gsr_range == 3 for packet in off)
-        assert len({packet.ppg_mv for packet in off}) == 1
-        device.clear(FaultKind.OFF_BODY)
-        on = host.packets(200)[-30:]
-        assert not any(math.isnan(packet.gsr_us) for packet in on)
-        assert len({packet.ppg_mv for packet in on}) > 5
-        settled(device, "quality", 5)
-        electrodes = device.truth.samples("quality").values[:, 0]
-        assert electrodes[0] == electrodes[-1] == 1
-        assert 0 in electrodes
 
     def test_drift_changes_the_pace_and_leaves_no_gap(
         self, host: Host, device: SimulatedShimmer3

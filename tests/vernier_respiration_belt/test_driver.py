@@ -20,7 +20,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver import (
 )
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt, wire
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
-from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
@@ -45,20 +45,6 @@ async def test_every_sample_arrives_with_its_time(belt: SimulatedBelt) -> None:
     assert run.sink.rows["quality"][-1] == [1.0, 0.0]
     assert (run.sink.values("bat"), run.sink.values("rssi")) == ([76.0], [-62.0])
     assert (run.sink.lost_count("force"), run.sink.dropped_bytes) == (0, 0)
-
-
-@pytest.mark.parametrize("bundle_s", [1.5, 2.5, 6.5])
-async def test_what_comes_in_bundles_is_stamped_as_measured(
-    belt: SimulatedBelt, bundle_s: float
-) -> None:
-    async with streaming(belt) as run:
-        await until(run.sink.has(20, "force"))
-        belt.apply(Fault(Untidiness.BUNDLED, bundle_s))
-        await run.goes_on(60 + round(10 * bundle_s), "force")
-        assert run.sink.lost_count("force") == 0
-        assert run.states == [State.CONNECTING, State.STREAMING]
-    index = assert_true(run.sink, belt)
-    assert index.tolist() == list(range(len(index)))
 
 
 async def test_the_belt_says_who_it_is(

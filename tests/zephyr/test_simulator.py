@@ -19,11 +19,10 @@ from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from tests.rigs.serial_hosts import SerialHosts, is_there
 from tests.rigs.virtual_time import pause
-from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged
+from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness
 
 DEADLINE_S = 8.0
 ECG_ON = bytes.fromhex("021601015e03")
-ECG_OFF = bytes.fromhex("021601000003")
 RR_ON = bytes.fromhex("021901015e03")
 SUMMARY_ON = bytes.fromhex("02bd020100c403")
 GENERAL_ON = bytes.fromhex("021401015e03")
@@ -276,89 +275,6 @@ def test_a_recordings_body_cannot_be_changed(bench: PluggedDevice) -> None:
     bench.start(SteeredBioHarness(RecordedSource.shipped()))
     with pytest.raises(AssertionError, match="recording"):
         bench.device.off_body()
-
-
-def test_a_dropped_link_loses_whole_packets_and_forgets_the_enables(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(fast(), buffer_bytes=ROOMY_BYTES))
-    host.send(ECG_ON)
-    host.until(lambda: len(host.of(Packet.ECG)) >= 3)
-    bench.device.drop_link()
-    before = len(bench.device.sent)
-    assert not is_there(bench.device.port)
-    with pytest.raises(OSError):
-        host.until(lambda: False)
-    pause(0.1)
-    bench.device.restore_link()
-    again = bench.connect()
-    assert bench.device.enabled == frozenset()
-    assert again.ask(RR_ON) == ACK
-    again.until(lambda: len(again.of(Packet.RR)) >= 1)
-    assert again.of(Packet.ECG) == []
-    again.send(ECG_ON)
-    again.until(lambda: len(again.of(Packet.ECG)) >= 3)
-    index = bench.device.sent_samples(Packet.ECG)[:, 0]
-    (gap,) = np.flatnonzero(np.diff(index) != 1)
-    assert gap + 1 == before * 63
-    assert index[gap + 1] % 63 == 0
-    sequences = [heard.payload[0] for heard in again.of(Packet.ECG)]
-    assert sequences[0] == index[gap + 1] // 63 % 256
-
-
-def test_a_stalled_device_neither_hears_nor_speaks(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(fast(), lifesign_s=0.02))
-    assert host.ask(ECG_ON) == ACK
-    bench.device.stall()
-    sent = len(bench.device.sent)
-    host.until(lambda: len(host.of(Packet.ECG)) == sent)
-    heard = host.raw
-    host.send(ECG_OFF)
-    pause(0.2)
-    host.listen()
-    assert host.raw == heard
-    assert len(bench.device.sent) == sent
-    assert bench.device.enabled == {Packet.ECG}
-    bench.device.resume()
-    assert host.ask(ECG_OFF) == ACK
-
-
-def test_a_corrupted_frame_is_told_from_the_others(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(fast(), buffer_bytes=ROOMY_BYTES))
-    host.ask(ECG_ON)
-    bench.device.corrupt_next()
-    host.until(lambda: len(host.of(Packet.ECG)) >= 5)
-    host.ask(ECG_OFF)
-    damaged = [out.data for out in bench.device.sent if is_damaged(out)]
-    assert len(damaged) == 1
-    assert damaged[0] in host.raw
-    intact = [out.data for out in bench.device.sent if not is_damaged(out)]
-    assert [heard.raw for heard in host.of(Packet.ECG)] == intact
-    assert len(bench.device.sent_samples(Packet.ECG)) == 63 * len(intact)
-
-
-def test_a_request_is_refused_or_ignored_until_it_is_allowed(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(refused=[0x16], ignored=[0x19]))
-    assert host.ask(ECG_ON) == NAK
-    host.send(RR_ON)
-    assert host.ask(SUMMARY_ON) == ACK
-    assert bench.device.enabled == {Packet.SUMMARY}
-    bench.device.allow(0x16)
-    bench.device.allow(0x19)
-    assert host.ask(ECG_ON) == ACK
-    assert host.ask(RR_ON) == ACK
-    bench.device.refuse(0x16)
-    bench.device.ignore(0x19)
-    host.send(RR_ON)
-    assert host.ask(ECG_ON) == NAK
-    assert [request.request_id for request in bench.device.requests] == [
-        0x16, 0x19, 0xBD, 0x16, 0x19, 0x19, 0x16
-    ]  # fmt: skip
-
-
-def test_a_late_answer_comes_after_the_data(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(fast()))
-    bench.device.delay_answers(0.3)
-    assert host.ask(ECG_ON) == ACK
-    assert [heard.message_id for heard in host.frames][:1] == [Packet.ECG]
 
 
 def test_taking_the_strap_off_and_on_is_an_event_and_a_status(bench: PluggedDevice) -> None:

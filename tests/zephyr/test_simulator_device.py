@@ -15,18 +15,12 @@ from numpy.typing import NDArray
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SimulatedZephyr
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Samples
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.rigs.serial_hosts import SerialHosts
 from tests.rigs.virtual_time import pause
 
 DEADLINE_S = 20.0
 ECG_ON = bytes.fromhex("021601015e03")
-BREATHING_ON = bytes.fromhex("021501015e03")
-RR_ON = bytes.fromhex("021901015e03")
-ACC_ON = bytes.fromhex("021e01015e03")
-SUMMARY_ON = bytes.fromhex("02bd020100c403")
 BREATHING, ECG, RR, ACC, SUMMARY = 0x21, 0x22, 0x24, 0x25, 0x2B
 ACK, NAK = 0x06, 0x15
 
@@ -144,58 +138,6 @@ def settled(device: SimulatedZephyr, data_name: str, count: int) -> Samples:
     return found
 
 
-def test_waveforms_of_the_truth_are_those_on_the_wire(host: Host, device: SimulatedZephyr) -> None:
-    began_s = LSL_CLOCK()
-    for request in (ECG_ON, BREATHING_ON, ACC_ON):
-        assert host.ask(request) == ACK
-    scales = {ECG: ("ecg", 1, 250.0), BREATHING: ("breathing", 1, 1000 / 56), ACC: ("acc", 3, 50.0)}
-    for message_id, (name, channels, rate) in scales.items():
-        heard = np.concatenate([each.counts() for each in host.wait_for(message_id, 2)])
-        values = heard.reshape(-1, channels).astype(np.float64)
-        expected = (values - 512) / 20.75 if name == "acc" else values
-        truth = settled(device, name, len(expected))
-        np.testing.assert_allclose(truth.values[: len(expected)], expected)
-        np.testing.assert_allclose(np.diff(truth.times), 1 / rate, atol=1e-6)
-        # The first packet may have begun before it was asked for.
-        assert began_s - 1.1 < truth.times[0] <= truth.times[-1] < LSL_CLOCK()
-
-
-def test_intervals_of_the_truth_are_where_the_wire_turns_its_sign(hosts: SerialHosts[Host]) -> None:
-    wearer = Wearer(heart_rate_bpm=150.0)
-    with World() as world, SimulatedZephyr(world, wearer=wearer) as device:
-        host = hosts.connect(device.settings["port"])
-        assert host.ask(RR_ON) == ACK
-        packets = host.wait_for(RR, 3)
-        raw = np.concatenate([np.frombuffer(each.payload[9:], "<i2") for each in packets])
-        turns = np.flatnonzero(np.diff(np.sign(raw))) + 1
-        truth = settled(device, "ibi", len(turns))
-    assert len(turns) >= 5
-    np.testing.assert_allclose(truth.values[: len(turns), 0], np.abs(raw[turns]) / 1000)
-    samples_apart = np.diff(truth.times)[: len(turns) - 1] / 0.056
-    np.testing.assert_allclose(samples_apart, np.diff(turns), atol=1e-3)
-
-
-def test_vital_signs_of_the_truth_are_those_of_the_summary(
-    host: Host, device: SimulatedZephyr
-) -> None:
-    assert host.ask(SUMMARY_ON) == ACK
-    payload = host.wait_for(SUMMARY, 1)[0].payload
-    truth = {
-        name: settled(device, name, 1).values[0].tolist()
-        for name in ("hr", "br", "posture", "activity", "bat", "rssi", "quality")
-    }
-    assert truth["hr"] == [int.from_bytes(payload[10:12], "little")]
-    assert truth["br"] == [int.from_bytes(payload[12:14], "little") / 10]
-    assert truth["posture"] == [int.from_bytes(payload[16:18], "little", signed=True)]
-    assert truth["activity"] == [int.from_bytes(payload[18:20], "little") / 100]
-    assert truth["bat"] == [payload[24]]
-    assert truth["rssi"] == [payload[59] - 256]
-    # Worn, sure of the heart rate, and of all but the variability, which takes 300 s.
-    assert truth["quality"] == [1, payload[34], 0, 0, 1, payload[58]]
-    # What the packet marks as invalid is not in the truth.
-    assert {"st", "hrv"}.isdisjoint(device.truth.data_names)
-
-
 def test_restart_begins_with_packet_0_and_a_clock_that_went_on(
     hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
 ) -> None:
@@ -221,20 +163,6 @@ def test_a_restart_ends_no_drop(
         Host(device.settings["port"])
     device.clear(FaultKind.DROP)
     assert hosts.connect(device.settings["port"]).ask(ECG_ON) == ACK
-
-
-def test_stall_is_a_gap_that_the_truth_counts(host: Host, device: SimulatedZephyr) -> None:
-    assert host.ask(ECG_ON) == ACK
-    host.wait_for(ECG, 2)
-    device.apply(Fault(FaultKind.STALL, math.inf))
-    deadline = time.monotonic() + DEADLINE_S
-    while device.truth.unsent_count("ecg") < 3 * 63:
-        assert time.monotonic() < deadline
-        pause(0.01)
-    device.clear(FaultKind.STALL)
-    sequences = [each.sequence for each in host.wait_for(ECG, 6)]
-    lost = sum(int(step) - 1 for step in np.diff(sequences) % 256)
-    assert 63 * lost == device.truth.unsent_count("ecg")
 
 
 def test_drift_changes_the_pace_of_the_truth(host: Host, device: SimulatedZephyr) -> None:
