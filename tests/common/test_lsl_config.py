@@ -249,8 +249,8 @@ XPATH = re.compile(
     r"\b(name|type|source_id|session_id|uid|hostname|channel_count)\s*=\s*['\"]"
     r"|\b(starts-with|string-length|substring)\(|\btrue\(\)|\bcontains\(\w+,|^desc/\w+ "
 )
-# Sentences for a person, and what another program is told.
-NO_PREDICATES = ("LSL query", "in pylsl", "netsh ")
+# Sentences for a person, pages, and what another program is told.
+NO_PREDICATES = ("LSL query", "in pylsl", "netsh ", "<!DOCTYPE html>")
 RESOLVING = {"ContinuousResolver", "resolve_bypred"}
 WITHOUT_BRACKETS = {"resolve_byprop", "resolve_stream"}
 ECG = pylsl.StreamInfo('it\'s "P01"', "ECG", 1, 130.0, "float32", "p01-ecg")
