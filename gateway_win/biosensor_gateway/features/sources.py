@@ -75,8 +75,8 @@ class Source:
         Parameters
         ----------
         witnesses
-            Of all devices; if this source is a witness, it is added, and replaces another one with its
-            first sample.
+            Of all devices; if this source is a witness, it is added, and replaces another one with
+            its first sample.
         """
         return Computer(self, {} if witnesses is None else witnesses)
 
