@@ -8,7 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -100,7 +100,12 @@ def recording(pc: Pc, sensors: str, task: str) -> Generator[tuple[RunningProgram
         ready = pc.gateway("wait-ready", "--timeout", "150")
         assert ready.code == DONE, ready.text
         where = ("--folder", r"C:\recordings", "--participant", "p01", "--task", task)
-        yield agent, pc.gateway("record", "start", "--here", *where, "--json").json
+        begun = pc.gateway("record", "start", "--here", *where, "--json").json
+        with ExitStack() as failed:
+            # It would go on, and the next test could not begin one.
+            failed.callback(pc.gateway, "record", "stop")
+            yield agent, begun
+            failed.pop_all()
 
 
 def _is_whole(file: Path) -> bool:
