@@ -18,8 +18,8 @@ from pylsl import local_clock
 
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.single_instance import single_instance
-from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import LogSettings

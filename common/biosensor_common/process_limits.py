@@ -1,22 +1,25 @@
-"""Limits of this process: open files, the LSL streams that they allow, and malloc arenas.
+"""Limits of this process: open files, the LSL streams that they allow, malloc arenas, time to end.
 
 Linux as it is installed lets a program open 1024 files, and macOS 256, unless the program itself
 asks for more. docs/measurements.md has the descriptors of an outlet and of an inlet.
+
 """
 
 from __future__ import annotations
 
 import ctypes
 import errno
+import os
 import sys
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
 
 if sys.platform != "win32":  # resource exists only there
     import resource
-
 OUTLET = 20
 """File descriptors per outlet: up to 17, and one for each of a few receivers."""
 INLET = 12
@@ -26,7 +29,6 @@ RESERVE = 64
 MOST = 65536
 """More than any lab needs. Containers allow a billion, and a program that closes every possible
 descriptor before it starts a child process would then be busy for minutes."""
-
 # macOS refuses more than OPEN_MAX even where it names no hard limit.
 _OPEN_MAX = 10240
 _FIX = {
@@ -132,7 +134,6 @@ def fix() -> str:
 
 ARENAS = 1
 """A single arena keeps memory bounded and costs no time (docs/measurements.md)."""
-
 # From glibc's malloc.h.
 _M_ARENA_MAX = -8
 _VARIABLE, _TUNABLES, _TUNABLE = "MALLOC_ARENA_MAX", "GLIBC_TUNABLES", "glibc.malloc.arena_max"
@@ -162,3 +163,26 @@ def limit_arenas(environment: Mapping[str, str], arenas: int = ARENAS) -> bool:
     # musl has no mallopt.
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     return mallopt is not None and bool(mallopt(_M_ARENA_MAX, arenas))
+
+
+END_S = 5.0
+"""How long a program may take to exit by itself."""
+_STDERR = 2
+
+
+def end_within(limit_s: float = END_S, code: int = 1) -> None:
+    """End this process with an exit code after a time limit, unless it has exited by then.
+
+    At its exit the interpreter waits for every thread, also for one that hangs in a library.
+    """
+    timer = threading.Timer(limit_s, _end, [limit_s, code])
+    timer.daemon = True
+    timer.start()
+
+
+def _end(limit_s: float, code: int) -> None:
+    sentence = f"it has not ended by itself within {limit_s:g} s, so it is ended now\n"
+    # The reader of stderr may be gone.
+    with suppress(OSError):
+        os.write(_STDERR, sentence.encode())
+    os._exit(code)

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.ble_heart_rate import driver as driver_module
 from biosensor_gateway.devices.ble_heart_rate.driver import (
     HeartRateStrapDriver,

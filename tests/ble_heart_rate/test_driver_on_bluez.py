@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.ble_heart_rate.driver import HeartRateStrapDriver
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
 from tests.rigs.bluetooth import ON_BLUEZ

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_common.description_xml import append_children
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.lsl_header import describe, read_header
+from biosensor_common.lsl_header import append_children, describe, read_header
 from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATION, ChannelRole
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import MAX_FIELD_CHARACTERS, StreamHeader

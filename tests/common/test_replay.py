@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import describe, read_header
 from biosensor_common.naming import lsl_name, source_id
-from biosensor_common.replay import Replay, mark_as_replay, read_replay, replay_source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.stream_header import Replay, mark_as_replay, read_replay, replay_source_id
 from biosensor_gateway.devices.registry import declaration
 
 IDENTITY = DeviceIdentity("polar_h10", "U1", "P1")

@@ -14,12 +14,12 @@ from biosensor_common.errors import GatewayError, TransportError, TransportReaso
 from biosensor_common.quantities import ChannelRole
 from biosensor_common.refusal import Refusal
 from biosensor_gateway.agent import supervisor
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.simulation.expected import Contact
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.truth import Contact
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports import ble_choice

@@ -11,7 +11,7 @@ import pytest
 from biosensor_common.naming import source_id
 from biosensor_common.quantities import ChannelRole
 from biosensor_common.refusal import Refusal
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.transports import ble_choice, ble_scanner

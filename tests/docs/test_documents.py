@@ -13,8 +13,7 @@ from urllib.parse import unquote
 import pytest
 from typer.core import TyperGroup
 
-from biosensor_gateway.cli.app import app
-from biosensor_gateway.cli.lazy_group import Deferred
+from biosensor_gateway.cli.app import Deferred, app
 from biosensor_gateway.devices.registry import declaration, declaration_names, settings_models
 from biosensor_gateway.settings import file as settings_file
 
@@ -100,7 +99,7 @@ def _cli_fault(arguments: list[str]) -> str:
 def _launch_fault(file: Path, arguments: list[str]) -> str:
     if not file.is_file():
         return "no such launch file"
-    of_every_node = ROOT / "ros_side" / "lsl_to_ros" / "lsl_to_ros" / "launching.py"
+    of_every_node = ROOT / "ros_side" / "lsl_to_ros" / "lsl_to_ros" / "launch_description.py"
     text = file.read_text(encoding="utf-8") + of_every_node.read_text(encoding="utf-8")
     given = [argument.partition(":=")[0] for argument in arguments]
     known = set(re.findall(r'"(\w+)"', text))

@@ -13,7 +13,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.emotibit.driver import EmotiBitSettings, find
 from biosensor_gateway.devices.emotibit.driver import link as link_module
 from biosensor_gateway.devices.emotibit.simulator import wire

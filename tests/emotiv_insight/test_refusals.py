@@ -23,7 +23,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.emotiv_insight import driver
 from biosensor_gateway.devices.emotiv_insight.driver import DRIVER, find
 from biosensor_gateway.settings.models import LogSettings

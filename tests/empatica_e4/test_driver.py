@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
 from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, Timing

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from biosensor_gateway.simulation.expected import Gap
+from biosensor_gateway.simulation.truth import Gap
 from tests.faults.expectations import (
     CELLS,
     AgentFault,

@@ -10,8 +10,8 @@ from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.demo.virtual_devices import one_of_each, virtual_class
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.simulation.expected import Contact, Gap
 from biosensor_gateway.simulation.faults import OF_A_KIND, FaultKind
+from biosensor_gateway.simulation.truth import Contact, Gap
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 
 

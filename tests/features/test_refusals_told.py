@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals
 from biosensor_gateway.agent.agent import snapshot

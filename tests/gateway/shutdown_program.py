@@ -27,7 +27,7 @@ import threading
 import time
 from pathlib import Path
 
-from biosensor_common.ending import END_S
+from biosensor_common.process_limits import END_S
 from biosensor_gateway.system.shutdown import end_quietly_until_running, until_signalled
 
 RECORD = Path(sys.argv[1])
@@ -48,7 +48,7 @@ def wait_for_window() -> None:
     if sys.platform == "win32":
         import ctypes  # noqa: PLC0415 - Windows only
 
-        from biosensor_gateway.system.windows_shutdown import WINDOW_CLASS  # noqa: PLC0415 - the same
+        from biosensor_gateway.system.windows_session import WINDOW_CLASS  # noqa: PLC0415 - the same
 
         while not ctypes.windll.user32.FindWindowW(WINDOW_CLASS, None):
             time.sleep(0.01)

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.agent.absences import absences, clock_time, names
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State, absences, clock_time, names
 from biosensor_gateway.devices.registry import sensor_title
 
 STRAP = sensor_title("polar_h10")

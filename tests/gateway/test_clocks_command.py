@@ -18,8 +18,8 @@ import pylsl
 import pytest
 
 from biosensor_common.device_clock import ClockState, DeviceClock
+from biosensor_common.ros.texts import read_counters
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_common.topic_text import read_counters
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import snapshot
 from biosensor_gateway.devices.registry import declaration

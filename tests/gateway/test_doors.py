@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 from typer.core import TyperGroup
 
-from biosensor_gateway.cli.app import COMMANDS, app
-from biosensor_gateway.cli.lazy_group import Deferred
+from biosensor_gateway.cli.app import COMMANDS, Deferred, app
 from biosensor_gateway.settings.places import STATE_VARIABLE
 
 # What takes a tenth of a second and more, each or with what it brings.
@@ -32,9 +31,8 @@ OURS = {
     "biosensor_gateway",
     "biosensor_gateway.cli",
     "biosensor_gateway.cli.app",
-    "biosensor_gateway.cli.lazy_group",
     "biosensor_gateway.system",
-    "biosensor_gateway.system.windows_console",
+    "biosensor_gateway.system.windows_session",
 }
 LOADED_AT_THE_END = """
 import atexit, sys

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.transports.early import Early
+from biosensor_gateway.transports.link import Early
 
 
 def test_it_is_taken_once_and_in_order() -> None:

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.outflow import Outflow
+from biosensor_common.nonblocking_writer import NonblockingWriter
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.rate_meter import RATE_OVER_S, RateMeter
-from biosensor_gateway.agent.state import State
 from biosensor_gateway.cli.live_table import LiveTable, Row, picture, running_foot
 from biosensor_gateway.devices.registry import sensor_names, sensor_title
 from biosensor_gateway.system.terminal import Panel, Size
@@ -19,7 +19,9 @@ REASON = "COM17: the port is in use by another program; close the program that h
 
 
 def table() -> LiveTable:
-    return LiveTable(Panel(Outflow("nowhere", lambda _lines: None), lambda: None), colours=False)
+    return LiveTable(
+        Panel(NonblockingWriter("nowhere", lambda _lines: None), lambda: None), colours=False
+    )
 
 
 def stream(
@@ -199,7 +201,7 @@ def test_what_is_not_passed_on_stands_below_its_device_while_it_is_of_now() -> N
 
 def test_what_the_agent_itself_does_not_pass_on_stands_below_the_table() -> None:
     shown: list[str] = []
-    panel = Panel(Outflow("nowhere", lambda _lines: None), lambda: None)
+    panel = Panel(NonblockingWriter("nowhere", lambda _lines: None), lambda: None)
     panel.show = lambda drawing: shown.extend(line.text for line in drawing(WIDE))  # pyright: ignore[reportAttributeAccessIssue]
     told = refused("a marker was sent that nobody receives", "unheard_marker")
     LiveTable(panel, colours=False).report(status(device()) | {"refusals": [told]})

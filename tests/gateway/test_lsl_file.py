@@ -13,7 +13,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import LslOverrides, effective_config
-from biosensor_gateway.cli.lsl_file import LslFile, Ports, changes
+from biosensor_gateway.cli.config import LslFile, Ports, changes
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_common.outflow import Outflow
+from biosensor_common.nonblocking_writer import NonblockingWriter
 from biosensor_gateway.system.terminal import Line, Panel, Size
 from tests.rigs.terminal import Screen
 
@@ -25,8 +25,8 @@ class PanelOnScreen:
         self.takes_output = threading.Event()
         self.takes_output.set()
         self.writes: list[str] = []
-        self.outflow = Outflow("console", self._write, most_bytes=10_000)
-        self.panel = Panel(self.outflow, lambda: self.size)
+        self.writer = NonblockingWriter("console", self._write, most_bytes=10_000)
+        self.panel = Panel(self.writer, lambda: self.size)
 
     def _write(self, shown: bytes) -> None:
         assert self.takes_output.wait(DEADLINE_S)
@@ -39,11 +39,11 @@ class PanelOnScreen:
         self.settle()
 
     def put(self, text: str) -> None:
-        self.outflow.put(text.encode())
+        self.writer.put(text.encode())
         self.settle()
 
     def settle(self) -> None:
-        assert self.outflow.flush(DEADLINE_S)
+        assert self.writer.flush(DEADLINE_S)
 
     def resize(self, columns: int, lines: int) -> None:
         self.size = Size(columns, lines)
@@ -122,7 +122,7 @@ def test_letters_that_take_two_columns_are_measured_so(bench: PanelOnScreen) -> 
 
 def test_letters_that_the_terminal_has_not_got_are_escaped_and_fit() -> None:
     bench = PanelOnScreen()
-    Panel(bench.outflow, lambda: bench.size, "ascii").show(lambda _size: [Line("é" * 39)])
+    Panel(bench.writer, lambda: bench.size, "ascii").show(lambda _size: [Line("é" * 39)])
     bench.settle()
     assert bench.screen.lines[0] == ("\\xe9" * 39)[:39]
 
@@ -135,7 +135,7 @@ def test_while_the_terminal_takes_nothing_pictures_are_left_out_and_the_log_is_n
     for number in range(100):
         bench.panel.show(lambda _size, number=number: [Line(f"picture {number}")])
         if number % 10 == 0:
-            bench.outflow.put(f"log {number}\n".encode())
+            bench.writer.put(f"log {number}\n".encode())
     waiting = len(bench.writes)
     bench.takes_output.set()
     bench.settle()
@@ -172,5 +172,5 @@ def test_whatever_is_shown_every_line_of_the_log_stays(
             bench.resize(columns, max(value, bench.screen.height))
     bench.panel.close()
     bench.settle()
-    bench.outflow.close(DEADLINE_S)
+    bench.writer.close(DEADLINE_S)
     assert "".join(bench.screen.lines) == "".join(logged)

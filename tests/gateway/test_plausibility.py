@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import source_id
 from biosensor_common.quantities import NOT_PHYSICAL, Unit
-from biosensor_common.refusals import LATELY_S
+from biosensor_common.refusal import LATELY_S
 from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.supervisor import Supervisor

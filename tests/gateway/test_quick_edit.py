@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from biosensor_gateway.system.windows_console import (
+from biosensor_gateway.system.windows_session import (
     ENABLE_EXTENDED_FLAGS,
     ENABLE_QUICK_EDIT_MODE,
     quick_edit_off,

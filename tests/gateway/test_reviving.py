@@ -15,7 +15,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device_set import Device
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.status import DeviceStatus
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected

@@ -13,7 +13,7 @@ from dbus_fast.signature import Variant
 from serial.tools import list_ports
 
 from biosensor_gateway.devices.registry import driver
-from biosensor_gateway.transports import serial_ports as ports
+from biosensor_gateway.transports import serial_port as ports
 from biosensor_gateway.transports.nearby import SerialPort
 from tests.rigs.bluez.objects import ObjectTree
 from tests.rigs.bluez.private_bus import PrivateBus

@@ -30,8 +30,8 @@ from biosensor_gateway.demo.virtual_devices import (
 from biosensor_gateway.devices.registry import sensor
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.simulation import virtual_device
-from biosensor_gateway.simulation.effects import Effect
 from biosensor_gateway.simulation.faults import (
+    Effect,
     Fault,
     FaultKind,
     Kind,

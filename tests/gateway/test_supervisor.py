@@ -19,7 +19,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as module
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration

@@ -10,7 +10,7 @@ import pytest
 
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.link import Address
-from biosensor_gateway.transports.udp_port import UdpPort
+from biosensor_gateway.transports.ports import UdpPort
 from tests.rigs.memory_links import MemoryUdpPort
 from tests.rigs.polling import until
 

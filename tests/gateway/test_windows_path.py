@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.recording.recorder import program
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN
-from biosensor_gateway.system.ansi_path import ansi_folder
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, ansi_folder
 from biosensor_gateway.system.windows_setup import with_folder, without_folder
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ import pytest
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.state import STATE_WORDS, State
+from biosensor_gateway.agent.device_states import STATE_WORDS, State
 from biosensor_gateway.devices.registry import declaration
 from tests.faults.expectations import is_by_agent, regular_streams, steady_streams
 from tests.rigs.hosts import counters

@@ -20,7 +20,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.agent.stop import stop_agent
+from biosensor_gateway.agent.control import stop_agent
 from tests.rigs import file_keyring
 from tests.rigs.chromium import chromium
 from tests.rigs.outliving import OF_A_FOLDER, end_all, outliving

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from biosensor_common.lsl.namesakes import numbered
+from biosensor_common.lsl.network import numbered
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import foreign_header

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import expect
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.replay import PREFIX
+from biosensor_common.stream_header import PREFIX
 from biosensor_gateway.page.routes.replay import MOST_LISTED, recordings, whole_path
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Server

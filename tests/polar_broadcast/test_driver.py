@@ -8,7 +8,7 @@ import pytest
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.polar_broadcast.driver import identify, recognise
 from biosensor_gateway.devices.polar_broadcast.simulator import SimulatedPolarBroadcast
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10

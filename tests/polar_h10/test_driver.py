@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices import ble_session as session_module
 from biosensor_gateway.devices.polar_h10 import SPEC
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.polar_h10 import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement

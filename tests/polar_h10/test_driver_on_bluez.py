@@ -9,7 +9,7 @@ import pytest
 from bleak import BleakClient
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.polar_h10 import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import CONTROL_POINT
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10

@@ -14,8 +14,8 @@ import pytest
 from edfio import read_bdf
 from numpy.typing import NDArray
 
-from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.offline import compute
+from biosensor_gateway.features.sources import FeatureError
 from biosensor_gateway.recording.bag.importing import import_bag
 from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents

@@ -21,8 +21,7 @@ from biosensor_common import process_limits
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import CoreFields, foreign_header
@@ -30,10 +29,9 @@ from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState, header_of
 from lsl_to_ros.parameters.streams import StreamSettings
-from lsl_to_ros.reports import reporting
+from lsl_to_ros.reports import reporter
 from lsl_to_ros.reports.diagnostics import LEASE_S, judge
-from lsl_to_ros.reports.reporting import Reporting
-from lsl_to_ros.reports.survey import Survey
+from lsl_to_ros.reports.reporter import Reporting, Survey
 from lsl_to_ros.routing import Routing
 from lsl_to_ros.statistics.losses import Delays, Lost, NodeCounters
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping
@@ -42,10 +40,10 @@ from lsl_to_ros.topics.originals import ORIGINALS, Joined
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Lane, Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicTypeError
-from lsl_to_ros.topics.runs import Run
 from lsl_to_ros.topics.writers import (
     ChunkWriter,
     NumberWriter,
+    Run,
     StandardMessageWriter,
     StreamContext,
 )
@@ -353,9 +351,9 @@ def concerns(
     has_stamped: bool = True,
 ) -> Shown:
     clock = [0.0]
-    patch.setattr(reporting, "monotonic", lambda: clock[0])
-    patch.setattr(reporting, "HAS_STAMPED_TOPICS", has_stamped)
-    patch.setattr(reporting, "make_publisher", lambda *_, **__: fake(publish=None, topic_name="~"))
+    patch.setattr(reporter, "monotonic", lambda: clock[0])
+    patch.setattr(reporter, "HAS_STAMPED_TOPICS", has_stamped)
+    patch.setattr(reporter, "make_publisher", lambda *_, **__: fake(publish=None, topic_name="~"))
     patch.setattr(Reporting, "list_streams", lambda *_: None)
     node: Any = fake(
         get_clock=lambda: None,

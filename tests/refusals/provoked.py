@@ -9,12 +9,10 @@ from typing import Any, NamedTuple
 import pytest
 
 from biosensor_common.naming import TopicName
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.status import RefusedStatus
 from lsl_to_ros.reports.diagnostics import stream_facts, stream_status
-from lsl_to_ros.reports.reporting import node_status
-from lsl_to_ros.reports.survey import Part, concerns_of
+from lsl_to_ros.reports.reporter import Part, concerns_of, node_status
 from lsl_to_ros.statistics.load import LoadFacts
 from lsl_to_ros.statistics.stream_status import StreamStatus
 from lsl_to_ros.topics.bridge import Bridge

@@ -11,7 +11,7 @@ _COMMON = "common/biosensor_common"
 _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway"
 _PATTERNS = (
     f"{_COMMON}/lsl/inlet.py",
-    f"{_COMMON}/lsl/namesakes.py",
+    f"{_COMMON}/lsl/network.py",
     f"{_COMMON}/lsl/network.py",
     f"{_COMMON}/lsl/sender_clocks.py",
     f"{_COMMON}/ros/layout.py",

@@ -6,8 +6,7 @@ import re
 
 import pytest
 
-from biosensor_common.refusal import Level, Refusal
-from biosensor_common.refusals import AGAIN_S, LATELY_S, Refusals
+from biosensor_common.refusal import AGAIN_S, LATELY_S, Level, Refusal, Refusals
 from tests.refusals import from_devices, from_streams, from_topics
 from tests.refusals.provoked import PROVOKED
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.devices.registry import declaration

@@ -15,7 +15,7 @@ import pylsl
 import pytest
 
 from biosensor_common.lsl.inlet import Block
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 
 DEADLINE_S = 30.0

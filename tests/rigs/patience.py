@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from biosensor_common.outflow import Outflow
+from biosensor_common.nonblocking_writer import NonblockingWriter
 from biosensor_gateway.system import logs
 
 
@@ -20,19 +20,19 @@ from biosensor_gateway.system import logs
 def patience_without_limit() -> Generator[None]:
     """Let logs be flushed, closed and opened, however long that takes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Outflow, "flush", _flush)
-        patch.setattr(Outflow, "close", _close)
+        patch.setattr(NonblockingWriter, "flush", _flush)
+        patch.setattr(NonblockingWriter, "close", _close)
         patch.setattr(logs, "OPENED_WITHIN_S", None)
         yield
 
 
-def _flush(self: Outflow, limit_s: float) -> bool:
+def _flush(self: NonblockingWriter, limit_s: float) -> bool:
     del limit_s
     with self._changed:
         return self._changed.wait_for(self._is_idle)
 
 
-def _close(self: Outflow, limit_s: float) -> bool:
+def _close(self: NonblockingWriter, limit_s: float) -> bool:
     with self._changed:
         self._deadline_s = self._deadline_s or limit_s
         self._changed.notify_all()

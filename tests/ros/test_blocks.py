@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lsl_to_ros.topics.runs import Run, split
+from lsl_to_ros.topics.writers import Run, split
 
 choices = st.lists(st.booleans(), min_size=1, max_size=40)
 

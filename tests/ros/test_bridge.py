@@ -16,7 +16,7 @@ from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.statistics.losses import FOREIGN_JITTER_S, NodeCounters

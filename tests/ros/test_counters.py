@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from lsl_to_ros.statistics.losses import Delays, Losses, Lost, NodeCounters, can_estimate_losses
 from tests.rigs.recorded_topics import header_of
 

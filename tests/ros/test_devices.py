@@ -12,11 +12,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.parameters.streams import StreamSettings
-from lsl_to_ros.reports.survey import LOW_BATTERY_PERCENT, device_statuses
+from lsl_to_ros.reports.reporter import LOW_BATTERY_PERCENT, device_statuses
 from lsl_to_ros.statistics.losses import NodeCounters
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from tests.rigs.recorded_topics import Clocks, header_of

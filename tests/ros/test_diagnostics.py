@@ -15,8 +15,7 @@ from std_msgs.msg import Float32MultiArray
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from biosensor_common.lsl import network
-from lsl_to_ros.lsl import duplicates
+from lsl_to_ros.lsl import discovery
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Collector, wait_until
@@ -104,8 +104,8 @@ def sender() -> Iterator[Sender]:
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
     monkeypatch.setattr(network, "FORGET_AFTER_S", FORGET_S)
-    monkeypatch.setattr(duplicates, "PATIENCE_S", PATIENCE_S)
-    monkeypatch.setattr(duplicates, "SEEN_AGAIN_S", 0.5)
+    monkeypatch.setattr(discovery, "PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr(discovery, "SEEN_AGAIN_S", 0.5)
     node = Node()
     yield node
     node.discovery.stop()
@@ -140,7 +140,7 @@ def test_what_a_starved_sender_sends_on_its_connection_is_not_lost(
     inlet = attach(node, sender)
     starve(node, sender)
     # A busy sender takes its time; that would be silence, and another sentence about it.
-    monkeypatch.setattr(duplicates, "PATIENCE_S", DEADLINE_S)
+    monkeypatch.setattr(discovery, "PATIENCE_S", DEADLINE_S)
     sender.push(127)
     wait_until(lambda: node.hears(137), "what was sent since")
     sender.push(100)

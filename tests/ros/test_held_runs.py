@@ -13,7 +13,7 @@ from std_msgs.msg import Float32
 
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import MessageType
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.parameters.streams import StreamSettings

@@ -12,7 +12,7 @@ import pytest
 from pylsl import util
 
 from biosensor_common.lsl.inlet import Block, samples_available
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from lsl_to_ros.lsl.delivery import BATCH_SAMPLES
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import (

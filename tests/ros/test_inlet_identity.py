@@ -10,7 +10,7 @@ import pytest
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl.header import MAX_RATE_HZ, read_core
 from biosensor_common.lsl.predicates import EVERYTHING, of_user
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet

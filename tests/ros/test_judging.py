@@ -9,8 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.naming import TopicName
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from lsl_to_ros.reports.diagnostics import LEASE_S, StreamFacts, judge
 from lsl_to_ros.statistics.losses import Delays
 

@@ -71,7 +71,7 @@ def _actions(monkeypatch: pytest.MonkeyPatch, file: str) -> list[Noted]:
         vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
     # It has kept the stand-ins of the test before.
-    monkeypatch.delitem(sys.modules, "lsl_to_ros.launching", raising=False)
+    monkeypatch.delitem(sys.modules, "lsl_to_ros.launch_description", raising=False)
     description: Noted = runpy.run_path(str(LAUNCH_FILES / file))["generate_launch_description"]()
     (entities,) = description.args
     return entities

@@ -9,7 +9,7 @@ import pytest
 from lsl_to_ros.reports.diagnostics import overload
 from lsl_to_ros.statistics import stream_status
 from lsl_to_ros.statistics.load import REPORTS, SHARE_WINDOW_S, Backlog, Load, LoadFacts
-from lsl_to_ros.statistics.stream_status import Outflow
+from lsl_to_ros.statistics.stream_status import PublishingRate
 
 WINDOW = round(SHARE_WINDOW_S)
 
@@ -109,7 +109,7 @@ def test_a_look_in_the_midst_of_a_pull_makes_nothing_older() -> None:
 def test_a_topic_is_too_fast_until_it_is_clearly_slower(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s, published = 0.0, 0
     monkeypatch.setattr(stream_status, "monotonic", lambda: now_s)
-    flow = Outflow()
+    flow = PublishingRate()
     judged: list[bool] = []
     for rate in (3900, 4100, 3100, 2900, 3900):
         for _ in range(11):
@@ -127,7 +127,7 @@ def test_a_topic_is_too_fast_until_it_is_clearly_slower(monkeypatch: pytest.Monk
 def test_what_was_not_taken_is_told_for_10_s(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 0.0
     monkeypatch.setattr(stream_status, "monotonic", lambda: now_s)
-    flow = Outflow()
+    flow = PublishingRate()
     grown: list[int] = []
     for second in range(15):
         now_s = float(second)

@@ -17,9 +17,8 @@ from std_msgs.msg import Empty, Header, String
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.quantities import MessageType
-from biosensor_common.ros.texts import counters_message, raw_text
+from biosensor_common.ros.texts import clock_of, counters_message, raw_text, read_counters, text_of
 from biosensor_common.topic_shape import chunk_type
-from biosensor_common.topic_text import clock_of, read_counters, text_of
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.topics.outputs import CLASSES
 

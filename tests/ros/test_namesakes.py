@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, SETTLED_S, Discovery
 from lsl_to_ros.lsl.inlets import InletState
 

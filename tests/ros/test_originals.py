@@ -13,8 +13,7 @@ import pytest
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.parameters.node import check
 from lsl_to_ros.parameters.streams import StreamSettings

@@ -18,7 +18,7 @@ from std_msgs.msg import (
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.devices.registry import declaration, declaration_names
@@ -27,8 +27,7 @@ from lsl_to_ros.topics.bridge import Outputs
 from lsl_to_ros.topics.outputs import CLASSES, HAS_STAMPED_TOPICS, open_outputs
 from lsl_to_ros.topics.pacing import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
-from lsl_to_ros.topics.runs import Run
-from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext
+from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, Run, StreamContext
 from tests.rigs.recorded_topics import Clocks, header_of
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from lsl_to_ros.lsl.inlets import Inlet, InletState
-from lsl_to_ros.lsl.readers import MOST_FOLLOWERS, Pump
+from lsl_to_ros.lsl.inlets import MOST_FOLLOWERS, Inlet, InletState, Pump
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 
 pytestmark = pytest.mark.nightly

@@ -8,7 +8,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, fault
-from lsl_to_ros.reports.reporting import Rhythm
+from lsl_to_ros.reports.reporter import Rhythm
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 

@@ -22,8 +22,7 @@ from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.topics.outputs import STANDARD_CLASSES
-from lsl_to_ros.topics.runs import Run
-from lsl_to_ros.topics.writers import StandardMessageWriter
+from lsl_to_ros.topics.writers import Run, StandardMessageWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of, message_time
 
 if TYPE_CHECKING:

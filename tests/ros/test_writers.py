@@ -17,10 +17,9 @@ from std_msgs.msg import (
 )
 
 from biosensor_common.quantities import MessageType
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from lsl_to_ros.topics.outputs import CLASSES
-from lsl_to_ros.topics.runs import Run
-from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, TextWriter
+from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, Run, TextWriter
 from tests.rigs.recorded_topics import RecordedPublisher
 
 Refused = list[tuple[int, str]]

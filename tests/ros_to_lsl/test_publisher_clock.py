@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.ros_clock import NS_PER_S
-from lsl_to_ros.ros_to_lsl.publisher_clock import (
+from lsl_to_ros.ros_to_lsl.stamps import (
     AHEAD_S,
     BEHIND_S,
     PATIENCE_S,

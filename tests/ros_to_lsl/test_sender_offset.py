@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from lsl_to_ros.ros_to_lsl.application import Bounds
-from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
+from lsl_to_ros.ros_to_lsl.stamps import Offset
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS
 
 

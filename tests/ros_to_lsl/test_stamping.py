@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.ros_to_lsl.bridge import PublicationLosses
-from lsl_to_ros.ros_to_lsl.stamping import MessageStamping, StampSource
+from lsl_to_ros.ros_to_lsl.stamps import MessageStamping, StampSource
 from lsl_to_ros.statistics.ros_time import RosTime
 from tests.ros_to_lsl.conftest import MILLISECOND, info, stamped
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from tests.rigs.bluetooth import ON_BLUEZ
 from tests.rigs.driver_run import streaming

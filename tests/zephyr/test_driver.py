@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.naming import source_id
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.zephyr import SPEC
 from biosensor_gateway.devices.zephyr import driver as module
 from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings

@@ -16,12 +16,12 @@ from xml.etree import ElementTree as ET
 import pylsl
 from pylsl.lib import lib
 
-from biosensor_common.description_xml import read_xml
 from biosensor_common.doctor.probe import Request, SurveyedStream, answer, serve
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlet import unopened_inlet
 from biosensor_common.lsl.network import search
 from biosensor_common.lsl.predicates import IN_ANY_SESSION, equals
+from biosensor_common.lsl_header import read_xml
 
 MAX_EXAMINED = 256
 """Largest number of streams to receive from; all are listed."""

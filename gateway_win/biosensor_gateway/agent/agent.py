@@ -18,16 +18,20 @@ from pylsl import local_clock
 from biosensor_common.device_clock import ClockState
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.process_limits import limit_arenas
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals, status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
-from biosensor_gateway.agent.device_set import Device, DeviceChanges, DeviceSet
+from biosensor_gateway.agent.device_set import (
+    Device,
+    DeviceChanges,
+    DeviceSet,
+    ReadSettings,
+    SettingsReload,
+)
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.markers import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
-from biosensor_gateway.agent.reload import ReadSettings, SettingsReload
 from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
 from biosensor_gateway.agent.status_file import STATUS_FILE
 from biosensor_gateway.settings.models import GatewaySettings

@@ -15,7 +15,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from biosensor_common import naming
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.status import (
     AgentStatus,

@@ -19,7 +19,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.state import CONNECTED
+from biosensor_gateway.agent.device_states import CONNECTED
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 
 FRESH_S = 5.0

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from pydantic import BaseModel, Field
 
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.spec import FromDevice, StreamSpec
 from biosensor_gateway.devices.registry import declaration
 
@@ -45,7 +45,7 @@ class ClockStatus(BaseModel):
 
 
 class RefusedStatus(BaseModel):
-    """Something that was not passed on unchanged; see `biosensor_common.refusals`.
+    """Something that was not passed on unchanged; see `biosensor_common.refusal`.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class DeviceFacts(BaseModel):
     sensor, unit, participant, label
         Identity of the device.
     state
-        A value of `biosensor_gateway.agent.state.State`.
+        A value of `biosensor_gateway.agent.device_states.State`.
     paused
         Whether its participant has withdrawn, so that nothing is sent.
     since

@@ -20,7 +20,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent.state import CONNECTED, State
+from biosensor_gateway.agent.device_states import CONNECTED, State
 from biosensor_gateway.devices.driver import Connected, Driver, EnablesAgain
 from biosensor_gateway.streaming.silence import PATIENCE_S, Remedy, Silence, limits
 from biosensor_gateway.streaming.sink import DeviceSink

@@ -14,7 +14,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.stop import USUAL_LIMIT_S, stop_agent
+from biosensor_gateway.agent.control import USUAL_LIMIT_S, stop_agent
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.output import can_ask, menu

@@ -22,8 +22,8 @@ from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
+from biosensor_gateway.agent.device_set import ReadSettings
 from biosensor_gateway.agent.markers import MARKERS
-from biosensor_gateway.agent.reload import ReadSettings
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
@@ -43,7 +43,7 @@ from biosensor_gateway.system.logs import (
 )
 from biosensor_gateway.system.shutdown import until_signalled
 from biosensor_gateway.system.terminal import shows_colours
-from biosensor_gateway.system.windows_console import quick_edit_off
+from biosensor_gateway.system.windows_session import quick_edit_off
 
 _start_log = structlog.get_logger("biosensor_gateway.cli")
 
@@ -173,15 +173,15 @@ def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
     # Somebody who names a file or virtual devices needs no guide.
     if simulate or settings is not None or not can_ask():
         return False
-    from biosensor_gateway.cli import guide  # only at a terminal
+    from biosensor_gateway.cli import devices  # only at a terminal
 
-    return guide.is_wanted(settings_path())
+    return devices.is_wanted(settings_path())
 
 
 def _guided(path: Path) -> str:
-    from biosensor_gateway.cli import guide  # only on request
+    from biosensor_gateway.cli import devices  # only on request
 
-    return guide.lead(path)
+    return devices.lead(path)
 
 
 def _reader(path: Path | None) -> ReadSettings:

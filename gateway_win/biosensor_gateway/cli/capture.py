@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli.lazy_group import QuickGroup
+from biosensor_gateway.cli.app import QuickGroup
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.output import ask, can_ask, console, say, table_of_names
 from biosensor_gateway.cli.settings import chosen_devices

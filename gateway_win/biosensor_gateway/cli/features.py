@@ -98,8 +98,8 @@ def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> N
     ConfigError
         If the recording cannot be read or has no raw stream, or the target cannot be written.
     """
-    from biosensor_gateway.features.errors import FeatureError, FeatureReason
     from biosensor_gateway.features.offline import SUFFIXES, compute
+    from biosensor_gateway.features.sources import FeatureError, FeatureReason
 
     target = output or file.with_name(f"{file.stem}_features.xdf")
     if target.suffix not in SUFFIXES:

@@ -16,12 +16,11 @@ import typer
 from rich.cells import cell_len, set_cell_size
 
 from biosensor_common.errors import ConfigError
-from biosensor_common.relay import console
+from biosensor_common.nonblocking_writer import console
 from biosensor_common.terminal import shortened, wrapped
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.absences import names
+from biosensor_gateway.agent.device_states import STATE_WORDS, is_sending, names
 from biosensor_gateway.agent.rate_meter import RateMeter
-from biosensor_gateway.agent.state import STATE_WORDS, is_sending
 from biosensor_gateway.cli.output import device_sentence, refused_now, restart_sentences
 from biosensor_gateway.system.terminal import (
     Line,
@@ -329,12 +328,12 @@ def _panel() -> Generator[Panel | None]:
         return
     descriptor = sys.stdout.fileno()
     with cursor_moves(descriptor) as can_move:
-        outflow = console(descriptor, "terminal") if can_move else None
-        if outflow is None:
+        writer = console(descriptor, "terminal") if can_move else None
+        if writer is None:
             yield None
             return
-        panel = Panel(outflow, partial(terminal_size, descriptor), sys.stdout.encoding)
+        panel = Panel(writer, partial(terminal_size, descriptor), sys.stdout.encoding)
         try:
             yield panel
         finally:
-            outflow.close(_LAST_LINES_S)
+            writer.close(_LAST_LINES_S)

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.terminal import columns, shortened, wrapped
-from biosensor_gateway.agent.state import STATE_WORDS
+from biosensor_gateway.agent.device_states import STATE_WORDS
 
 # A file or a pipe has no width, so no line is broken there.
 _ENDLESS = 10_000

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.state import is_sending
+from biosensor_gateway.agent.device_states import is_sending
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.output import (
     console,

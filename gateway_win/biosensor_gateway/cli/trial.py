@@ -16,10 +16,10 @@ from biosensor_common.errors import GatewayError, TransportError, TransportReaso
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.quantities import waits_for_receivers
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.control import stop_agent
 from biosensor_gateway.agent.readiness import wait_until_ready
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.agent.status_file import running_status
-from biosensor_gateway.agent.stop import stop_agent
 from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.demo.demonstration import (

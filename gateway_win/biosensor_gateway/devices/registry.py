@@ -18,7 +18,7 @@ from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.sensor import Sensor
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.counters import GATEWAY
 
 ENTRY_POINT_GROUP = "biosensor_gateway.sensors"
 

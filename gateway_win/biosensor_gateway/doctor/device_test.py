@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import IRREGULAR, DeviceInfo, SensorSpec
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings

@@ -182,7 +182,7 @@ def serial(context: Context) -> Iterator[Finding]:
     if not named:
         yield ok("no device of the settings has a serial port")
         return
-    from biosensor_gateway.transports.serial_ports import serial_ports  # needs D-Bus
+    from biosensor_gateway.transports.serial_port import serial_ports  # needs D-Bus
 
     present = asyncio.run(serial_ports())
     known = {each.port.upper() for each in present} | {

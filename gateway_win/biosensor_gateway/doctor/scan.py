@@ -18,7 +18,7 @@ from biosensor_gateway.settings.editor import table_lines
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
-from biosensor_gateway.transports.serial_ports import serial_ports
+from biosensor_gateway.transports.serial_port import serial_ports
 
 _ADDRESS = "device"
 _IDENTIFIER = re.compile(r"[0-9A-F]{8}(-[0-9A-F]{4}){3}-[0-9A-F]{12}", re.IGNORECASE)

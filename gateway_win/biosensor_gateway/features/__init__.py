@@ -4,7 +4,7 @@ The detectors are pure classes that take samples and return events. Their result
 how a stream is cut into blocks. :mod:`.runs` splits a stream at gaps, :mod:`.filters` has filters
 with state, :mod:`.r_peaks` and :mod:`biosensor_gateway.pulses` find beats, :mod:`.heart` computes
 rates, and :mod:`.skin`, :mod:`.breathing` and :mod:`.quality` do the rest. All limits, with their
-sources, are in :mod:`.thresholds`. :mod:`.chains` combines detectors for each type of stream, and
+sources, are in :mod:`.parameters`. :mod:`.chains` combines detectors for each type of stream, and
 :mod:`.outputs` declares the streams of features.
 
 :mod:`.sources` selects streams by their headers, :mod:`.headers` writes the headers of features,

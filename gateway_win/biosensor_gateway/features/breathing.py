@@ -1,6 +1,6 @@
 """Finds breaths in the movement of chest or belly.
 
-References are in :mod:`.thresholds`.
+References are in :mod:`.parameters`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections import deque
 from statistics import fmean, median
 from typing import NamedTuple
 
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.pulses.filters import Biquad

@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from biosensor_common.quantities import ContentType
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features import quality
-from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.breathing import BR_QUALITY, Breathing
 from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.heart import HR_QUALITY, Heart
@@ -46,7 +46,7 @@ class Activity:
     """Gives `activity_live`: the mean amplitude deviation of each epoch, stamped with its end.
 
     It is the mean absolute deviation of the acceleration's magnitude from its mean, in g, and needs
-    no calibration: Vaha-Ypya 2015, see :mod:`.thresholds`.
+    no calibration: Vaha-Ypya 2015, see :mod:`.parameters`.
 
     Parameters
     ----------

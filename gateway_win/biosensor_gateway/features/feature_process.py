@@ -10,8 +10,8 @@ import contextlib
 import sys
 import threading
 
-from biosensor_common.ending import end_within
 from biosensor_common.lsl.network import configure_lsl
+from biosensor_common.process_limits import end_within
 from biosensor_gateway.agent.feature_refusals import FeatureRefusals
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.sources import Source

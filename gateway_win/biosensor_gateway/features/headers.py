@@ -7,11 +7,9 @@ import xml.etree.ElementTree as ET
 import pylsl
 
 from biosensor_common import naming
-from biosensor_common.description_xml import append_children
-from biosensor_common.lsl_header import describe
-from biosensor_common.replay import PREFIX, Replay, mark_as_replay
+from biosensor_common.lsl_header import append_children, describe
 from biosensor_common.spec import IRREGULAR, DeviceInfo
-from biosensor_common.stream_header import BLOCK
+from biosensor_common.stream_header import BLOCK, PREFIX, Replay, mark_as_replay
 from biosensor_gateway.features.outputs import VERSION, Feature
 from biosensor_gateway.features.sources import Source
 

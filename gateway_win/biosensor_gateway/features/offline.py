@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.features.errors import FeatureError, FeatureReason
+from biosensor_gateway.features.sources import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event

@@ -9,7 +9,7 @@ from biosensor_common.lsl.predicates import Predicate, any_of, ends_with
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import ChannelSpec, StreamSpec
 from biosensor_common.table import channels, hardware, raw
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.breathing import BR_QUALITY
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS

@@ -1,7 +1,7 @@
 """Finds R peaks in an ECG.
 
 The energy in the band of QRS complexes [2]_ is compared with adaptive thresholds, by the rules of
-Hamilton's detector [1]_: references are in :mod:`.thresholds`. The apex is then looked for in the
+Hamilton's detector [1]_: references are in :mod:`.parameters`. The apex is then looked for in the
 unfiltered signal.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.filters import Fir, band_pass
 from biosensor_gateway.features.runs import Array, Hops
 from biosensor_gateway.pulses.elgendi import Beat

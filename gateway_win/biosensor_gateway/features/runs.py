@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Splits skin conductance into its level and its responses.
 
-References are in :mod:`.thresholds`.
+References are in :mod:`.parameters`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.pulses.filters import MovingMean

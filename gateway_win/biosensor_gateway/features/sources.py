@@ -5,19 +5,43 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from enum import Enum, unique
 
 import numpy as np
 
+from biosensor_common.errors import GatewayError
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.chains import new_runs
-from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.even_stamps import EvenStamps
 from biosensor_gateway.features.outputs import READ_TYPES, Feature, features_of
 from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.features.witnesses import Beside, Motion, Warmth, Witness, Witnesses
+
+
+@unique
+class FeatureReason(Enum):
+    """Why features of a stream or a recording are not computed."""
+
+    UNIT = "unit"
+    """A unit is missing or unknown."""
+    RATE = "rate"
+    """The stream has no nominal rate, or one that is unsuitable for detection."""
+    FORMAT = "format"
+    """The stream does not have numbers, or has too few channels."""
+    NOTHING = "nothing"
+    """There is no stream from which features are computed."""
+    EXISTS = "exists"
+    """A file would be overwritten."""
+    UNWRITABLE = "unwritable"
+    """The file cannot be written."""
+
+
+class FeatureError(GatewayError):
+    """Features are not computed; the message says of which stream, and why."""
+
 
 _SCALES: dict[str, dict[str, float]] = {
     ContentType.GSR: {"microsiemens": 1, "us": 1, "µs": 1, "μs": 1, "usiemens": 1},
@@ -31,7 +55,6 @@ _SCALES: dict[str, dict[str, float]] = {
 }
 """Factor of each unit, in lower case, by type. Features of other types use only ratios, so that
 their streams need no unit."""
-
 _ANY = "arbitrary"
 """Unit of features of a stream without a unit."""
 _AXES = 3

@@ -17,7 +17,7 @@ import numpy as np
 
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs

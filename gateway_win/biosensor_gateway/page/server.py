@@ -19,7 +19,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.types import ASGIApp
 
-from biosensor_common.ending import end_within
+from biosensor_common.process_limits import end_within
 from biosensor_gateway.page.auth import DOOR, OPENS_ONCE, BrowserRules, Guard, Keys
 from biosensor_gateway.page.static_files import Front
 from biosensor_gateway.system.browser import WayIn, way_in

@@ -12,8 +12,8 @@ from typing import Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.agent import Viewer

@@ -1,7 +1,16 @@
 """Finds pulses in a photoplethysmogram by two moving averages, as in Elgendi 2013.
 
-References are in :mod:`.thresholds`. The causal filter delays the apex, so that it is looked for in
-the unfiltered signal, around the apex of the filtered one.
+The causal filter delays the apex, so that it is looked for in the unfiltered signal, around the
+apex of the filtered one. A limit without a source is a choice of this program; the measurements in
+``docs/features.md`` were made with it.
+
+References
+----------
+.. [1] M. Elgendi et al., "Systolic peak detection in acceleration photoplethysmograms measured
+   from emergency responders in tropical conditions", PLoS ONE 8 (2013) e76585.
+.. [2] M. Elgendi, "Optimal signal quality index for photoplethysmogram signals", Bioengineering
+   3 (2016) 21.
+
 """
 
 from __future__ import annotations
@@ -13,9 +22,33 @@ from typing import NamedTuple
 
 import numpy as np
 
-from biosensor_gateway.pulses import thresholds as at
 from biosensor_gateway.pulses.filters import Biquad, MovingMean, between_samples, moment
 
+BAND_HZ = (0.5, 8.0)
+PEAK_S, BEAT_S = 0.111, 0.667
+"""[1]_: the two moving averages."""
+AHEAD_S = 0.15
+"""How far the longer mean looks ahead; by 0.28 s in [1]_, where it is centred."""
+OFFSET = 0.02
+"""[1]_: beta, relative to the mean of the squared signal."""
+MEAN_S = 3.0
+"""Length of that mean."""
+SKEWNESS = 0.3
+"""[2]_: a good pulse is skewed to the right; with this skewness to the left, it is upside down."""
+SKEWNESS_PIECE_S, SKEWNESS_PIECES = 2.0, 8
+"""Length of the pieces whose skewness is computed, and number of pieces for the median."""
+LEAST_SHARE, RISE_S = 0.15, 0.4
+"""Smallest rise of a pulse, as a share of the usual rise, within this time before its top; the
+filter makes smaller waves between slow pulses."""
+EARLY_S, EARLY_SHARE = 0.27, 0.4
+"""Shortest interval to an early pulse, and its least share of the usual height."""
+VALLEY_SHARE = 0.25
+REFRACTORY_S = 0.2
+"""Shortest interval between two pulses."""
+KEPT = 8
+"""Number of pulses for medians."""
+LOST_S = 4.0
+"""Time without a pulse after which the usual size is reset: the sensor may have been moved."""
 # Largest delay of an apex by the filter's group delay.
 _APEX_S = 0.12
 _KEPT_S = 3.0
@@ -57,10 +90,10 @@ class Polarity:
 
     def __init__(self, rate: float) -> None:
         self.sign = 1.0
-        self._length = round(at.SKEWNESS_PIECE_S * rate)
+        self._length = round(SKEWNESS_PIECE_S * rate)
         self._piece: list[float] = []
         # nothing is dropped: a memory of skewness
-        self._kept: deque[float] = deque(maxlen=at.SKEWNESS_PIECES)
+        self._kept: deque[float] = deque(maxlen=SKEWNESS_PIECES)
 
     def take(self, filtered: float) -> float:
         """Return the sign after this sample."""
@@ -68,7 +101,7 @@ class Polarity:
         if len(self._piece) == self._length:
             self._kept.append(moment(np.array(self._piece), 3))
             self._piece.clear()
-            if -self.sign * median(self._kept) > at.SKEWNESS:
+            if -self.sign * median(self._kept) > SKEWNESS:
                 self.sign = -self.sign
         return self.sign
 
@@ -90,14 +123,14 @@ class Pulses:
     def __init__(self, rate: float) -> None:
         self.height = 0.0
         self._rate = rate
-        self._high_pass = Biquad(at.BAND_HZ[0], rate, is_high_pass=True)
-        self._low_pass = Biquad(at.BAND_HZ[1], rate, is_high_pass=False)
+        self._high_pass = Biquad(BAND_HZ[0], rate, is_high_pass=True)
+        self._low_pass = Biquad(BAND_HZ[1], rate, is_high_pass=False)
         self._polarity = Polarity(rate)
-        peak, beat = (2 * round(s * rate / 2) + 1 for s in (at.PEAK_S, at.BEAT_S))
+        peak, beat = (2 * round(s * rate / 2) + 1 for s in (PEAK_S, BEAT_S))
         self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
-        self._offset = MovingMean(round(at.MEAN_S * rate))
+        self._offset = MovingMean(round(MEAN_S * rate))
         # A centred longer mean would look ahead by 0.28 s; an upstroke needs less.
-        self._wait = min((beat - peak) // 2, round(at.AHEAD_S * rate))
+        self._wait = min((beat - peak) // 2, round(AHEAD_S * rate))
         self._late = self._wait + (peak - 1) // 2
         self._least = peak
         # nothing is dropped: what a maximum slides over
@@ -106,8 +139,8 @@ class Pulses:
         # nothing is dropped: no pulse lasts longer
         self._kept: deque[_Kept] = deque(maxlen=round(_KEPT_S * rate))
         # nothing is dropped: a memory of heights
-        self._heights: deque[float] = deque(maxlen=at.KEPT)
-        self._rises: deque[float] = deque(maxlen=at.KEPT)  # nothing is dropped: a memory of rises
+        self._heights: deque[float] = deque(maxlen=KEPT)
+        self._rises: deque[float] = deque(maxlen=KEPT)  # nothing is dropped: a memory of rises
         self._length = 0
         self._last = float("-inf")
 
@@ -119,7 +152,7 @@ class Pulses:
         self._kept.append((stamp, value, filtered))
         self._peaks.append(self._peak_mean.take(clipped))
         beat = self._beat_mean.take(clipped)
-        limit = beat + at.OFFSET * self._offset.take(clipped)
+        limit = beat + OFFSET * self._offset.take(clipped)
         if self._peaks[0] > limit and len(self._kept) > self._late + self._around:
             self._length += 1
             return []  # nothing is dropped: the pulse goes on
@@ -137,12 +170,12 @@ class Pulses:
             return []  # nothing is dropped: there was no pulse
         beat = self._beat(kept, top)
         since_s = beat.stamp - self._last
-        if since_s > at.LOST_S:
+        if since_s > LOST_S:
             self._heights.clear()
             self._rises.clear()
         rise = self._rise(kept, top)
         usual = median(self._rises) if self._rises else 0.0
-        if since_s < at.REFRACTORY_S or rise < at.LEAST_SHARE * usual:
+        if since_s < REFRACTORY_S or rise < LEAST_SHARE * usual:
             return []  # nothing is dropped: it is no pulse of its own
         passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top)]
         self._last, self.height = beat.stamp, upright[top]
@@ -158,9 +191,9 @@ class Pulses:
         """
         if not self._heights:
             return []  # nothing is dropped: nothing is known of pulses yet
-        near = round(at.EARLY_S * self._rate)
+        near = round(EARLY_S * self._rate)
         begin = next((n for n in range(top) if kept[n][0] >= self._last), top)
-        limit = at.EARLY_SHARE * min(median(self._heights), upright[top])
+        limit = EARLY_SHARE * min(median(self._heights), upright[top])
         found: list[int] = []
         last = begin
         for place in range(begin + near, top - near):
@@ -168,14 +201,14 @@ class Pulses:
             if not is_top or upright[place] < limit or place - last < near:
                 continue  # nothing is dropped: it is no top of a pulse
             valley = max(min(upright[last:place]), min(upright[place:top]))
-            if valley < at.VALLEY_SHARE * upright[place]:
+            if valley < VALLEY_SHARE * upright[place]:
                 found.append(place)
                 last = place
         return found
 
     def _rise(self, kept: Sequence[_Kept], top: int) -> float:
         """Return the rise of the unfiltered signal to a top."""
-        before = range(max(0, top - round(at.RISE_S * self._rate)), top + 1)
+        before = range(max(0, top - round(RISE_S * self._rate)), top + 1)
         levels = [self._polarity.sign * kept[place][1] for place in before]
         return levels[-1] - min(levels)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import Effect, lasting
 
 _TOGETHER_S = 0.02
 """Time for which bytes wait for others; those after a split wait again."""

@@ -4,32 +4,83 @@ from __future__ import annotations
 
 import asyncio
 from abc import abstractmethod
-from collections.abc import Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from enum import Enum
 from types import MappingProxyType
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from bumble.gatt import Service
 
-from biosensor_gateway.simulation.effects import (
+from biosensor_gateway.simulation.faults import (
     Effect,
     Effects,
+    FaultKind,
+    Untidiness,
     flag,
     lasting,
     level,
     on_part,
     restart,
 )
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 
+
+class PowerSwitch:
+    """Keeps a device on while it is wanted and nothing holds it off.
+
+    Must run in one loop's thread; its callbacks never overlap.
+
+    Parameters
+    ----------
+    switch_on, switch_off
+        Callbacks that switch the device.
+    """
+
+    def __init__(
+        self, switch_on: Callable[[], Awaitable[None]], switch_off: Callable[[], Awaitable[None]]
+    ) -> None:
+        self._switch_on = switch_on
+        self._switch_off = switch_off
+        self._wanted = False
+        self._held_off_by: set[Enum] = set()
+        self._is_on = False
+        self._busy = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def want(self, wanted: bool) -> None:
+        """Request the device on or off, and wait until it is."""
+        self._wanted = wanted
+        await self._settle()
+
+    def hold_off(self, reason: Enum) -> None:
+        """Switch the device off soon, until `release`."""
+        self._held_off_by.add(reason)
+        self._settle_soon()
+
+    def release(self, reason: Enum) -> None:
+        """Switch the device on again soon, unless there is another reason."""
+        self._held_off_by.discard(reason)
+        self._settle_soon()
+
+    def _settle_soon(self) -> None:
+        task = asyncio.create_task(self._settle())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _settle(self) -> None:
+        async with self._busy:
+            due = self._wanted and not self._held_off_by
+            if due != self._is_on:
+                self._is_on = due
+                await (self._switch_on() if due else self._switch_off())
+
+
 _CHANGING = "5E"
 """Start of a resolvable private address (two highest bits): Core 5.4 Vol 6 Part B, 1.3.2.2."""
-
 RADIO_EFFECTS: Effects[Peripheral] = MappingProxyType(
     {
         FaultKind.DROP: lasting(Peripheral.drop, Peripheral.restore),

@@ -10,10 +10,8 @@ from math import isfinite
 from types import MappingProxyType, TracebackType
 from typing import Any, ClassVar, NamedTuple, Self, TypedDict, Unpack
 
-from biosensor_gateway.simulation.effects import Effects
-from biosensor_gateway.simulation.expected import USUALLY_IMPOSSIBLE, Expected
-from biosensor_gateway.simulation.faults import Fault, FaultKind, Kind, Untidiness
-from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.faults import Effects, Fault, FaultKind, Kind, Untidiness
+from biosensor_gateway.simulation.truth import USUALLY_IMPOSSIBLE, Expected, Truth
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 

@@ -1,4 +1,4 @@
-"""Counts each stream's samples on their way into LSL, and writes the counts as text."""
+"""Declares the agent's own streams, and counts each stream's samples on their way into LSL."""
 
 from __future__ import annotations
 
@@ -8,6 +8,25 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from biosensor_common.device_clock import ClockState
+from biosensor_common.naming import AGENT
+from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, hardware
+
+GATEWAY = SensorSpec(
+    name=AGENT,
+    title="Biosensor Gateway capture agent",
+    manufacturer="Biosensor Gateway",
+    model="capture agent",
+    streams=(
+        hardware("counters", ContentType.COUNTERS, channels(Unit.NONE, "counters"), 1,
+                 channel_format=ChannelFormat.STRING, message_type=MessageType.DIAGNOSTIC_ARRAY),
+        hardware("events", ContentType.MARKERS, channels(Unit.NONE, "event"),
+                 channel_format=ChannelFormat.STRING, message_type=MessageType.STRING),
+        hardware("markers", ContentType.MARKERS, channels(Unit.NONE, "marker"),
+                 channel_format=ChannelFormat.STRING, message_type=MessageType.STRING),
+    ),
+)  # fmt: skip
 
 
 @dataclass(slots=True)

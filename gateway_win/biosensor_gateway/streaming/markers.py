@@ -43,8 +43,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.outlets import Outlet, log_errors, spare_outlet
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock

@@ -17,16 +17,13 @@ import structlog
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common import naming
-from biosensor_common.description_xml import append_children
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_common.lsl.outlet import LslOutlet
-from biosensor_common.lsl_header import describe
+from biosensor_common.lsl_header import append_children, describe
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec, StreamSpec
-from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.counters import GATEWAY, Counters
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 # A stamp further off is not on the LSL clock at all; one of what had to wait may be older.

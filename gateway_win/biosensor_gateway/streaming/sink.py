@@ -14,8 +14,7 @@ from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.naming import source_id
 from biosensor_common.quantities import ChannelRole
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events.announcer import Announcer

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from biosensor_common.quantities import ContentType, Unit
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import SensorSpec, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.system.device_log import DeviceLog, Once

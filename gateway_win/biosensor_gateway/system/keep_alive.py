@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 
-from biosensor_common import relay
+from biosensor_common import nonblocking_writer
 from biosensor_common.child import Backoff, ending_in_words
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system import restart_notice
@@ -53,7 +53,7 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
 
 def keep_alive(arguments: Sequence[str]) -> int:
     """Supervise this program with other arguments; see :class:`KeepAlive`."""
-    console = relay.console(relay.STDERR, "console")
+    console = nonblocking_writer.console(nonblocking_writer.STDERR, "console")
 
     def tell(sentence: str) -> None:
         if console is not None:

@@ -18,10 +18,17 @@ from typing import TYPE_CHECKING, TextIO, cast
 import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
-from biosensor_common import relay
+from biosensor_common import nonblocking_writer
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.outflow import Outflow, missing
-from biosensor_common.relay import LAST_LINES_S, STDERR, STDOUT, console, relayed
+from biosensor_common.nonblocking_writer import (
+    LAST_LINES_S,
+    STDERR,
+    STDOUT,
+    NonblockingWriter,
+    console,
+    missing,
+    relayed,
+)
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.settings.places import STATE_VARIABLE
 from biosensor_gateway.system import state_file
@@ -59,15 +66,15 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
     """
 
     def __init__(
-        self, name: str, outflow: Outflow, encoding: str, terminal: int | None = None
+        self, name: str, writer: NonblockingWriter, encoding: str, terminal: int | None = None
     ) -> None:
-        super().__init__(_Lines(outflow, encoding))
+        super().__init__(_Lines(writer, encoding))
         self.set_name(name)
-        self.outflow = outflow
+        self.writer = writer
         self.encoding = encoding
         self.terminal = terminal
         self._is_held = False
-        outflow.notice = self._notice
+        writer.notice = self._notice
 
     def columns(self) -> int | None:
         """Width of the terminal; None if the output is not a terminal."""
@@ -78,24 +85,24 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
         """Format and queue the record, and log it once if the output is blocked."""
         handled = super().handle(record)
         # Not in emit, which holds the handler's lock: two such handlers could deadlock.
-        was_held, self._is_held = self._is_held, self.outflow.held_for_s > HELD_AFTER_S
+        was_held, self._is_held = self._is_held, self.writer.held_for_s > HELD_AFTER_S
         if self._is_held and not was_held:
             _log.warning(
-                f"the {self.outflow.name} takes no output; streaming goes on, and lines that "
+                f"the {self.writer.name} takes no output; streaming goes on, and lines that "
                 "do not fit are left out there"
             )
         return handled
 
     def close(self) -> None:
         """Wait a moment until the last lines are written."""
-        self.outflow.close(relay.LAST_LINES_S)
+        self.writer.close(nonblocking_writer.LAST_LINES_S)
         if self.terminal is not None:
             os.close(self.terminal)
             self.terminal = None
         super().close()
 
     def _notice(self, count: int) -> bytes:
-        text = missing(count, self.outflow.name)
+        text = missing(count, self.writer.name)
         record = logging.LogRecord(_LOGGER, logging.WARNING, "", 0, text, None, None)
         return f"{self.format(record)}{self.terminator}".encode(self.encoding, "backslashreplace")
 
@@ -103,11 +110,11 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
 class _Lines:
     """The stream to which `logging` writes."""
 
-    def __init__(self, outflow: Outflow, encoding: str) -> None:
-        self._outflow, self._encoding = outflow, encoding
+    def __init__(self, writer: NonblockingWriter, encoding: str) -> None:
+        self._writer, self._encoding = writer, encoding
 
     def write(self, text: str) -> None:
-        self._outflow.put(text.encode(self._encoding, "backslashreplace"))
+        self._writer.put(text.encode(self._encoding, "backslashreplace"))
 
 
 def console_handler(name: str) -> QueuedHandler | None:
@@ -120,14 +127,16 @@ def console_handler(name: str) -> QueuedHandler | None:
         descriptor = stream.fileno()
     except io.UnsupportedOperation:
         # An object without a descriptor, as in tests.
-        outflow = Outflow("console", lambda lines: stream.write(lines.decode(stream.encoding)))
-        return QueuedHandler(name, outflow, stream.encoding)
-    outflow = relay.console(descriptor, "console")
-    if outflow is None:
+        writer = NonblockingWriter(
+            "console", lambda lines: stream.write(lines.decode(stream.encoding))
+        )
+        return QueuedHandler(name, writer, stream.encoding)
+    writer = nonblocking_writer.console(descriptor, "console")
+    if writer is None:
         return None
     # A copy, because the descriptor itself is redirected while the console is relayed.
     terminal = os.dup(descriptor) if os.isatty(descriptor) else None
-    return QueuedHandler(name, outflow, stream.encoding, terminal)
+    return QueuedHandler(name, writer, stream.encoding, terminal)
 
 
 def file_handler(name: str, path: Path, max_bytes: int, keep_files: int) -> QueuedHandler:
@@ -140,7 +149,7 @@ def file_handler(name: str, path: Path, max_bytes: int, keep_files: int) -> Queu
     """
     file = _LogFile(path, maxBytes=max_bytes, backupCount=keep_files, encoding="utf-8", delay=True)
     _open_in_time(file)
-    return QueuedHandler(name, Outflow("log file", file.append, end=file.end), "utf-8")
+    return QueuedHandler(name, NonblockingWriter("log file", file.append, end=file.end), "utf-8")
 
 
 def _open_in_time(file: _LogFile) -> None:
@@ -226,7 +235,7 @@ class _Unbuffered(io.FileIO):
 
     def write(self, data: ReadableBuffer, /) -> int:
         left = memoryview(data)
-        relay.write_all(super().write, left)
+        nonblocking_writer.write_all(super().write, left)
         return left.nbytes
 
 
@@ -325,7 +334,7 @@ def _configure(level: int) -> None:
 
 def flush_logs(limit_s: float = LAST_LINES_S) -> bool:
     """Wait until everything is written, at most *limit_s* for each output; return whether it is."""
-    flushed = [handler.outflow.flush(limit_s) for handler in _own_handlers()]
+    flushed = [handler.writer.flush(limit_s) for handler in _own_handlers()]
     return all(flushed)
 
 
@@ -351,7 +360,7 @@ def console_relayed() -> Generator[Panel | None]:
     handler = next((each for each in _own_handlers() if each.get_name() == _CONSOLE), None)
     with contextlib.ExitStack() as stack:
         panel = stack.enter_context(_panel(handler))
-        stderr = handler.outflow if handler is not None else None
+        stderr = handler.writer if handler is not None else None
         # Other output to the same terminal has to appear above the panel as well.
         is_shared = panel is not None and os.isatty(STDOUT)
         stdout = stderr if is_shared else console(STDOUT, "console")
@@ -370,7 +379,7 @@ def _panel(handler: QueuedHandler | None) -> Generator[Panel | None]:
     terminal = handler.terminal
     with cursor_moves(terminal) as can_move:
         size = partial(terminal_size, terminal)
-        yield Panel(handler.outflow, size, handler.encoding) if can_move else None
+        yield Panel(handler.writer, size, handler.encoding) if can_move else None
 
 
 def _own_handlers() -> list[QueuedHandler]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine, Generator
 from types import FrameType
 from typing import Any, NoReturn
 
-from biosensor_common.ending import END_S, end_within
+from biosensor_common.process_limits import END_S, end_within
 
 
 def end_quietly_until_running() -> None:
@@ -63,9 +63,9 @@ async def until_signalled(
 
     with _signals_call(stop_from_any_thread, deaf_afterwards=task.cancelling):
         if sys.platform == "win32":
-            from biosensor_gateway.system import windows_shutdown
+            from biosensor_gateway.system import windows_session
 
-            windows_shutdown.watch(stop_from_any_thread)
+            windows_session.watch(stop_from_any_thread)
         with contextlib.suppress(asyncio.CancelledError):
             await task
 

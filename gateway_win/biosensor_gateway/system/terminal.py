@@ -16,7 +16,7 @@ from typing import NamedTuple, cast
 from rich.cells import cell_len, set_cell_size
 from structlog.typing import EventDict, WrappedLogger
 
-from biosensor_common.outflow import Outflow
+from biosensor_common.nonblocking_writer import NonblockingWriter
 from biosensor_common.terminal import wrapped
 
 FOR_PEOPLE = "for_people"
@@ -168,7 +168,7 @@ class Panel:
 
     Parameters
     ----------
-    outflow
+    writer
         Writer of the terminal, through which all output to it must go.
     size
         Returns the size of the terminal; None while it must not be drawn on, because another
@@ -178,25 +178,25 @@ class Panel:
     """
 
     def __init__(
-        self, outflow: Outflow, size: Callable[[], Size | None], encoding: str = "utf-8"
+        self, writer: NonblockingWriter, size: Callable[[], Size | None], encoding: str = "utf-8"
     ) -> None:
-        self._outflow, self._size, self._encoding = outflow, size, encoding
+        self._writer, self._size, self._encoding = writer, size, encoding
         self._render: Render = lambda _size: ()
         self._is_closed = False
         self._drawn: tuple[int, ...] = ()
         self._unfinished = b""
-        outflow.shape = self.shape
+        writer.shape = self.shape
 
     def show(self, render: Render) -> None:
         """Replace the lines of the panel; never blocks."""
         self._render = render
-        self._outflow.put_if_idle(b"")
+        self._writer.put_if_idle(b"")
 
     def close(self, last_line: str = "") -> None:
         """Remove the panel after everything before it is written; later calls have no effect."""
         if not self._is_closed:
             self._is_closed = True
-            self._outflow.put(self._encoded(f"{last_line}\n" if last_line else ""))
+            self._writer.put(self._encoded(f"{last_line}\n" if last_line else ""))
 
     def shape(self, lines: bytes) -> bytes:
         """Return the bytes that insert log lines above the panel and redraw the panel."""
@@ -207,7 +207,7 @@ class Panel:
             self._drawn = ()
             return whole
         start = self._start(size)
-        if self._outflow.is_behind and whole:
+        if self._writer.is_behind and whole:
             # More lines are waiting: the panel is drawn again after the last of them.
             self._drawn = ()
             return self._encoded(start + (_CLEAR_BELOW if start else "")) + whole

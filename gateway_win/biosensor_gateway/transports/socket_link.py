@@ -16,8 +16,7 @@ from collections.abc import Callable
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.link import Received, Receiver
-from biosensor_gateway.transports.threads import in_daemon_thread
-from biosensor_gateway.transports.traffic import Traffic
+from biosensor_gateway.transports.threads import Traffic, in_daemon_thread
 
 OPEN_TIMEOUT_S = 20.0
 WRITE_TIMEOUT_S = 2.0

@@ -10,7 +10,7 @@ from typing import List
 
 from launch import LaunchDescription
 
-from lsl_to_ros.launching import description
+from lsl_to_ros.launch_description import description
 
 ARGUMENTS = {
     "namespace": "namespace of the node and of its topics",

@@ -16,7 +16,7 @@ from lsl_to_ros import program
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
-from lsl_to_ros.lsl.readers import Pump
+from lsl_to_ros.lsl.inlets import Pump
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (
     ALIASES,
@@ -30,8 +30,7 @@ from lsl_to_ros.parameters.node import (
 )
 from lsl_to_ros.parameters.streams import Parameters
 from lsl_to_ros.reports.clock_pairs import CLOCK_PERIOD_S, ClockPairs
-from lsl_to_ros.reports.reporting import Reporting, stream_list
-from lsl_to_ros.reports.survey import Survey
+from lsl_to_ros.reports.reporter import Reporting, Survey, stream_list
 from lsl_to_ros.routing import Routing
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.topics.pacing import Pace, Pacer

@@ -17,9 +17,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError
-from biosensor_common.relay import console_relayed
+from biosensor_common.nonblocking_writer import console_relayed
+from biosensor_common.process_limits import end_within
 from biosensor_common.terminal import columns, wrapped
 from lsl_to_ros import ros_environment
 from lsl_to_ros.ros_environment import ensure_log_folder

@@ -15,11 +15,10 @@ from biosensor_common import naming
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
+from biosensor_common.ros.texts import clock_of, read_counters
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
-from biosensor_common.topic_text import clock_of, read_counters
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from biosensor_common.lsl.header import MAX_RATE_HZ
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, foreign_header
-from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.outputs import TYPES
 from biosensor_gateway.features.runs import Event
-from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.features.sources import FeatureError, Source, judge
 from tests.fuzz.contract import ensure
 
 _HEAD = struct.Struct("<BBf")

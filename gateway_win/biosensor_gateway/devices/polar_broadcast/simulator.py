@@ -16,11 +16,17 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     Strap,
     StrapDevice,
 )
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, on_part
-from biosensor_gateway.simulation.expected import NO_INTERVALS, NO_RATE, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    on_part,
+)
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.truth import NO_INTERVALS, NO_RATE, LossTolerance
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.world import World
 

@@ -16,7 +16,7 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     Setting,
 )
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
-from biosensor_gateway.simulation.expected import Contact
+from biosensor_gateway.simulation.truth import Contact
 from biosensor_gateway.simulation.virtual_device import Filled
 
 EXPECTED = replace(

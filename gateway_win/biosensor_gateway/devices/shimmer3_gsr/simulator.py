@@ -18,14 +18,14 @@ import numpy as np
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
 from biosensor_gateway.devices.shimmer.simulator.memory import Memory
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block, Meter
-from biosensor_gateway.simulation.expected import (
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,
     TELLS_ITS_RATE,
     Expected,
     Gap,
     LossTolerance,
 )
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 

@@ -16,8 +16,7 @@ from pylsl import local_clock
 
 from biosensor_common.lsl.header import header_or_foreign
 from biosensor_common.lsl.inlet import Connection, fetch_description
-from biosensor_common.lsl.namesakes import numbered
-from biosensor_common.lsl.network import Network, configure_lsl
+from biosensor_common.lsl.network import Network, configure_lsl, numbered
 from biosensor_common.lsl.predicates import EVERYTHING, Predicate
 from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT

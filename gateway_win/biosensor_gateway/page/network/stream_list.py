@@ -13,10 +13,9 @@ from pylsl import util
 
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.header import read_core
-from biosensor_common.lsl.namesakes import Namesakes, by_start
+from biosensor_common.lsl.network import SenderNumbers, by_start
 from biosensor_common.quantities import ContentType
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.stream_header import CoreFields
 from biosensor_gateway.page.network.stream import (
     CLOCK_WITHIN_S,
@@ -104,7 +103,7 @@ class StreamList:
         self._left_out = 0
         self._numbers = count(1)
         self._waiting: dict[str, float] = {}
-        self._namesakes = Namesakes()
+        self._numbers_of_senders = SenderNumbers()
 
     def update(self, infos: Iterable[pylsl.StreamInfo], now: float) -> list[Receiver]:
         """Update the list from a resolver; return the receivers that are to be closed.
@@ -162,7 +161,7 @@ class StreamList:
             for each in self.streams.values()
             if not (each.is_ours or each.is_gone(now)) and each.claim == claim
         }
-        return self._namesakes.number(info, live)
+        return self._numbers_of_senders.number(info, live)
 
     def _add(
         self, info: pylsl.StreamInfo, core: CoreFields, now: float, namesake: int, note: str

@@ -34,7 +34,7 @@ from biosensor_gateway.page.network.stream_list import (
     counted_by_source,
     is_counters,
 )
-from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.counters import GATEWAY
 
 _SLOW_PERIODS = 3
 _BYTES = {

@@ -19,8 +19,8 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
+from biosensor_gateway.agent.control import stop_agent
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.agent.stop import stop_agent
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.page.models import AgentState, Outcome, StatusView
 from biosensor_gateway.page.routes.devices import (

@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.agent.stop import stop_agent
+from biosensor_gateway.agent.control import stop_agent
 from biosensor_gateway.captures.draft import (
     AGREED,
     CONSENT,

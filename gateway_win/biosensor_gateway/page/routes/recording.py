@@ -13,7 +13,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.absences import Absence, absences, clock_time
+from biosensor_gateway.agent.device_states import Absence, absences, clock_time
 from biosensor_gateway.page.models import (
     Choice,
     Outcome,

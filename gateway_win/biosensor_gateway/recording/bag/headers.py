@@ -10,8 +10,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from biosensor_common import naming
-from biosensor_common.description_xml import xml_text
-from biosensor_common.lsl_header import MAX_CHANNELS
+from biosensor_common.lsl_header import MAX_CHANNELS, xml_text
 from biosensor_common.quantities import Category, ChannelFormat, MessageType
 from biosensor_common.spec import DeviceIdentity, is_data_name
 from biosensor_gateway.recording.bag.errors import MessageError

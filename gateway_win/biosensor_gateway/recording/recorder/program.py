@@ -8,17 +8,57 @@ thread; their output may be mixed in one line.
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import sys
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
 from biosensor_gateway.recording.recorder.request import RecorderError, RecorderReason
 from biosensor_gateway.recording.recorder.streams import VisibleStream
-from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.child import own_command
+
+_LONGEST = 32768
+
+
+def _fits(text: str) -> bool:
+    try:
+        text.encode("mbcs")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _short(text: str) -> str:
+    """Return the short (8.3) name of an existing path; empty if the disk has none."""
+    if sys.platform != "win32":
+        return ""
+    buffer = ctypes.create_unicode_buffer(_LONGEST)
+    length = ctypes.windll.kernel32.GetShortPathNameW(text, buffer, _LONGEST)
+    return buffer.value if 0 < length < _LONGEST else ""
+
+
+def ansi_folder(
+    folder: Path,
+    *,
+    is_windows: bool = sys.platform == "win32",
+    fits: Callable[[str], bool] = _fits,
+    short: Callable[[str], str] = _short,
+) -> Path | None:
+    """Return a name of an existing folder that any program can open; None if it has none.
+
+    Parameters
+    ----------
+    is_windows, fits, short
+        Properties of the system; tests replace them.
+    """
+    if not is_windows or fits(str(folder)):
+        return folder
+    named = short(str(folder))
+    return Path(named) if named and fits(named) else None
+
 
 RECORD_STREAMS = "record-streams"
 """First argument of our own receiver's command line."""

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from pylsl import util
 from pylsl.lib import lib
 
-from biosensor_common.ending import end_within
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.header import read_core
 from biosensor_common.lsl.inlet import (
@@ -41,7 +40,7 @@ from biosensor_common.lsl.inlet import (
 )
 from biosensor_common.lsl.network import Network, Streams, search
 from biosensor_common.lsl.sender_clocks import LIMIT_S, STEP_S, SenderClocks
-from biosensor_common.process_limits import limit_arenas
+from biosensor_common.process_limits import end_within, limit_arenas
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.recorder.program import NOTE
 from biosensor_gateway.recording.xdf import writing

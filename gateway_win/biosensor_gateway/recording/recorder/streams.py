@@ -12,8 +12,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.absences import Absence, absences, names
-from biosensor_gateway.agent.state import is_sending
+from biosensor_gateway.agent.device_states import Absence, absences, is_sending, names
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn, compare
@@ -25,7 +24,7 @@ from biosensor_gateway.recording.recorder.request import (
 )
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
-from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.counters import GATEWAY
 
 SEARCH_S = 2.0
 """Answers come in waves; LabRecorder itself searches for one second."""

@@ -17,10 +17,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
-from biosensor_gateway.recording.recorder.program import OWN, ProgramOutput, library_folder
+from biosensor_gateway.recording.recorder.program import (
+    OWN,
+    ProgramOutput,
+    ansi_folder,
+    library_folder,
+)
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
-from biosensor_gateway.system import windows_shutdown
-from biosensor_gateway.system.ansi_path import ansi_folder
+from biosensor_gateway.system import windows_session
 from biosensor_gateway.system.child import start_beside
 
 SUPERVISE = "keep-recording"
@@ -105,7 +109,7 @@ class _Supervisor:
             signal.signal(number, lambda _number, _frame: self._request_end())
         if sys.platform == "win32":
             # Otherwise Windows ends the recording program like any other, with its file open.
-            windows_shutdown.watch(self._request_end, before_others=True)
+            windows_session.watch(self._request_end, before_others=True)
         return process
 
     def _end(self, process: subprocess.Popen[bytes], recording: SavedRecording) -> str:

@@ -15,7 +15,7 @@ from pylsl.lib import lib
 
 from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.replay import Replay, mark_as_replay
+from biosensor_common.stream_header import Replay, mark_as_replay
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason
 from biosensor_gateway.recording.xdf.header import RecordedHeader

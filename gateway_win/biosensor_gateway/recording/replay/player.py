@@ -17,7 +17,7 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
-from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
+from biosensor_common.stream_header import Replay, recorded_source_id, replay_source_id
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.opening import extent
 from biosensor_gateway.recording.contents.stream import Samples, Stream

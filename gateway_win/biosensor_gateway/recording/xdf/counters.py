@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.refusals import LATELY_S
+from biosensor_common.refusal import LATELY_S
 
 # When the recorder stops it loses the samples of the last 0.5 s, and some devices send their
 # samples a second or two late.

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.state import CONNECTED, STATE_WORDS
+from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import Recording

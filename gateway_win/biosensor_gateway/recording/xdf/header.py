@@ -8,15 +8,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl_header import MAX_CHANNELS, read_channels, read_header
+from biosensor_common.lsl_header import MAX_CHANNELS, read_channels, read_header, read_xml
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
-from biosensor_common.replay import Replay
 from biosensor_common.ros_clock import KEY, ClockPair, read_clock_pair
 from biosensor_common.spec import DeviceIdentity
-from biosensor_common.stream_header import BLOCK, StreamHeader
+from biosensor_common.stream_header import BLOCK, Replay, StreamHeader
 from biosensor_gateway.recording.xdf.container import ChunkError
 
 MAX_XML_CHARACTERS = 64_000_000

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
 from biosensor_common.clocks import MonotonicStamps
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusals
 from biosensor_common.ros_clock import measure_clock_pair
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind

@@ -18,10 +18,9 @@ from collections.abc import Callable
 import pylsl
 from rclpy.node import Node
 
-from biosensor_common.description_xml import append_children
 from biosensor_common.errors import TransportError
 from biosensor_common.lsl.outlet import LslOutlet
-from biosensor_common.lsl_header import describe
+from biosensor_common.lsl_header import append_children, describe
 from biosensor_common.naming import NODE, lsl_name, source_id
 from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.ros_clock import NS_PER_S, STEP_NS, ClockPair, measure_clock_pair

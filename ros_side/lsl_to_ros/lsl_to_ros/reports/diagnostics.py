@@ -23,8 +23,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from biosensor_common import process_limits
 from biosensor_common.naming import AGENT, TopicName
-from biosensor_common.refusal import Level, Refusal
-from biosensor_common.refusals import Refusals, Refused
+from biosensor_common.refusal import Level, Refusal, Refusals, Refused
 from lsl_to_ros.statistics.load import LoadFacts
 from lsl_to_ros.statistics.losses import Delays, NodeCounters, can_estimate_losses
 from lsl_to_ros.statistics.stream_status import RATE_WINDOW_S, StreamStatus
@@ -181,7 +180,7 @@ def stream_facts(
     counters: NodeCounters = bridge.counters
     lost = counters.lost(can_estimate=can_estimate_losses(bridge.header))
     first = bridge.outputs.of_samples[0].publisher
-    not_taken_lately = status.outflow.look(first.lane.sent, first.lane.not_taken)
+    not_taken_lately = status.publishing.look(first.lane.sent, first.lane.not_taken)
     lost_lately, _ = status.recent(max(lost.count, 0), 0)
     return StreamFacts(
         topic=topic,
@@ -196,8 +195,8 @@ def stream_facts(
         silent_s=status.silence(counters.received),
         attached_s=monotonic() - status.begun_s,
         not_taken_lately=not_taken_lately,
-        published_hz=status.outflow.rate,
-        is_fast=status.outflow.is_fast,
+        published_hz=status.publishing.rate,
+        is_fast=status.publishing.is_fast,
         waited_s=status.take_oldest(),
         trouble=trouble,
     )

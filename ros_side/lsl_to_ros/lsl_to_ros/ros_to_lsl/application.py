@@ -26,24 +26,23 @@ from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros_clock import NS_PER_S, measure_clock_pair
 from lsl_to_ros import program
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID, peers_of
 from lsl_to_ros.reports.clock_pairs import events_outlet
-from lsl_to_ros.reports.reporting import Rhythm
+from lsl_to_ros.reports.reporter import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, are_named
 from lsl_to_ros.ros_to_lsl.parameters import TopicRequest, read_requests, stream_name
-from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
     node_status,
     topic_facts,
     topic_status,
 )
+from lsl_to_ros.ros_to_lsl.stamps import Offset
 from lsl_to_ros.ros_to_lsl.topic import Topic
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import TakenElsewhere, Taker

@@ -13,15 +13,21 @@ from time import time_ns
 from typing import Any, Generic, TypeVar
 
 from biosensor_common.errors import GatewayError
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros.layout import is_part
 from lsl_to_ros.ros_to_lsl.fields import FramedList, framed_list, frames_of, has_header, type_name
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
-from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, Offset
 from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
-from lsl_to_ros.ros_to_lsl.stamping import Doubt, MessageStamping, StampSource, doubt_of, worst_of
+from lsl_to_ros.ros_to_lsl.stamps import (
+    ClockState,
+    Doubt,
+    MessageStamping,
+    Offset,
+    StampSource,
+    doubt_of,
+    worst_of,
+)
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 

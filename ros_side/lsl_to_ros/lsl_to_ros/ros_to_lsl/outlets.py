@@ -24,12 +24,11 @@ from xml.etree.ElementTree import Element, SubElement
 import pylsl
 
 from biosensor_common import naming
-from biosensor_common.description_xml import append_children
 from biosensor_common.lsl.outlet import LslOutlet
+from biosensor_common.lsl_header import append_children
 from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_common.ros.layout import Channel
-from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
-from lsl_to_ros.ros_to_lsl.stamping import StampSource
+from lsl_to_ros.ros_to_lsl.stamps import ClockState, StampSource
 
 READY = "ros_to_lsl ready"
 """A marker sent when the first receiver connects. Some versions of the MATLAB loader cannot load a

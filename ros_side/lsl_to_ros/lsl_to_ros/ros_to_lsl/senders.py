@@ -11,8 +11,7 @@ from time import monotonic
 from typing import Any, Protocol, cast
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros.fields import NAMES, Field, FieldKind, all_fields
 from biosensor_common.ros.layout import Layout, LayoutChangedError, is_part
 from lsl_to_ros.ros_to_lsl.fields import FRAMES, bulk_of, fields_of

@@ -21,8 +21,7 @@ import numpy as np
 
 from biosensor_common.lsl.inlet import Stamps
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.stream_header import StreamHeader
 
 # Two samples whose stamps are further apart than this many periods are not neighbours.
@@ -313,7 +312,7 @@ class NodeCounters:
     delays
         Delays since the last report.
     clock
-        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.topic_text`; only one
+        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.ros.texts`; only one
         stream per device has it.
     """
 

@@ -47,7 +47,7 @@ class _Point(NamedTuple):
 FAST_HZ, USUAL_HZ = 4000.0, 3000.0
 
 
-class Outflow:
+class PublishingRate:
     """Tracks the published messages of one topic over the last 10 s."""
 
     def __init__(self) -> None:
@@ -89,7 +89,7 @@ class StreamStatus:
     received: int = 0
     heard_s: float = field(default_factory=monotonic)
     backlog: Backlog = field(default_factory=Backlog)
-    outflow: Outflow = field(default_factory=Outflow)
+    publishing: PublishingRate = field(default_factory=PublishingRate)
     oldest_s: float = 0.0
 
     def waited(self, age_s: float) -> None:

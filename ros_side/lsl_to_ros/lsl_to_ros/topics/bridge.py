@@ -18,8 +18,7 @@ from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.statistics.losses import Gap, GapFinder, NodeCounters
 from lsl_to_ros.statistics.ros_time import Stamping
 from lsl_to_ros.topics.publishers import TopicPublisher
-from lsl_to_ros.topics.runs import Run, part, split
-from lsl_to_ros.topics.writers import ChunkWriter, Writer
+from lsl_to_ros.topics.writers import ChunkWriter, Run, Writer, part, split
 
 # Limit of the runs that wait for the measurement of the sender's clock, which takes 0.7 s.
 HELD_RUNS = 10_000

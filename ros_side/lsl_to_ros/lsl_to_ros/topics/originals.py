@@ -19,11 +19,9 @@ from std_msgs.msg import Int32
 
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import MessageType
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from lsl_to_ros.topics.publishers import TopicPublisher
-from lsl_to_ros.topics.runs import Run
-from lsl_to_ros.topics.writers import NumberWriter, Writer
+from lsl_to_ros.topics.writers import NumberWriter, Run, Writer
 
 _TICKS_PER_S = 1024
 _UNITS_PER_G = 64

@@ -16,8 +16,7 @@ from typing import Any, cast
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 
 MOST_RATE_HZ = 100_000.0
 # Messages sent without a pause: as many as a busy computer reads at once of a stream without

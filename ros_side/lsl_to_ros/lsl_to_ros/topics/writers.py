@@ -6,22 +6,59 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.lsl.inlet import Block, Stamps
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
-from biosensor_common.refusal import Refusal
-from biosensor_common.refusals import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros import numbers
 from biosensor_common.ros.numbers import RawNumbers, StampedNumbers
 from biosensor_common.ros.standard_messages import StandardMessage
-from biosensor_common.ros.texts import StampedTexts, counters_message, raw_text
+from biosensor_common.ros.texts import StampedTexts, counters_message, raw_text, text_of
 from biosensor_common.stream_header import StreamHeader
-from biosensor_common.topic_text import text_of
 from lsl_to_ros.statistics.losses import Lost
 from lsl_to_ros.statistics.ros_time import Stamping
 from lsl_to_ros.topics.publishers import TopicPublisher
-from lsl_to_ros.topics.runs import Run
+
+
+class Run(NamedTuple):
+    """Consecutive samples of a block without a gap.
+
+    Attributes
+    ----------
+    samples, stamps
+        As in a block.
+    sequence
+        Number of the first sample: how many of this stream the node received before it.
+    """
+
+    samples: NDArray[Any]
+    stamps: Stamps
+    sequence: int
+
+
+def part(block: Block, start: int, end: int, sequence: int) -> Run:
+    """Return samples *start* to *end* of a block whose first sample has this number."""
+    return Run(block.samples[start:end], block.stamps[start:end], sequence + start)
+
+
+def split(run: Run, chosen: NDArray[np.bool_], *, alone: bool) -> list[Run]:
+    """Return the chosen samples as runs, each with consecutive numbers.
+
+    Parameters
+    ----------
+    alone
+        Whether each sample becomes a separate run.
+    """
+    if chosen.all() and not alone:
+        return [run]
+    places = np.flatnonzero(chosen)
+    breaks = np.arange(1, len(places)) if alone else np.flatnonzero(np.diff(places) > 1) + 1
+    block = Block(run.samples, run.stamps)
+    groups = np.split(places, breaks) if len(places) else []
+    return [part(block, int(group[0]), int(group[-1]) + 1, run.sequence) for group in groups]
 
 
 class StreamContext(NamedTuple):

@@ -26,14 +26,20 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
     damaged,
     encode,
 )
-from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, on_part, restart
-from biosensor_gateway.simulation.expected import NO_RATE, SAYS_WHAT_IT_IS, Expected
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    Effects,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    on_part,
+    restart,
+)
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.power import PowerSwitch
-from biosensor_gateway.simulation.radio_device import RADIO_EFFECTS
-from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.radio_device import RADIO_EFFECTS, PowerSwitch
+from biosensor_gateway.simulation.truth import NO_RATE, SAYS_WHAT_IT_IS, Expected, Truth
 from biosensor_gateway.simulation.virtual_device import Specimen, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 

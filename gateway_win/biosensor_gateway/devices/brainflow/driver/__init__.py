@@ -46,10 +46,8 @@ from biosensor_gateway.devices.brainflow.driver.emitter import (
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings, ShortText
-from biosensor_gateway.transports.early import Early
-from biosensor_gateway.transports.link import Received
-from biosensor_gateway.transports.threads import in_daemon_thread
-from biosensor_gateway.transports.traffic import Traffic
+from biosensor_gateway.transports.link import Early, Received
+from biosensor_gateway.transports.threads import Traffic, in_daemon_thread
 
 _BOARD = "_BOARD"
 

@@ -33,8 +33,7 @@ from biosensor_gateway.devices.emotibit.driver.link import (
 from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, Packet, Tag
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.transports.early import Early
-from biosensor_gateway.transports.link import Address
+from biosensor_gateway.transports.link import Address, Early
 
 PATIENCE_S = 3.0
 RATE_LIMIT_S = 2.0

@@ -19,11 +19,19 @@ from biosensor_gateway.devices.emotibit.simulator.rounds import (
     Rounds,
 )
 from biosensor_gateway.devices.emotibit.simulator.wire import Host
-from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    Effects,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    level,
+    on_part,
+)
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
+from biosensor_gateway.simulation.truth import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.devices.emotibit.simulator import wire
-from biosensor_gateway.simulation.effects import Effects, lasting
-from biosensor_gateway.simulation.faults import Untidiness
+from biosensor_gateway.simulation.faults import Effects, Untidiness, lasting
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Wearer
 

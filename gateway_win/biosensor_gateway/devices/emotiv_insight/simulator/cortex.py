@@ -58,16 +58,23 @@ from biosensor_gateway.devices.emotiv_insight.simulator.streams import (
     Stage,
     Stream,
 )
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import (
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    level,
+    on_part,
+)
+from biosensor_gateway.simulation.oscillator import Oscillator
+from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,
     TELLS_ITS_RATE,
     Contact,
     Expected,
     Gap,
 )
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 

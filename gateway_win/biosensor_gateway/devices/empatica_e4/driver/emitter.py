@@ -9,7 +9,7 @@ from math import inf
 from biosensor_gateway.devices.empatica_e4.driver.protocol import Sample, Stream
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
-from biosensor_gateway.transports.early import Early
+from biosensor_gateway.transports.link import Early
 
 ACC_COUNTS_PER_G = 64.0
 RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}

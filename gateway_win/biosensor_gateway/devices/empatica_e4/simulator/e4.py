@@ -30,12 +30,18 @@ from biosensor_gateway.devices.empatica_e4.simulator.wire import (
     WallClock,
 )
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Timing, Wristband
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import ONE_RATE, Expected, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    level,
+    on_part,
+)
 from biosensor_gateway.simulation.glue import glued
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
-from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.truth import ONE_RATE, Expected, LossTolerance, Truth
 from biosensor_gateway.simulation.virtual_device import (
     Filled,
     Link,

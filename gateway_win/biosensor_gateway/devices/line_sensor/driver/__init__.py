@@ -32,10 +32,9 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.device_log import DeviceLog, Once
 from biosensor_gateway.transports.byte_links import byte_link
-from biosensor_gateway.transports.early import Early
-from biosensor_gateway.transports.link import Address, ByteLink, Received
+from biosensor_gateway.transports.link import Address, ByteLink, Early, Received
+from biosensor_gateway.transports.ports import UdpPort
 from biosensor_gateway.transports.tap import byte_link_of, text_link_of
-from biosensor_gateway.transports.udp_port import UdpPort
 from biosensor_gateway.transports.websocket import WebSocketLink
 
 PATIENCE_S = 0.35

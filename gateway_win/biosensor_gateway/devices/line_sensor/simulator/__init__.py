@@ -25,10 +25,16 @@ from biosensor_gateway.devices.line_sensor.simulator.ways import (
     Way,
     WebSocket,
 )
-from biosensor_gateway.simulation.effects import Effect, Effects, flag, lasting
-from biosensor_gateway.simulation.expected import NO_INTERVALS, Expected, Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    Effects,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+)
 from biosensor_gateway.simulation.oscillator import Oscillator
+from biosensor_gateway.simulation.truth import NO_INTERVALS, Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 

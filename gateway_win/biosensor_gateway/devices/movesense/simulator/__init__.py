@@ -25,11 +25,18 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
 )
 from biosensor_gateway.devices.movesense.simulator import wire
 from biosensor_gateway.devices.movesense.simulator.wire import FULL_MTU, Resource
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    level,
+    on_part,
+)
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.truth import Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World

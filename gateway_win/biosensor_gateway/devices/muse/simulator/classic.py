@@ -11,8 +11,7 @@ from typing import NamedTuple, Unpack
 import numpy as np
 
 from biosensor_gateway.devices.muse.simulator.headband import CLASSIC, Headband, uuid
-from biosensor_gateway.simulation.effects import lasting
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import FaultKind, lasting
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Floats

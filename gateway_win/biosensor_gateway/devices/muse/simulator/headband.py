@@ -21,8 +21,11 @@ from bumble.core import UUID
 from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
-from biosensor_gateway.simulation.effects import Effect, flag, level
-from biosensor_gateway.simulation.expected import (
+from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, flag, level
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.radio_device import RadioDevice
+from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,
     ONE_RATE,
     USUALLY_IMPOSSIBLE,
@@ -30,10 +33,6 @@ from biosensor_gateway.simulation.expected import (
     Gap,
     LossTolerance,
 )
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.radio_device import RadioDevice
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World

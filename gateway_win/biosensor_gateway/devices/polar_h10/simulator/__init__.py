@@ -26,11 +26,18 @@ from biosensor_gateway.devices.polar_h10.simulator.products import (
     Product,
     Quirks,
 )
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import TELLS_ITS_RATE, Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    level,
+    on_part,
+)
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.truth import TELLS_ITS_RATE, Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.world import World
 

@@ -46,15 +46,14 @@ from biosensor_gateway.devices.shimmer.simulator.sensors import (
 )
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block
 from biosensor_gateway.devices.shimmer.simulator.wire import OLDER_SHIMMER3, SHIMMER3R
-from biosensor_gateway.simulation.effects import Effects
-from biosensor_gateway.simulation.expected import (
+from biosensor_gateway.simulation.faults import Effects, FaultKind, Untidiness
+from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,
     TELLS_ITS_RATE,
     Expected,
     Gap,
     LossTolerance,
 )
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 

@@ -33,8 +33,7 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     in_unknown_kind,
     sealed,
 )
-from biosensor_gateway.simulation.effects import Effect, lasting
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, lasting
 from biosensor_gateway.simulation.glue import glued
 from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.patient_port import PatientPort

@@ -15,19 +15,26 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 from numpy.typing import NDArray
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
-from biosensor_gateway.simulation.effects import Effect, flag, lasting, level, on_part
-from biosensor_gateway.simulation.expected import (
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    lasting,
+    level,
+    on_part,
+)
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.radio_device import RadioDevice
+from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,
     TELLS_ITS_RATE,
     Contact,
     Expected,
     LossTolerance,
+    Truth,
 )
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.radio_device import RadioDevice
-from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World

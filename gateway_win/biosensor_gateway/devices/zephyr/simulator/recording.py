@@ -26,8 +26,8 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     crc8,
     duration_ms,
 )
-from biosensor_gateway.simulation.expected import USUALLY_IMPOSSIBLE, Expected
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.truth import USUALLY_IMPOSSIBLE, Expected
 from biosensor_gateway.simulation.virtual_device import IMPOSSIBLE, Filled
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World

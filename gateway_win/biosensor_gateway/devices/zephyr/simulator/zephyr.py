@@ -27,11 +27,9 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     general,
     summary_v2,
 )
-from biosensor_gateway.simulation.effects import Effect, lasting, level
-from biosensor_gateway.simulation.expected import ONE_RATE, Expected, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, lasting, level
 from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.truth import ONE_RATE, Expected, LossTolerance, Truth
 from biosensor_gateway.simulation.virtual_device import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World

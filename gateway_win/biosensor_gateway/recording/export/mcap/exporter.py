@@ -23,10 +23,10 @@ from biosensor_common.ros.texts import (
     StampedTexts,
     counters_message,
     raw_text,
+    text_of,
 )
 from biosensor_common.ros_clock import MAX_TIME_S, NS_PER_S
 from biosensor_common.topic_shape import queue_depth
-from biosensor_common.topic_text import text_of
 from biosensor_gateway.recording.bag.recorded_streams import (
     TOPIC,
     RecordedClock,

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from biosensor_common.outflow import Outflow
+from biosensor_common.nonblocking_writer import NonblockingWriter
 
 pytestmark = pytest.mark.nightly
 
@@ -29,12 +29,12 @@ class Held:
     def end(self) -> None:
         self.ended += 1
 
-    def outflow(self, most_bytes: int) -> Outflow:
+    def writer(self, most_bytes: int) -> NonblockingWriter:
         """Return one whose thread stands in the write of a first line."""
-        outflow = Outflow("disk", self.write, end=self.end, most_bytes=most_bytes)
-        outflow.put(b"first\n")
+        writer = NonblockingWriter("disk", self.write, end=self.end, most_bytes=most_bytes)
+        writer.put(b"first\n")
         assert self.is_asked.wait(DEADLINE_S)
-        return outflow
+        return writer
 
 
 @pytest.fixture
@@ -43,44 +43,44 @@ def held() -> Held:
 
 
 def test_what_does_not_fit_is_counted_in_its_place(held: Held) -> None:
-    outflow = held.outflow(most_bytes=12)
+    writer = held.writer(most_bytes=12)
     # Once it was full it takes nothing, however short, until half of it is gone.
     for line in (b"1\n", b"2345\n", b"two\nlines too many\n", b"3\n"):
-        outflow.put(line)
+        writer.put(line)
     held.is_released.set()
-    assert outflow.flush(DEADLINE_S)
-    outflow.put(b"4\n")
-    assert outflow.close(DEADLINE_S)
+    assert writer.flush(DEADLINE_S)
+    writer.put(b"4\n")
+    assert writer.close(DEADLINE_S)
     said = b"[3 lines are missing here: the disk took no output]\n"
     assert held.lines == [b"first\n", b"1\n", b"2345\n", said, b"4\n"]
     assert held.ended == 1
 
 
 def test_what_is_missing_at_the_end_is_said_as_well(held: Held) -> None:
-    outflow = held.outflow(most_bytes=2)
-    outflow.put(b"1\n")
-    outflow.put(b"2\n")
+    writer = held.writer(most_bytes=2)
+    writer.put(b"1\n")
+    writer.put(b"2\n")
     held.is_released.set()
-    assert outflow.close(DEADLINE_S)
+    assert writer.close(DEADLINE_S)
     said = b"[1 line is missing here: the disk took no output]\n"
     assert held.lines == [b"first\n", b"1\n", said]
 
 
 def test_a_line_that_is_longer_than_the_queue_goes_through_alone(held: Held) -> None:
-    outflow = held.outflow(most_bytes=2)
-    outflow.put(b"much too long\n")
+    writer = held.writer(most_bytes=2)
+    writer.put(b"much too long\n")
     held.is_released.set()
-    assert outflow.close(DEADLINE_S)
+    assert writer.close(DEADLINE_S)
     assert held.lines == [b"first\n", b"much too long\n"]
 
 
 def test_a_held_output_ends_nobody_s_patience_twice(held: Held) -> None:
-    outflow = held.outflow(most_bytes=100)
-    assert outflow.held_for_s > 0
-    assert not outflow.flush(0.01)
-    assert not outflow.close(0.01)
+    writer = held.writer(most_bytes=100)
+    assert writer.held_for_s > 0
+    assert not writer.flush(0.01)
+    assert not writer.close(0.01)
     # It would wait for ever if it counted.
-    assert not outflow.close(threading.TIMEOUT_MAX)
+    assert not writer.close(threading.TIMEOUT_MAX)
     assert held.ended == 0
     held.is_released.set()
 
@@ -88,19 +88,19 @@ def test_a_held_output_ends_nobody_s_patience_twice(held: Held) -> None:
 @pytest.mark.seam
 def test_lines_of_many_threads_stay_whole_and_each_in_its_order() -> None:
     lines: list[bytes] = []
-    outflow = Outflow("disk", lines.append)
+    writer = NonblockingWriter("disk", lines.append)
 
     def put(name: int) -> None:
         for number in range(500):
-            outflow.put(b"%d %d\n" % (name, number))
+            writer.put(b"%d %d\n" % (name, number))
 
     threads = [threading.Thread(target=put, args=[name]) for name in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert outflow.close(DEADLINE_S)
-    assert outflow.held_for_s == 0.0
+    assert writer.close(DEADLINE_S)
+    assert writer.held_for_s == 0.0
     for name in range(4):
         own = [line for line in lines if line.startswith(b"%d " % name)]
         assert own == [b"%d %d\n" % (name, number) for number in range(500)]
@@ -115,8 +115,8 @@ def test_an_output_that_refuses_is_tried_again_with_the_next_line(refusal: Excep
             raise refusal
         lines.append(line)
 
-    outflow = Outflow("disk", write)
+    writer = NonblockingWriter("disk", write)
     for line in (b"good\n", b"bad\n", b"better\n"):
-        outflow.put(line)
-    assert outflow.close(DEADLINE_S)
+        writer.put(line)
+    assert writer.close(DEADLINE_S)
     assert lines == [b"good\n", b"better\n"]
