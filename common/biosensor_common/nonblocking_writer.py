@@ -4,7 +4,6 @@ Ctrl-S, a selection in a Windows console or a stalled network blocks a terminal,
 hang. A thread that wrote to it directly would be blocked for as long. liblsl, rcutils and DDS write
 directly to the file descriptors, some while they hold a lock or Python's GIL: a blocked terminal
 would then block all their threads.
-
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 Linux as it is installed lets a program open 1024 files, and macOS 256, unless the program itself
 asks for more. docs/measurements.md has the descriptors of an outlet and of an inlet.
-
 """
 
 from __future__ import annotations

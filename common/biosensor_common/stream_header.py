@@ -9,7 +9,6 @@ The block of a replay is below ``desc``, in addition to the unchanged recorded d
 
 The stream's own source_id begins with :data:`PREFIX`, so that no receiver takes it for the
 recorded stream. Blocks come from the network or a file and are not trusted.
-
 """
 
 from __future__ import annotations

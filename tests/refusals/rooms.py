@@ -12,7 +12,6 @@ _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway
 _PATTERNS = (
     f"{_COMMON}/lsl/inlet.py",
     f"{_COMMON}/lsl/network.py",
-    f"{_COMMON}/lsl/network.py",
     f"{_COMMON}/lsl/sender_clocks.py",
     f"{_COMMON}/ros/layout.py",
     f"{_NODE}/lsl/*.py",
@@ -21,11 +20,11 @@ _PATTERNS = (
     f"{_NODE}/routing.py",
     f"{_NODE}/subscriber_thread.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
-        "application", "bridge", "graph", "node", "outlets", "publisher_clock", "reports",
-        "senders", "stamping", "topic",
+        "application", "bridge", "graph", "node", "outlets", "reports",
+        "senders", "stamps", "topic",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
-        "gateway", "markers", "outlets", "silence", "sink", "stages",
+        "counters", "markers", "outlets", "silence", "sink", "stages",
     )),
     f"{_AGENT}/streaming/events/*.py",
     f"{_AGENT}/agent/markers.py",

@@ -3,7 +3,6 @@
 People copy a source_id from an example into several scripts. The first sender has the stream's
 own name, the second ``<name>_2`` and so on. A number is bound to the sender's computer, format and
 shape, if these differ, so that the sender gets it again after a restart of it or the node.
-
 """
 
 from __future__ import annotations

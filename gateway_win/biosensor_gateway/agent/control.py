@@ -1,7 +1,6 @@
 """Commands the running agent of the same user, by the control channel, and ends an agent.
 
 An agent can also be ended after it has crashed, while it is about to be restarted.
-
 """
 
 from __future__ import annotations

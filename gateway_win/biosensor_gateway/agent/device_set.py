@@ -13,9 +13,9 @@ import structlog
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.selection import device_name
-from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import (
     ClockStatus,
     DeclaredStream,

@@ -7,7 +7,6 @@ itself. It asks known peers on only ``PortRange`` ports; the default of 32 is en
 
 An existing file is edited line by line, so that its other settings and its comments stay
 as they are.
-
 """
 
 from __future__ import annotations

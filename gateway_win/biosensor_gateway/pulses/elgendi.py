@@ -10,7 +10,6 @@ References
    from emergency responders in tropical conditions", PLoS ONE 8 (2013) e76585.
 .. [2] M. Elgendi, "Optimal signal quality index for photoplethysmogram signals", Bioengineering
    3 (2016) 21.
-
 """
 
 from __future__ import annotations
