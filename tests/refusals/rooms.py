@@ -24,7 +24,7 @@ _PATTERNS = (
         "senders", "stamps", "topic",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
-        "counters", "markers", "outlets", "silence", "sink", "stages",
+        "markers", "outlets", "silence", "sink", "stages",
     )),
     f"{_AGENT}/streaming/events/*.py",
     f"{_AGENT}/agent/markers.py",

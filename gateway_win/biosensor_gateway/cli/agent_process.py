@@ -18,8 +18,8 @@ import structlog
 import typer
 
 from biosensor_common.child import Backoff, close_input, ending_in_words, send, wait_or_kill
-from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_common.process_limits import end_within
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.device_set import ReadSettings
