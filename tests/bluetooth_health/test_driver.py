@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.bluetooth_health import SPEC
 from biosensor_gateway.devices.bluetooth_health.driver import recognise
 from biosensor_gateway.devices.bluetooth_health.driver.services import (

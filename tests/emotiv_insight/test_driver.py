@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
 from biosensor_gateway.devices.emotiv_insight.simulator import (

@@ -17,24 +17,28 @@ from numpy.typing import NDArray
 from pylsl import util
 
 from biosensor_common import naming
-from biosensor_common.description_xml import append_children
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl import inlet as inlet_module
 from biosensor_common.lsl.inlet import read_description
-from biosensor_common.lsl_header import describe, read_header
+from biosensor_common.lsl_header import append_children, describe, read_header
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
-from biosensor_common.replay import Replay
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
-from biosensor_common.stream_header import CoreFields, Derived, StreamHeader, foreign_header
+from biosensor_common.stream_header import CoreFields, Derived, Replay, StreamHeader, foreign_header
 from biosensor_common.table import channels, raw
 from biosensor_gateway.devices.muse import SPEC as MUSE
 from biosensor_gateway.features import live as live_module
-from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.even_stamps import EvenStamps
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.live import DUPLICATE_S, SETTLED_S, SILENT_S, Live
 from biosensor_gateway.features.outputs import TYPES
-from biosensor_gateway.features.sources import Source, Taken, choose, judge
+from biosensor_gateway.features.sources import (
+    FeatureError,
+    FeatureReason,
+    Source,
+    Taken,
+    choose,
+    judge,
+)
 from tests.features import signals
 from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, measured, overlaps, without
 

@@ -10,7 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
 from biosensor_gateway.devices.movesense import SPEC

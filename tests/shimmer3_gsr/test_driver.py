@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.shimmer.driver import connection as module
 from biosensor_gateway.devices.shimmer.driver import conversation

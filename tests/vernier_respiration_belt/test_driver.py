@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
 from biosensor_gateway.devices.driver import Found

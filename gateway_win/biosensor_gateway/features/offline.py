@@ -13,11 +13,17 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.features.sources import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event
-from biosensor_gateway.features.sources import Source, Taken, choose, judge
+from biosensor_gateway.features.sources import (
+    FeatureError,
+    FeatureReason,
+    Source,
+    Taken,
+    choose,
+    judge,
+)
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream

@@ -14,8 +14,8 @@ from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError, GatewayError
+from biosensor_common.process_limits import end_within
 from biosensor_gateway.page.instance import (
     ADDRESS,
     IS_SHARED,

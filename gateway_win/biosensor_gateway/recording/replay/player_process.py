@@ -16,9 +16,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.ending import end_within
 from biosensor_common.errors import GatewayError
 from biosensor_common.lsl.network import configure_lsl
+from biosensor_common.process_limits import end_within
 from biosensor_gateway.agent.feed import ReaderQueue
 from biosensor_gateway.agent.feed_frames import FrameKind, frame
 from biosensor_gateway.agent.sample_frames import samples_frame
