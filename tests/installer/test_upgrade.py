@@ -85,7 +85,10 @@ def test_a_running_agent_ends_cleanly_first(installed: WindowsPc, setup: Path) -
     installed.prefix.settle()
     lines = (installed.user_folder / LOG).read_text("utf-8").splitlines()
     events = [json.loads(line)["event"] for line in lines]
-    assert events[-2:] == ["a command came", "the computer may go to sleep again"]
+    ending = ["a command came", "the computer may go to sleep again"]
+    # On a busy computer a packet that comes late may be told of between them.
+    assert [each for each in events if each in ending][-2:] == ending
+    assert events[-1] == ending[-1]
     assert not (installed.user_folder / "control.json").exists()
     assert not stale.exists()
     assert installed.program.is_file()
