@@ -28,7 +28,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 from biosensor_gateway.system.cloud_folders import cloud_of, recordings_folder, warnings_of
-from biosensor_gateway.system.new_file import new_file
+from biosensor_gateway.system.new_file import new_file, new_place
 
 # A file is there whole or not at all, and never in the place of another.
 
@@ -52,6 +52,16 @@ def test_it_has_its_name_when_it_is_whole(like: Path, tmp_path: Path) -> None:
         assert not path.exists()
     assert path.read_bytes() == b"first\n"
     assert names(tmp_path) == {"like", "new"}
+
+
+def test_a_place_that_is_taken_is_refused_before_anything_is_made(
+    like: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "taken"
+    path.mkdir()
+    with pytest.raises(FileExistsError), new_place(path, like):
+        pytest.fail("something was made")
+    assert names(tmp_path) == {"like", "taken"}
 
 
 def test_after_an_error_nothing_is_left(like: Path, tmp_path: Path) -> None:

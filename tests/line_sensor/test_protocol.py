@@ -13,7 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.line_sensor.driver import row_protocol
-from biosensor_gateway.devices.line_sensor.driver.protocol import CHECKSUMS, BadLine, Flaw, Row
+from biosensor_gateway.devices.line_sensor.driver.protocol import (
+    CHECKSUMS,
+    MAX_LINE_BYTES,
+    BadLine,
+    Flaw,
+    Row,
+)
 from biosensor_gateway.devices.line_sensor.simulator import crc16
 from tests.line_sensor.conftest import line_settings
 
@@ -144,6 +150,17 @@ def test_a_line_that_does_not_fit_says_why_and_does_no_harm(
     assert isinstance(bad, BadLine)
     assert (bad.flaw, bad.size) == (flaw, len(data))
     assert words in bad.why
+
+
+def test_of_a_line_that_never_ends_only_its_length_is_kept() -> None:
+    protocol = row_protocol(line_settings())
+    for _ in range(20):
+        assert protocol.feed(b"1" * 1000) == []
+        assert protocol.buffered <= MAX_LINE_BYTES
+    bad, row = protocol.feed(b"\n1,2\n")
+    assert isinstance(bad, BadLine)
+    assert (bad.flaw, bad.size) == (Flaw.TOO_LONG, 20_001)
+    assert row == (1.0, 2.0)
 
 
 @given(st.binary(max_size=200), st.sampled_from(["csv", "json"]))

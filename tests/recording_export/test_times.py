@@ -446,3 +446,11 @@ def test_a_burst_that_was_lost_ends_a_run(exported: Exporting) -> None:
         "strap_run1.txt": LOST_BURST * BURST,
         "strap_run2.txt": (BURSTS - LOST_BURST - 1) * BURST,
     }
+
+
+@pytest.mark.parametrize(
+    ("lost", "text"),
+    [([1], "1 gap, about 1 sample missing"), ([2, 3], "2 gaps, about 5 samples missing")],
+)
+def test_gaps_are_told_with_all_that_is_missing(lost: list[int], text: str) -> None:
+    assert runs.gap_text(lost) == text
