@@ -113,7 +113,10 @@ def _quit(address: str) -> None:
     cookie = opened.headers["Set-Cookie"].partition(";")[0]
     headers = {"Cookie": cookie, "Origin": origin, "Content-Type": "application/json"}
     connection.request("POST", "/api/v1/quit", b'{"rest": "end"}', headers)
-    assert connection.getresponse().status == 200
+    answer = connection.getresponse()
+    answer.read()
+    connection.close()
+    assert answer.status == 200
 
 
 def _said_until(process: subprocess.Popen[str], sign: re.Pattern[str]) -> str:
