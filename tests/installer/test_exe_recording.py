@@ -112,6 +112,8 @@ def _is_whole(file: Path) -> bool:
     return summarize(file).is_closed
 
 
+# LabRecorder's program has 20 s to find a hundred streams, and misses some beside other tests.
+@pytest.mark.alone
 def test_all_virtual_sensors_are_recorded(pc: Pc) -> None:
     with recording(pc, "all", "all") as (agent, begun):
         assert [each for each in begun["warnings"] if "records instead" in each] == []
