@@ -35,7 +35,7 @@ LONG_LIMIT_S = 0.15
 """Data are missed meanwhile, and asked for again. Of a frame from before the stop and one from
 behind it nothing tells, if a tenth of a frame is missing between them: Verity Sense has frames of
 73 samples at 52 Hz."""
-LONGEST_BUNDLES_S = (12.0, 17.0, 25.0)
+LONGEST_BUNDLES_S = (9.0, 10.0, 12.0, 17.0, 25.0)
 """The connection is made again, once or more, while what was sent on it waits."""
 LINKED = [
     each

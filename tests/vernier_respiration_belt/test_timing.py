@@ -312,6 +312,20 @@ def test_what_is_held_back_is_released_at_the_end() -> None:
     assert world.numbering.release() == []
 
 
+@pytest.mark.parametrize("left", range(1, HELD_PACKETS))
+def test_the_last_of_what_was_stored_is_where_the_others_are(left: int) -> None:
+    world = World(1)
+    world.packets(WARM_UP)
+    stored = 4 * HELD_PACKETS + left
+    arrival_s = world.true_s(world.index + stored) + 2.0
+    for _ in range(stored):
+        world.packet(not_before_s=arrival_s)
+    world.take(world.numbering.release())
+    missing, wrong = world.missing_and_misplaced()
+    assert (world.lost, missing, len(world.placed)) == (0, 0, WARM_UP + stored)
+    assert max(wrong) < 1e-6
+
+
 @given(st.integers(0, 99), st.floats(1.0, 50.0))
 def test_after_a_new_start_time_goes_on_at_the_hosts_clock(seed: int, gap_s: float) -> None:
     world = World(seed)

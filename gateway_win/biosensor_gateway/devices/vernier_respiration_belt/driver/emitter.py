@@ -100,6 +100,7 @@ class Numbering:
         self._suspicious = False
         self._may_be_stored = False
         self._arrival_s = -math.inf
+        self._stored_s = -math.inf
         self._held: list[Arrived] = []
 
     def restart(self, period_s: float) -> None:
@@ -137,9 +138,15 @@ class Numbering:
 
     def release(self) -> list[Placed]:
         """Return the packets held back, because no more packets arrive."""
-        if not self._held or _is_backlog(self._held, self._period_s):
+        if not self._held or self._ends_backlog or _is_backlog(self._held, self._period_s):
             return self._place_held(len(self._held))
         return self._place_by_pauses(least=1)
+
+    @property
+    def _ends_backlog(self) -> bool:
+        """Whether the packets held back arrived right behind stored ones, however few they are."""
+        held_s = sum(packet.samples for packet in self._held) * self._period_s
+        return self._held[-1].arrival_s - self._stored_s < BACKLOG_PACE * held_s
 
     def _place_first(self, packet: Arrived) -> Placed:
         """Continue at the host's time, because a start can happen at any moment."""
@@ -162,6 +169,7 @@ class Numbering:
             if _is_backlog(self._held[:HELD_PACKETS], self._period_s):
                 # Whether the backlog is complete is only known later.
                 self._may_be_stored = True
+                self._stored_s = self._held[HELD_PACKETS - 1].arrival_s
                 placed += self._place_held(HELD_PACKETS)
                 continue  # nothing is dropped: they are placed
             lost = self._missing(0, HELD_PACKETS)
