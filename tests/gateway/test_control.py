@@ -1,4 +1,4 @@
-"""The control channel: what is asked reaches the agent, whatever else arrives is refused."""
+"""The control channel: what is asked reaches the agent, and what came early is kept."""
 
 from __future__ import annotations
 
@@ -29,6 +29,9 @@ from biosensor_gateway.agent import control, control_server
 from biosensor_gateway.agent.control import CONTROL_FILE, ask
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.single_instance import LOCK_FILE, single_instance
+from biosensor_gateway.transports.link import Early
+
+# The control channel: what is asked reaches the agent, whatever else arrives is refused.
 
 DEADLINE_S = 30.0
 NO_AGENT = "no agent is running; start one with: biosensor-gateway run"
@@ -428,3 +431,28 @@ def test_an_agent_that_is_stuck_does_not_answer(folder: Path, is_listening: bool
         error = transport_error(folder)
     assert error.reason is TransportReason.SILENT
     assert token not in str(error)
+
+
+# What came early is kept in order up to a limit, and given out once.
+def test_it_is_taken_once_and_in_order() -> None:
+    early = Early[str](9)
+    assert not early
+    early.keep("a")
+    early.keep("b", "c")
+    assert early
+    assert early.take() == ["a", "b", "c"]
+    assert not early
+    assert early.take() == []
+    early.keep("d")
+    assert early.take() == ["d"]
+
+
+@pytest.mark.parametrize(("is_newest_kept", "kept"), [(False, [1, 2, 3]), (True, [3, 4, 5])])
+@pytest.mark.parametrize("together", [True, False])
+def test_there_is_room_for_so_many(is_newest_kept: bool, kept: list[int], together: bool) -> None:
+    early = Early[int](3, is_newest_kept=is_newest_kept)
+    for part in [(1, 2, 3, 4, 5)] if together else [(1, 2), (3, 4), (5,)]:
+        early.keep(*part)
+    assert early.take() == kept
+    early.keep(6)
+    assert early.take() == [6]

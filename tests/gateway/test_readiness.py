@@ -1,4 +1,4 @@
-"""Which devices are ready, and which streams a killed run knew."""
+"""Which devices are ready or absent, and which streams a killed run knew."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,13 +19,16 @@ from structlog.testing import capture_logs
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import FRESH_S, STREAMS_FILE, KnownStreams
+from biosensor_gateway.agent.device_states import State, absences, clock_time, names
 from biosensor_gateway.agent.readiness import Readiness, steady_streams, wait_until_ready
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.registry import declaration, sensor_title
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.faults import expectations
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
+
+# Which devices are ready, and which streams a killed run knew.
 
 # When the devices of an agent count as ready.
 
@@ -345,3 +349,70 @@ def test_a_folder_that_cannot_be_written_is_said_once(tmp_path: Path, sinks: Mak
             sink.open(INFO, RATES)
             known.store()
     assert [each["log_level"] for each in logs] == ["warning"]
+
+
+# What is said of a device that does not stream, and since when.
+STRAP = sensor_title("polar_h10")
+
+
+def absent(**changes: Any) -> dict[str, Any]:
+    usual: dict[str, Any] = {
+        "sensor": "polar_h10",
+        "unit": "A1",
+        "participant": "P03",
+        "label": "",
+        "state": "streaming",
+        "paused": False,
+        "error": None,
+        "since": None,
+        "streams": {"P03@polar_h10-ecg": {}},
+    }
+    return usual | changes
+
+
+def at(hour: int, minute: int) -> float:
+    today = datetime.now().astimezone()
+    return today.replace(hour=hour, minute=minute, second=7, microsecond=0).timestamp()
+
+
+def test_a_device_that_streams_is_not_named() -> None:
+    assert absences([absent()]) == ()
+
+
+def test_a_pause_is_named_with_its_person_and_its_time() -> None:
+    (found,) = absences([absent(paused=True, since=at(14, 3))])
+    assert found.sentence == f"P03's {STRAP} is paused since 14:03"
+    assert (found.is_paused, found.is_partial) == (True, False)
+    assert found.sources == {"P03@polar_h10-ecg"}
+
+
+@pytest.mark.parametrize("state", [each for each in State if each is not State.STREAMING])
+def test_every_other_state_is_told(state: State) -> None:
+    (found,) = absences([absent(state=state.value, since=at(9, 5), error="it was refused")])
+    assert found.sentence.startswith(f"P03's {STRAP} ")
+    assert found.sentence.endswith(" since 09:05: it was refused")
+    assert not found.is_partial
+
+
+def test_of_one_that_streams_in_part_the_reason_is_told() -> None:
+    (found,) = absences([absent(error="no data of acc")])
+    assert found.sentence == f"P03's {STRAP} streams, but: no data of acc"
+    assert (found.is_partial, found.sources) == (True, frozenset())
+
+
+def test_an_agent_of_before_says_no_time() -> None:
+    old = absent(state="connecting")
+    del old["since"]
+    (found,) = absences([old])
+    assert found.sentence == f"P03's {STRAP} is not connected"
+
+
+def test_two_of_a_name_are_told_apart() -> None:
+    two = [absent(), absent(unit="B2"), absent(label="left"), absent(participant="")]
+    assert names(two) == [f"P03 {STRAP} A1", f"P03 {STRAP} B2", f"P03 {STRAP} left", STRAP]
+
+
+def test_a_time_of_another_day_has_its_date() -> None:
+    yesterday = datetime.now().astimezone() - timedelta(days=1)
+    assert clock_time(yesterday.timestamp()) == f"{yesterday:%Y-%m-%d %H:%M}"
+    assert clock_time(at(7, 1), seconds=True) == "07:01:07"

@@ -1,26 +1,38 @@
-"""What the installer's folder does to a PATH, and that its removal undoes it."""
+"""What the installed program asks of Windows: its PATH, its console, who holds a file."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from biosensor_gateway.cli import installation
+from biosensor_gateway.cli.installation import Closable, Program, sentence
 from biosensor_gateway.recording.recorder import program
 from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, ansi_folder
+from biosensor_gateway.system.windows_session import (
+    ENABLE_EXTENDED_FLAGS,
+    ENABLE_QUICK_EDIT_MODE,
+    quick_edit_off,
+    without_quick_edit,
+)
 from biosensor_gateway.system.windows_setup import with_folder, without_folder
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
+# What the installer's folder does to a PATH, and that its removal undoes it.
+
 FOLDER = r"C:\Program Files\Biosensor Gateway"
 SYSTEM = r"%SystemRoot%\system32;%SystemRoot%;%SYSTEMROOT%\System32\WindowsPowerShell\v1.0"
 LONG = ";".join(rf"C:\Programs\{number:04}\bin" for number in range(240))
-
 # Ways to write the same folder, as installers and people do.
 SAME = [
     FOLDER,
@@ -154,3 +166,135 @@ def test_where_labrecorder_could_not_read_session_and_peers_it_does_not_record(
     found, said = program.find_programs(tmp_path)
     assert [*found] == [OWN]
     assert str(tmp_path) in said[0]
+
+
+# QuickEdit is one flag among others, which must stay as they are.
+# What a console of Windows 10 has, the same with Insert off, and one that has nothing.
+@pytest.mark.parametrize(
+    ("mode", "without"), [(0x01F7, 0x01B7), (0x01D7, 0x0197), (0x0000, 0x0080)]
+)
+def test_only_quick_edit_goes(mode: int, without: int) -> None:
+    assert without_quick_edit(mode) == without
+    changed = mode ^ without
+    assert changed & ~(ENABLE_QUICK_EDIT_MODE | ENABLE_EXTENDED_FLAGS) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there it changes the console")
+def test_other_systems_have_none() -> None:
+    with quick_edit_off():
+        pass
+
+
+# What the installer cannot close, before it closes anything.
+EXE = r"C:\Program Files\Biosensor Gateway\bin\biosensor-gateway.exe"
+RUNNING = Closable("PC\\ann", agent=10, page=True, recording=True)
+
+
+def other(*words: str, user: str = "PC\\ann", family: frozenset[int] = frozenset({5})) -> Program:
+    return Program(5, user, (EXE, *words), family)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        other("run", family=frozenset({5, 10})),
+        # The one that starts it again, one that waits to take over, and its features.
+        other("run", "--keep-alive", family=frozenset({5, 10, 11})),
+        other("send-features", family=frozenset({10, 5})),
+        other("page", "--window"),
+        other(),
+        other("play-recording"),
+        other("keep-recording", r"C:\state"),
+        other("record-streams", "a.xdf", "(true())"),
+    ],
+)
+def test_what_the_commands_end_is_closed(other: Program) -> None:
+    assert RUNNING.closes(other)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        # Of another state folder.
+        other("run"),
+        other("run", user="PC\\bob", family=frozenset({5, 10})),
+        other("page", user=""),
+        other("page", "--lsl"),
+        other("features"),
+        other("replay", "a.xdf"),
+        other("status", "--watch"),
+        Program(5, "PC\\ann", (), frozenset({5, 10})),
+    ],
+)
+def test_all_else_is_not(other: Program) -> None:
+    assert not RUNNING.closes(other)
+
+
+def test_where_nothing_runs_by_the_locks_nothing_is_closed() -> None:
+    none = Closable("PC\\ann", agent=None, page=False, recording=False)
+    for words in (("run",), ("page",), ("keep-recording", "x")):
+        assert not none.closes(other(*words))
+
+
+def test_a_sentence_says_which_and_whose() -> None:
+    assert sentence(other("features")) == r"biosensor-gateway features (process 5 of PC\ann)"
+    unknown = Program(7, "", (), frozenset({7}))
+    assert sentence(unknown) == "a program (process 7 of another user)"
+
+
+class _Process:
+    """A process whose name the system does not tell, as under Wine."""
+
+    def __init__(self, number: int, *words: str, parent: _Process | None = None) -> None:
+        self.pid, self._words, self._parent = number, list(words), parent
+        self._children: list[_Process] = []
+        if parent is not None:
+            parent._children.append(self)
+
+    def name(self) -> str:
+        raise OSError(22, "Invalid parameter")
+
+    def cmdline(self) -> list[str]:
+        return self._words
+
+    def username(self) -> str:
+        return psutil.Process().username()
+
+    def parents(self) -> list[_Process]:
+        return [] if self._parent is None else [self._parent, *self._parent.parents()]
+
+    def children(self, *, recursive: bool = False) -> list[_Process]:
+        below = [each for child in self._children for each in child.children(recursive=True)]
+        return [*self._children, *(below if recursive else [])]
+
+
+def test_the_command_names_them_and_its_code_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
+    running = [_Process(1, r"C:\windows\explorer.exe"), _Process(2, EXE, "features")]
+    monkeypatch.setattr(psutil, "process_iter", lambda: iter(running))
+    outcome = CliRunner().invoke(installation.app, ["holders"])
+    assert outcome.exit_code == installation.EXIT_HELD
+    assert outcome.output.startswith("biosensor-gateway features (process 2 of ")
+    assert len(outcome.output.splitlines()) == 1
+    running.pop()
+    assert installation.programs_not_closable(tmp_path) == []
+    assert CliRunner().invoke(installation.app, ["holders"]).exit_code == 0
+
+
+def test_what_waits_to_take_over_for_an_agent_is_closed_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
+    supervisor = _Process(11, EXE, "run", "--keep-alive")
+    agent, standby = (_Process(each, EXE, "run", parent=supervisor) for each in (10, 12))
+    other = _Process(13, EXE, "run")
+    monkeypatch.setattr(psutil, "process_iter", lambda: iter([supervisor, agent, standby, other]))
+
+    def number_of_agent(_state: Path) -> int:
+        return agent.pid
+
+    monkeypatch.setattr(installation, "_agent", number_of_agent)
+    (held,) = installation.programs_not_closable(tmp_path)
+    assert "process 13 of" in held

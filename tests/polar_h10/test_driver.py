@@ -1,26 +1,39 @@
-"""The driver streams from virtual Polar sensors: all of it, once, at the right time."""
+"""The driver streams from virtual Polar sensors, and what it asks of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import asyncio
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
+from biosensor_common.errors import CredentialError, ProtocolError, ProtocolReason
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices import ble_session as session_module
 from biosensor_gateway.devices.polar_h10 import SPEC
+from biosensor_gateway.devices.polar_h10.driver import PolarH10Settings, identify, recognise
+from biosensor_gateway.devices.polar_h10.driver import control as control_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.products import Firmware, Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
+
+# The driver streams from virtual Polar sensors: all of it, once, at the right time.
 
 MakeSensor = Callable[..., SimulatedPolarH10]
 
@@ -120,3 +133,186 @@ async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
 
 def test_limits() -> None:
     assert session_module.GOODBYE_LIMIT_S < 0.5
+
+
+# What the driver asks of a Polar sensor, what it makes of the answers, and pairing.
+@contextmanager
+def noted_writes(monkeypatch: pytest.MonkeyPatch) -> Generator[list[str]]:
+    """Note what the host asks, in order."""
+    asked: list[str] = []
+    originals = {name: getattr(BleLink, name) for name in ("read", "write", "subscribe")}
+
+    def noting(name: str) -> Callable[..., Any]:
+        async def ask(link: BleLink, uuid: str, *arguments: Any, **options: Any) -> Any:
+            data = arguments[0].hex() if arguments else ""
+            asked.append(f"{name} {uuid[4:8]} {data}".strip())
+            return await originals[name](link, uuid, *arguments, **options)
+
+        return ask
+
+    with monkeypatch.context() as patch:
+        for name in originals:
+            patch.setattr(BleLink, name, noting(name))
+        yield asked
+
+
+async def test_the_control_point_is_spoken_to_in_the_vendor_s_order(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h10 = sensor()
+    with noted_writes(monkeypatch) as asked:
+        async with connected(h10, acc_rate_hz=100, acc_range_g=4):
+            pass
+    about_pmd = [each for each in asked if " 5c8" in each]
+    assert about_pmd == [
+        "read 5c81",
+        "subscribe 5c81",
+        "subscribe 5c82",
+        "write 5c81 0100",
+        "write 5c81 02000001820001010e00",
+        "write 5c81 0102",
+        "write 5c81 0202000164000101100002010400",
+        "write 5c81 0300",
+        "write 5c81 0302",
+    ]
+
+
+async def test_a_former_host_s_measurements_are_stopped_first(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quirks = Quirks(left_streaming=(Measurement.ECG, Measurement.ACC), short_errors=True)
+    h10 = sensor(quirks)
+    with noted_writes(monkeypatch) as asked:
+        async with streaming(h10) as run:
+            await until(run.sink.has(73, "ecg"))
+            await until(run.sink.has(36, "acc"))
+    starts = [each for each in asked if each.startswith(("write 5c81 0200", "write 5c81 0300"))]
+    assert [each[11:15] for each in starts[:3]] == ["0200", "0300", "0200"]
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_the_device_is_left_still(sensor: MakeSensor) -> None:
+    """One that is left measuring empties its battery."""
+    h10 = sensor(Quirks(keeps_streaming=True))
+    async with streaming(h10) as run:
+        await until(run.sink.has(73, "ecg"))
+    sent = len(h10.truth.samples("ecg").times)
+    async with connected(h10, ecg=False, acc=False):
+        # Longer than a frame.
+        await asyncio.sleep(0.8)
+        assert len(h10.truth.samples("ecg").times) == sent
+
+
+async def test_a_device_that_never_answers_is_an_error(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert control_module.REPLY_TIMEOUT_S == 5.0
+    monkeypatch.setattr(control_module, "REPLY_TIMEOUT_S", 0.3)
+    h10 = sensor()
+    h10.apply(Fault(FaultKind.LATE, 30.0))
+    with pytest.raises(ProtocolError) as caught:
+        async with connected(h10):
+            pass
+    assert caught.value.reason is ProtocolReason.NO_REPLY
+
+
+async def test_a_device_that_demands_pairing_is_paired(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h10 = sensor(Quirks(demands_pairing=True))
+    paired: list[str] = []
+    original = BleLink.pair
+
+    async def pair(link: BleLink) -> None:
+        paired.append(link.what)
+        await original(link)
+
+    monkeypatch.setattr(BleLink, "pair", pair)
+    async with streaming(h10) as run:
+        await until(run.sink.has(73, "ecg"))
+        assert run.supervisor.connections == 1
+        assert run.supervisor.last_error is None
+        assert len(paired) == 1
+        # The bond holds.
+        h10.apply(Fault(FaultKind.DROP, 0.5))
+        await until(lambda: run.supervisor.connections == 2)
+        await run.goes_on(73, "ecg")
+        assert len(paired) <= 2
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_pairing_may_come_first(sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch) -> None:
+    h10 = sensor(Quirks(demands_pairing=True))
+
+    async def pair(link: BleLink) -> None:
+        raise AssertionError(f"{link.what} is paired already")
+
+    monkeypatch.setattr(BleLink, "pair", pair)
+    async with connected(h10, pair=True) as info:
+        assert info.rates["ecg"] == 130
+
+
+async def test_a_device_that_cannot_be_paired_is_a_matter_of_credentials(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h10 = sensor(Quirks(demands_pairing=True))
+
+    async def pair(link: BleLink) -> None:
+        """Do as a system does that believes it is paired already."""
+
+    monkeypatch.setattr(BleLink, "pair", pair)
+    with pytest.raises(CredentialError, match="remove the sensor in the system's Bluetooth"):
+        async with connected(h10):
+            pass
+
+
+# Which advertisements are those of an H10, and the settings they make.
+HEART_RATE = frozenset({"0000180d-0000-1000-8000-00805f9b34fb"})
+POLAR = {0x006B: bytes.fromhex("33000038")}
+
+
+def seen(name: str, uuids: frozenset[str] = HEART_RATE) -> Advertisement:
+    return Advertisement("A0:9E:1A:00:00:01", name, -58, uuids)
+
+
+def test_the_id_on_the_sensor_names_it_and_its_address_leads_to_it() -> None:
+    found = recognise(seen("Polar H10 A1B2C3D4"))
+    assert found is not None
+    assert (found.sensor, found.rssi_dbm) == ("polar_h10", -58)
+    assert found.name == "Polar H10 A1B2C3D4"
+    settings = PolarH10Settings.model_validate({"sensor": found.sensor, **found.settings})
+    assert (settings.unit, settings.device) == ("A1B2C3D4", "A0:9E:1A:00:00:01")
+
+
+def test_the_maker_s_number_is_as_good_as_the_service() -> None:
+    name = "Polar H10 A1B2C3D4"
+    assert identify(Advertisement("A0:9E:1A:00:00:01", name, manufacturer_data=POLAR)) == "A1B2C3D4"
+    assert identify(seen(name, frozenset())) is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "   ",
+        "Polar",
+        "Polar H10",
+        "Polar H9 A1B2C3D4",
+        "Polar Sense A1B2C3D4",
+        "Polar Vantage V3 A1B2C3D4",
+        "Polaris H10 A1B2C3D4",
+        "My Polar H10 A1B2C3D4",
+    ],
+)
+def test_other_names_are_other_devices(name: str) -> None:
+    assert identify(seen(name)) is None
+    assert recognise(seen(name)) is None
+
+
+def test_a_serial_port_is_none() -> None:
+    assert recognise(SerialPort("COM7", "Polar H10 A1B2C3D4")) is None
+
+
+@given(st.text(max_size=60))
+def test_no_name_is_too_strange(name: str) -> None:
+    assert identify(seen(name)) is None or name.split(maxsplit=1)[0] == "Polar"

@@ -1,17 +1,26 @@
-"""What a stream's entry in ``/diagnostics`` says, by what is known of it."""
+"""What ``/diagnostics`` says of streams and subscribers, and when."""
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float32
 
 from biosensor_common.naming import TopicName
 from biosensor_common.refusal import Refusal, Refusals
+from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, fault
 from lsl_to_ros.reports.diagnostics import LEASE_S, StreamFacts, judge
+from lsl_to_ros.reports.reporter import Rhythm
 from lsl_to_ros.statistics.losses import Delays
+from tests.rigs.recorded_topics import RecordedPublisher
+
+# What a stream's entry in ``/diagnostics`` says, by what is known of it.
 
 
 def facts(*, has_unix_stamps: bool = False, unfit: int = 0, **told: Any) -> StreamFacts:
@@ -64,3 +73,88 @@ def test_what_is_doubled_or_left_out_is_no_good_stream(
     judged, reason = judge(told)
     assert judged == level
     assert words in reason
+
+
+# Which looks at the node are published on ``/diagnostics``.
+WELL, WARNED = DiagnosticStatus.OK, DiagnosticStatus.WARN
+
+
+def statuses(*levels: bytes) -> list[DiagnosticStatus]:
+    return [DiagnosticStatus(name=f"{at}", level=level) for at, level in enumerate(levels)]
+
+
+@pytest.mark.parametrize(("period_s", "every"), [(1.0, 1), (1.4, 1), (3.0, 3), (10.0, 10)])
+def test_each_so_many_looks_one_is_published(period_s: float, every: int) -> None:
+    rhythm = Rhythm(lambda: period_s)
+    due = [rhythm.is_due(statuses(WELL)) for _ in range(30)]
+    # The first entry is news.
+    assert [at for at, is_due in enumerate(due) if is_due] == list(range(0, 30, every))
+
+
+@pytest.mark.parametrize("worse", [(WARNED, WELL), (WELL, WELL, WELL), (WELL,)])
+def test_news_do_not_wait(worse: tuple[bytes, ...]) -> None:
+    rhythm = Rhythm(lambda: 100.0)
+    looks = [(WELL, WELL), (WELL, WELL), worse, worse, (WELL, WELL)]
+    due = [rhythm.is_due(statuses(*levels)) for levels in looks]
+    assert due == [True, False, True, False, True]
+
+
+@pytest.mark.parametrize("value", [0.0, 0.9, -1.0, 3601.0, math.nan, math.inf])
+def test_other_periods_are_refused(value: float) -> None:
+    assert "must be from 1 to 3600 seconds" in (fault(DIAGNOSTICS_PERIOD, value) or "")
+    assert fault(DIAGNOSTICS_PERIOD, 1) is None
+
+
+# Subscribers that get nothing of a topic, as DDS tells of them.
+USUAL = QoSProfile(depth=10)
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+ENDLESS = Duration(seconds=9223372036, nanoseconds=854775807)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def misfit(
+    offered: QoSProfile, asked: QoSProfile, kind: str = "std_msgs/msg/Float32", where: str = "/"
+) -> str:
+    topic = RecordedPublisher(Float32)
+    publisher: Any = topic.ros_publisher
+    publisher.qos_profile = offered
+    reader: Any = SimpleNamespace(
+        node_name="client", node_namespace=where, topic_type=kind, qos_profile=asked
+    )
+    return topic.misfit(reader)
+
+
+@pytest.mark.parametrize(
+    ("offered", "asked"), [(USUAL, USUAL), (USUAL, BEST_EFFORT), (LATCHED, USUAL)]
+)
+def test_who_asks_for_no_more_than_there_is_fits(offered: QoSProfile, asked: QoSProfile) -> None:
+    assert misfit(offered, asked) == ""
+
+
+def test_another_type_is_named() -> None:
+    told = misfit(USUAL, USUAL, "std_msgs/msg/Int32", "/robot")
+    assert told == "/robot/client reads it as std_msgs/msg/Int32, and it is std_msgs/msg/Float32"
+
+
+@pytest.mark.parametrize(
+    ("offered", "asked", "expected"),
+    [
+        (USUAL, LATCHED, "volatile and not transient_local"),
+        (BEST_EFFORT, USUAL, "best_effort and not reliable"),
+        (
+            BEST_EFFORT,
+            LATCHED,
+            "best_effort and not reliable and volatile and not transient_local",
+        ),
+    ],
+)
+def test_what_is_asked_for_and_not_offered_is_named(
+    offered: QoSProfile, asked: QoSProfile, expected: str
+) -> None:
+    assert misfit(offered, asked) == f"it is {expected}, as /client wants it"
+
+
+def test_what_dds_says_of_deadlines_is_no_misfit() -> None:
+    # An endless one, which nobody has asked for.
+    endless = QoSProfile(depth=10, deadline=ENDLESS, liveliness_lease_duration=ENDLESS)
+    assert misfit(USUAL, endless) == ""

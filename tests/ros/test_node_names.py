@@ -1,29 +1,37 @@
-"""Names and types of streams that other programs choose, however hostile."""
+"""Names of streams, several devices of one kind, and what claims to be one of them."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from itertools import count
+from itertools import count, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pylsl
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.validate_full_topic_name import validate_full_topic_name
-from std_msgs.msg import Float32MultiArray, String
+from std_msgs.msg import Float32, Float32MultiArray, Int32, String
+
+from biosensor_common.refusal import Refusal
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros, RunningNode
+    from tests.ros.conftest import Ros, RunningNode, Status
 
-pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
+pytestmark = pytest.mark.nightly
+
+# Names and types of streams that other programs choose, however hostile.
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STREAMS = "/lsl_to_ros/streams"
 # An outlet takes two ports of the 256 that tests look at.
 WAVE = 100
 SUBSCRIBED = 8
-
 HOSTILE = [
     # Quotes, blanks and what shells, XML, XPath, URLs, paths and ROS make something of.
     *("two words", " leading", "trailing ", "tab\tinside", "line\nbreak", "cr\rinside", "a  b"),
@@ -103,6 +111,7 @@ class Wave:
         }
 
 
+@pytest.mark.usefixtures("node")
 def test_a_name_that_lsl_cannot_carry_harms_no_other_stream(ros: Ros, node: RunningNode) -> None:
     nameless = pylsl.StreamOutlet(pylsl.StreamInfo(" ", "EEG", 1, 0.0, "float32", "nameless"))
     ros.until(lambda: node.count("[WARN]", "ignored", "invalid") > 0, "a sentence about it")
@@ -114,6 +123,7 @@ def test_a_name_that_lsl_cannot_carry_harms_no_other_stream(ros: Ros, node: Runn
     del nameless
 
 
+@pytest.mark.usefixtures("node")
 def test_every_name_and_type_gives_valid_topics_of_its_own(ros: Ros) -> None:
     lists = ros.listen(DiagnosticArray, STREAMS, LATCHED)
     ros.until(lambda: bool(lists), "the list of streams")
@@ -155,3 +165,314 @@ def check_flow(ros: Ros, wave: Wave, topics: dict[str, list[str]]) -> None:
     for number, messages in enumerate(heard.values()):
         data = messages[0].data
         assert (data if isinstance(data, str) else data[0]) in (number, str(number))
+
+
+# Several devices of one kind, and streams that claim to be the same one.
+def declared(sensor_name: str, data: str, unit: str, who: str = "", label: str = "") -> Outlet:
+    identity = DeviceIdentity(sensor_name, unit, participant=who, label=label)
+    return Outlet(declaration(sensor_name).stream(data), identity, DeviceInfo())
+
+
+def foreign(name: str, kind: str, channels: int, source_id: str) -> pylsl.StreamOutlet:
+    return pylsl.StreamOutlet(pylsl.StreamInfo(name, kind, channels, 0.0, "float32", source_id))
+
+
+def numbers(messages: list[Any]) -> set[float]:
+    return {message.data for message in messages}
+
+
+def flow(ros: Ros, outlet: Outlet, value: float, arrived: Callable[[], bool]) -> int:
+    """Push one value until it arrives; return how often it was pushed."""
+    pushes = count()
+
+    def push_and_look() -> bool:
+        if arrived():
+            return True
+        next(pushes)
+        assert outlet.push([value], [pylsl.local_clock()]) is None
+        return False
+
+    ros.until(push_and_look, f"{value} on its topic")
+    return next(pushes)
+
+
+@pytest.mark.usefixtures("node")
+def test_a_replaced_device_continues_the_stream_of_its_place(ros: Ros) -> None:
+    topic = "/p09/biosensors/polar_h10_chest/hr"
+    heard = ros.listen(Float32, topic)
+    for unit, value in (("OLD", 61.0), ("NEW", 62.0)):
+        outlet = declared("polar_h10", "hr", unit, who="p09", label="chest")
+        flow(ros, outlet, value, lambda value=value: value in numbers(heard))
+        ros.report()
+        status = ros.status(topic)
+        assert status is not None
+        assert (status.level, status.unit) == (DiagnosticStatus.OK, unit)
+        del outlet
+    assert numbers(heard) == {61.0, 62.0}
+
+
+@pytest.mark.usefixtures("node")
+def test_streams_of_one_program_may_share_a_source_id(ros: Ros) -> None:
+    kinds = ("EEG", "PPG", "ACC")
+    heard = {kind: ros.listen(Float32MultiArray, f"/biosensors/headband/{kind}") for kind in kinds}
+    outlets = {kind: foreign("headband", kind, 1, "headband 00:11") for kind in kinds}
+    ros.attached(*(f"/biosensors/headband/{kind}" for kind in kinds), readers=1)
+    for number, kind in enumerate(kinds):
+        outlets[kind].push_sample([float(number)], pylsl.local_clock())
+    ros.until(lambda: all(heard.values()), "a sample of each")
+    assert [heard[kind][0].data[0] for kind in kinds] == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.usefixtures("node")
+def test_each_of_several_streams_that_claim_to_be_one_has_a_topic(
+    ros: Ros, node: RunningNode
+) -> None:
+    topics = [f"/biosensors/twin/EEG{end}" for end in ("", "_2", "_3")]
+    heard = [ros.listen(Float32MultiArray, topic) for topic in topics]
+    outlets: list[pylsl.StreamOutlet] = []
+
+    def each_arrives() -> bool:
+        for number, outlet in enumerate(outlets):
+            outlet.push_sample([float(number)], pylsl.local_clock())
+        return all(heard[: len(outlets)])
+
+    for _ in topics:
+        # One after the other, so that each has the next number.
+        outlets.append(foreign("twin", "EEG", 1, "twin id"))
+        ros.until(each_arrives, "a sample of each")
+    assert [{message.data[0] for message in each} for each in heard] == [{0.0}, {1.0}, {2.0}]
+
+    def are_told() -> bool:
+        told = [ros.status(topic) for topic in topics]
+        return all(
+            each is not None
+            and each.level == DiagnosticStatus.WARN
+            and "3 senders have the same source_id" in each.message
+            for each in told
+        )
+
+    ros.until(are_told, "a warning of each topic")
+
+
+VALUES = {"A": 1.0, "B": 2.0}
+# A capital starts the unit of that name, a small letter stops it.
+ORDERS = [
+    ("AB", "polar_h10", "ibi"),
+    ("BA", "zephyr", "ibi"),
+    ("AaB", "shimmer3_gsr", "hr"),
+    ("ABaA", "empatica_e4", "ibi"),
+    ("ABabBA", "ble_heart_rate", "ibi"),
+]
+
+
+class Pair:
+    """Two units of one sensor without labels, started and stopped in some order."""
+
+    def __init__(self, ros: Ros, steps: str, name: str, data: str) -> None:
+        self.steps = steps
+        self.bare = f"/biosensors/{name}/{data}"
+        self.own = {unit: f"/biosensors/{name}_{unit}/{data}" for unit in VALUES}
+        self.heard = {
+            topic: ros.listen(Float32, topic) for topic in (self.bare, *self.own.values())
+        }
+        self.running: dict[str, Outlet] = {}
+        self._name, self._data = name, data
+
+    def begin(self, number: int) -> None:
+        step = self.steps[number : number + 1]
+        if step.isupper():
+            self.running[step] = declared(self._name, self._data, step)
+        elif step:
+            del self.running[step.upper()]
+        self.topics = {unit: self.own[unit] if number else self.bare for unit in self.running}
+        for topic in self.topics.values():
+            self.heard[topic].clear()
+
+    def is_done(self, present: set[str]) -> bool:
+        """Whether the present units, and no others, are on their topics."""
+        for unit, outlet in self.running.items():
+            assert outlet.push([VALUES[unit]], [pylsl.local_clock()]) is None
+        mine = {self.bare, *self.own.values()} & present
+        return mine == set(self.topics.values()) and all(map(self.heard.get, mine))
+
+
+@pytest.mark.usefixtures("node")
+def test_data_of_one_unit_never_appears_under_the_topic_of_another(ros: Ros) -> None:
+    pairs = [Pair(ros, *order) for order in ORDERS]
+    for number in range(max(len(pair.steps) for pair in pairs)):
+        for pair in pairs:
+            pair.begin(number)
+        ros.until(
+            lambda: all(pair.is_done(ros.present()) for pair in pairs), f"step {number} of each"
+        )
+    for pair in pairs:
+        ros.until(lambda bare=pair.bare: ros.node.count_publishers(bare) == 0, "its end")
+        assert numbers(pair.heard[pair.bare]) == {VALUES[pair.steps[0]]}
+        for unit, topic in pair.own.items():
+            assert numbers(pair.heard[topic]) <= {VALUES[unit]}
+        for unit in pair.running:
+            status = ros.status(pair.own[unit])
+            assert status is not None
+            assert status.level == DiagnosticStatus.ERROR
+            assert "label" in status.message
+
+
+@pytest.mark.usefixtures("node")
+@pytest.mark.seam
+def test_labels_and_participants_keep_devices_of_a_kind_apart(ros: Ros) -> None:
+    places = [("", "left"), ("", "right"), ("p01", ""), ("p02", ""), ("p01", "left")]
+    topics = [
+        "/biosensors/empatica_e4_left/hr",
+        "/biosensors/empatica_e4_right/hr",
+        "/p01/biosensors/empatica_e4/hr",
+        "/p02/biosensors/empatica_e4/hr",
+        "/p01/biosensors/empatica_e4_left/hr",
+    ]
+    outlets = [
+        declared("empatica_e4", "hr", f"U{number}", who, label)
+        for number, (who, label) in enumerate(places)
+    ]
+    heard = [ros.listen(Float32, topic) for topic in topics]
+    for number, outlet in enumerate(outlets):
+        flow(ros, outlet, float(number), lambda number=number: bool(heard[number]))
+    ros.report()
+    for number, topic in enumerate(topics):
+        assert numbers(heard[number]) == {float(number)}
+        status = ros.status(topic)
+        assert status is not None
+        assert status.level == DiagnosticStatus.OK
+
+
+# What is doubled, left out or stamped by another clock is said above OK, with real parts.
+Start = Callable[..., "RunningNode"]
+
+
+def markers(name: str, source_id: str) -> pylsl.StreamOutlet:
+    return pylsl.StreamOutlet(pylsl.StreamInfo(name, "Markers", 1, 0, "string", source_id))
+
+
+def status_of(ros: Ros, name: str) -> Status:
+    status = ros.status(name)
+    assert status is not None
+    return status
+
+
+def test_a_node_that_runs_twice_is_an_error(ros: Ros, start_node: Start) -> None:
+    outlet = markers("twice", "twice-1")
+    topic = "/biosensors/twice/Markers"
+    first, second = start_node(), start_node()
+    ros.until(lambda: len(ros.publishers(topic)) == 2, "both nodes")
+
+    def is_said(level: bytes) -> bool:
+        told = [ros.status("node"), ros.status(topic)]
+        return all(each is not None and each.level == level for each in told)
+
+    ros.until(lambda: is_said(DiagnosticStatus.WARN), "a warning")
+    ros.until(lambda: is_said(DiagnosticStatus.ERROR), "an error")
+    assert "runs twice" in status_of(ros, "node").message
+    assert status_of(ros, topic).message == Refusal.DOUBLED.told()
+    ros.until(
+        lambda: all(each.count("runs twice") for each in (first, second)), "a line in each log"
+    )
+    second.end()
+    ros.until(lambda: "twice" not in status_of(ros, "node").message, "that one is left")
+    ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "a topic of one node")
+    del outlet
+
+
+def test_two_senders_with_one_source_id_are_both_published_and_said(
+    ros: Ros, start_node: Start
+) -> None:
+    outlets = [markers("MyMarkerStream", "myuidw43536") for _ in range(2)]
+    topics = [f"/biosensors/MyMarkerStream/Markers{end}" for end in ("", "_2")]
+    heard = [ros.listen(String, topic) for topic in topics]
+    start_node()
+    ros.until(lambda: all(ros.status(topic) for topic in topics), "a topic of each")
+
+    def push() -> bool:
+        for number, outlet in enumerate(outlets):
+            outlet.push_sample([f"sender {number}"])
+        return all(heard)
+
+    ros.until(push, "the markers of both")
+    # Which has the stream's own name is up to the network, if both start at once.
+    told = [{message.data for message in each} for each in heard]
+    assert sorted(told, key=str) == [{"sender 0"}, {"sender 1"}]
+    for topic in topics:
+        assert status_of(ros, topic).level == DiagnosticStatus.WARN
+        assert "2 senders have the same source_id" in status_of(ros, topic).message
+
+
+def test_a_sender_with_unix_stamps_is_told_so(ros: Ros, start_node: Start) -> None:
+    outlet = markers("unix", "unix-1")
+    node = start_node()
+    topic = "/biosensors/unix/Markers"
+    heard = ros.listen(String, topic)
+    ros.until(lambda: ros.status(topic) is not None, "its entry")
+
+    def push() -> bool:
+        outlet.push_sample(["go"], time.time())
+        return bool(heard) and status_of(ros, topic).message == Refusal.UNIX_STAMPS.told()
+
+    ros.until(push, "events and a warning")
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    assert abs(float(status_of(ros, topic)["age_s"])) < 30.0
+    assert node.count("a sample is not published") == 0
+
+
+def test_simulated_time_is_a_warning(ros: Ros, start_node: Start) -> None:
+    node = start_node("--ros-args", "-p", "use_sim_time:=true")
+    ros.until(lambda: node.count("[WARN]", "use_sim_time is on") == 1, "a line in the log")
+
+    def is_said() -> bool:
+        status = ros.status("node")
+        return status is not None and "use_sim_time is on" in status.message
+
+    ros.until(is_said, "the same in /diagnostics")
+    assert status_of(ros, "node").level == DiagnosticStatus.WARN
+
+
+def test_a_subscriber_that_gets_nothing_is_told(ros: Ros, start_node: Start) -> None:
+    outlet = markers("typed", "typed-1")
+    node = start_node()
+    topic = "/biosensors/typed/Markers"
+    ros.until(lambda: ros.status(topic) is not None, "its entry")
+    ros.listen(Int32, topic)
+
+    def message() -> str:
+        status = ros.status(topic)
+        return "" if status is None else status.message
+
+    other_type = "/listener reads it as std_msgs/msg/Int32, and it is std_msgs/msg/String"
+    ros.until(lambda: other_type in message(), "a warning of the type")
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    ros.until(lambda: node.count("[WARN]", topic, other_type) == 1, "a line in the log")
+    ros.stop_listening()
+    ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "nobody gets nothing")
+    ros.listen(String, topic, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    durability = f"{topic}: a subscriber gets nothing: it is volatile and not transient_local"
+    ros.until(lambda: durability in message(), "a warning of the durability")
+    ros.listen(String, topic)
+    ros.attached(topic, readers=1)
+    # Of that one, nothing is said.
+    assert message() == f"{durability}, as /listener wants it"
+    del outlet
+
+
+def test_the_user_names_sensors_and_says_how_often_to_report(ros: Ros, start_node: Start) -> None:
+    outlet = markers("Muse (00:55:DA)", "muse-1")
+    heard = ros.listen(DiagnosticArray, "/diagnostics")
+    parameters = ("-p", 'aliases:=["Muse*=muse_left"]', "-p", "diagnostic_updater.period:=3600.0")
+    start_node("--ros-args", *parameters)
+    topic = "/biosensors/muse_left/Markers"
+    ros.until(lambda: ros.status(topic) is not None, "its entry under that name")
+    assert "/biosensors/Muse_x20_x2800_x3A55_x3ADA_x29/Markers" not in ros.topics()
+    assert status_of(ros, topic)["sensor"] == "muse_left"
+    ros.spin(4.0)
+    levels = [{each.name: each.level for each in report.status} for report in heard]
+    # Only what has become worse or better.
+    assert all(before != after for before, after in pairwise(levels))
+    assert ros.set("diagnostic_updater.period", 1.0) == ""
+    count = len(heard)
+    ros.until(lambda: len(heard) > count + 3, "reports each second")
+    del outlet
