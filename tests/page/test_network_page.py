@@ -15,6 +15,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.page.network_page import NetworkPage
+from biosensor_gateway.system.browser import WayIn
 from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.page.test_window import OpenWindow, violations
 
@@ -199,7 +200,7 @@ def test_wrong_settings_end_it(tmp_path: Path) -> None:
 
 
 def test_a_page_that_cannot_be_opened_ends_it(tmp_path: Path) -> None:
-    def refuse(_address: str) -> None:
+    def refuse(_way_in: WayIn) -> None:
         raise TransportError(TransportReason.UNAVAILABLE, "there is no browser")
 
     with pytest.raises(TransportError, match="no browser"):
