@@ -190,54 +190,54 @@ EXE = r"C:\Program Files\Biosensor Gateway\bin\biosensor-gateway.exe"
 RUNNING = Closable("PC\\ann", agent=10, page=True, recording=True)
 
 
-def other(*words: str, user: str = "PC\\ann", family: frozenset[int] = frozenset({5})) -> Program:
+def started(*words: str, user: str = "PC\\ann", family: frozenset[int] = frozenset({5})) -> Program:
     return Program(5, user, (EXE, *words), family)
 
 
 @pytest.mark.parametrize(
     "program",
     [
-        other("run", family=frozenset({5, 10})),
+        started("run", family=frozenset({5, 10})),
         # The one that starts it again, one that waits to take over, and its features.
-        other("run", "--keep-alive", family=frozenset({5, 10, 11})),
-        other("send-features", family=frozenset({10, 5})),
-        other("page", "--window"),
-        other(),
-        other("play-recording"),
-        other("keep-recording", r"C:\state"),
-        other("record-streams", "a.xdf", "(true())"),
+        started("run", "--keep-alive", family=frozenset({5, 10, 11})),
+        started("send-features", family=frozenset({10, 5})),
+        started("page", "--window"),
+        started(),
+        started("play-recording"),
+        started("keep-recording", r"C:\state"),
+        started("record-streams", "a.xdf", "(true())"),
     ],
 )
-def test_what_the_commands_end_is_closed(other: Program) -> None:
-    assert RUNNING.closes(other)
+def test_what_the_commands_end_is_closed(program: Program) -> None:
+    assert RUNNING.closes(program)
 
 
 @pytest.mark.parametrize(
     "program",
     [
         # Of another state folder.
-        other("run"),
-        other("run", user="PC\\bob", family=frozenset({5, 10})),
-        other("page", user=""),
-        other("page", "--lsl"),
-        other("features"),
-        other("replay", "a.xdf"),
-        other("status", "--watch"),
+        started("run"),
+        started("run", user="PC\\bob", family=frozenset({5, 10})),
+        started("page", user=""),
+        started("page", "--lsl"),
+        started("features"),
+        started("replay", "a.xdf"),
+        started("status", "--watch"),
         Program(5, "PC\\ann", (), frozenset({5, 10})),
     ],
 )
-def test_all_else_is_not(other: Program) -> None:
-    assert not RUNNING.closes(other)
+def test_all_else_is_not(program: Program) -> None:
+    assert not RUNNING.closes(program)
 
 
 def test_where_nothing_runs_by_the_locks_nothing_is_closed() -> None:
     none = Closable("PC\\ann", agent=None, page=False, recording=False)
     for words in (("run",), ("page",), ("keep-recording", "x")):
-        assert not none.closes(other(*words))
+        assert not none.closes(started(*words))
 
 
 def test_a_sentence_says_which_and_whose() -> None:
-    assert sentence(other("features")) == r"biosensor-gateway features (process 5 of PC\ann)"
+    assert sentence(started("features")) == r"biosensor-gateway features (process 5 of PC\ann)"
     unknown = Program(7, "", (), frozenset({7}))
     assert sentence(unknown) == "a program (process 7 of another user)"
 
