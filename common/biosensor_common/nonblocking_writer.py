@@ -30,7 +30,7 @@ def missing(count: int, name: str) -> str:
 class NonblockingWriter:
     """A bounded queue of lines that a separate thread writes; all methods are thread-safe.
 
-    The thread may block in a write for ever. It is a daemon, so that the process can exit
+    The thread may block in a write forever. It is a daemon, so that the process can exit
     meanwhile. ``write`` must therefore use nothing that the interpreter waits for at its exit,
     such as the locks of buffered files.
 

@@ -83,97 +83,97 @@ class Refusal(Enum):
     NO_TOPIC = _standing("no_topic", "{why}; the LSL stream {name!r} is not published", _ERROR)
     NO_STANDARD_TOPIC = _standing(
         "no_standard_topic",
-        "there is no topic {topic} of sensor_msgs beside it: another stream of the device has"
+        "there is no additional topic {topic} of sensor_msgs: another stream of the device has"
         " that name",
     )
-    FORMAT_CHANGED = _passing("format_changed", "the stream came back as {shape}")
+    FORMAT_CHANGED = _passing("format_changed", "the stream was restarted as {shape}")
     DOUBLED = _standing(
         "doubled",
-        "another node publishes this topic, too: each sample comes twice",
+        "another node also publishes this topic: each sample is duplicated",
         _ERROR,
     )
     MAYBE_DOUBLED = _standing(
         "maybe_doubled",
-        "another node publishes this topic, too, or was killed less than half a minute ago",
+        "another node also publishes this topic, or was killed less than half a minute ago",
     )
     READ_IN_VAIN = _standing("read_in_vain", "a subscriber gets nothing: {why}")
     NODE_TWICE = _standing(
         "node_twice",
-        "this node runs twice, under one name: each sample is published twice; end one of "
-        "them, or give one another topic_prefix and name",
+        "two nodes of this name are running: each sample is published twice; end one of "
+        "them, or give one a different topic_prefix and name",
         _ERROR,
     )
     NODE_MAYBE_TWICE = _standing(
         "node_maybe_twice",
-        "another node of this name is known to DDS: it runs, too, or was killed less than "
+        "another node of this name is known to DDS: it is also running, or was killed less than "
         "half a minute ago",
     )
     NO_STAMPED_TOPICS = _standing(
         "no_stamped_topics",
         "biosensor_msgs is not installed: there are no _stamped topics; build it with colcon",
     )
-    NOT_LISTED = _standing("not_listed", "{streams} {are} not listed: {most} are the most")
+    NOT_LISTED = _standing("not_listed", "{streams} {are} not listed: the limit is {most}")
 
     # Samples and messages on their way.
     UNFIT = _passing("unfit", "{samples} {were} not published: {why}")
-    NO_TIME = _passing("no_time", "{samples} {are} on no stamped topic: {why}")
+    NO_TIME = _passing("no_time", "{samples} {are} not on a stamped topic: {why}")
     UNSTAMPED = _passing(
         "unstamped",
-        "{samples} {were} given up: the sender's clock stayed unknown; is UDP blocked?",
+        "{samples} {were} dropped: the sender's clock remained unknown; is UDP blocked?",
     )
     CHUNK_CUT = _passing(
         "chunk_cut",
         "{samples} of an unfinished chunk {are} on the raw topic only",
     )
     UNDELIVERED = _passing("undelivered", "{samples} {were} lost with the connection")
-    READ_FAILED = _passing("read_failed", "reading it failed, it is opened again ({why})")
+    READ_FAILED = _passing("read_failed", "reading failed, so it is opened again ({why})")
     NOT_JOINED = _passing(
-        "not_joined", "{samples} {were} published without {columns}: {stream} did not bring them"
+        "not_joined", "{samples} {were} published without {columns}: {stream} did not provide them"
     )
     UNSENT = _passing("unsent", "ROS has not published {messages} ({why})")
     NO_COUNTS = _passing(
         "no_counts",
-        "the agent's counts cannot be read ({why}): what was lost is not known",
+        "the agent's counts cannot be read ({why}), so losses are unknown",
     )
     SIMULATED_TIME = _standing(
         "simulated_time",
-        "use_sim_time is on: _stamped topics have the simulated time at which samples came, "
-        "which is 0 without /clock, and not when they were measured; leave it off for this "
+        "use_sim_time is on: _stamped topics have the simulated time at which samples arrived, "
+        "which is 0 without /clock, instead of when they were measured; switch it off for this "
         "node",
     )
     UNIX_STAMPS = _standing(
         "unix_stamps",
-        "its stamps are Unix times, not times of the LSL clock: _stamped has them as they "
-        "are, and no recording aligns them; push samples without a stamp, or with "
+        "its timestamps are Unix times, not times of the LSL clock: _stamped topics have them "
+        "unchanged, and recordings cannot align them; push samples without a timestamp, or with "
         "local_clock()",
     )
-    FOREIGN_STAMPS = _standing("foreign_stamps", "its stamps are not times of the LSL clock")
+    FOREIGN_STAMPS = _standing("foreign_stamps", "its timestamps are not times of the LSL clock")
     UNKNOWN_CLOCK = _standing(
         "unknown_clock",
-        "the sender's clock cannot be asked: is UDP blocked? stamped topics wait",
+        "the sender's clock cannot be queried: is UDP blocked? stamped topics are delayed",
     )
     BY_ARRIVAL = _standing(
         "by_arrival",
-        "its stamps are of another clock; its samples are shown when they arrive",
+        "its timestamps are of another clock; its samples are shown when they arrive",
     )
 
     # Topics that become streams.
     NOT_SENT = _standing("not_sent", "{why}; it is not sent", _ERROR)
-    NO_NUMBER = _standing("no_number", "no number yet: its messages came without any")
-    OTHER_TYPE = _standing("other_type", "{types} is published on it, too; only {sent} is sent")
+    NO_NUMBER = _standing("no_number", "no numbers yet: its messages contained none")
+    OTHER_TYPE = _standing("other_type", "{types} is also published on it; only {sent} is sent")
     NEW_CHANNELS = _passing(
         "new_channels",
-        "its sequences have changed: {channels} channels now; the stream {name} goes on as a "
-        "new one, which a recording that runs may not have",
+        "its sequences have changed: {channels} channels now; the stream {name} continues as a "
+        "new one, which a running recording may not contain",
     )
     ROUNDED = _standing(
         "rounded",
-        "{label} has integers above 2**53, which a float of 64 bits rounds",
+        "{label} has integers above 2**53, which are rounded to a 64-bit float",
     )
     TOO_MANY_PAIRS = _standing(
         "too_many_pairs",
-        "it has more than {most} pairs of frames; the others are not sent: send it as json, "
-        "which has all of them",
+        "it has more than {most} pairs of frames; the others are not sent: send it as JSON, "
+        "which contains all of them",
     )
     SEND_FAILED = _passing("send_failed", "{messages} could not be sent: {why}")
     LOST_ON_THE_WAY = _passing(
@@ -182,7 +182,7 @@ class Refusal(Enum):
     )
     NOT_SMALL = _standing(
         "not_small",
-        "all_small leaves out {topics}: bulk data (images, clouds of points and the like), or"
+        "all_small leaves out {topics}: bulk data (images, point clouds and the like), or"
         " a type that is not installed here; record them with ros2 bag",
     )
     DOUBTFUL_STAMPS = _standing("doubtful_stamps", "{why}")
@@ -191,12 +191,12 @@ class Refusal(Enum):
     # Samples on their way from a device to LSL.
     WRONG_SHAPE = _passing(
         "wrong_shape",
-        "{samples} {were} refused: samples of shape {shape} instead of {expected}",
+        "{samples} {were} refused: shape {shape} instead of {expected}",
     )
-    BACKWARDS = _passing("backwards", "{samples} {were} refused: stamps run backwards")
+    BACKWARDS = _passing("backwards", "{samples} {were} refused: timestamps run backwards")
     NOT_LSL_TIME = _passing(
         "not_lsl_time",
-        "{samples} {were} refused: stamps are not on the LSL clock",
+        "{samples} {were} refused: timestamps are not on the LSL clock",
     )
     INFINITE = _passing("infinite", "{samples} {were} refused: infinite values")
     NO_VALUE = _passing("no_value", "{samples} {were} refused: no value in {kind} stream")
@@ -205,26 +205,27 @@ class Refusal(Enum):
         "{samples} {were} refused: values outside {low}..{high}",
     )
     IMPLAUSIBLE = _passing("implausible", "{samples} {were} not sent: {why}")
-    PAUSED = _passing("paused", "{samples} {were} withheld, because of a pause")
+    PAUSED = _passing("paused", "{samples} {were} suppressed because of a pause")
     WAITED_TOO_LONG = _passing(
         "waited_too_long",
-        "{samples} {were} given up: nobody received the stream, and {most} are the most that wait",
+        "{samples} {were} dropped: the stream had no receiver, and at most {most} samples are "
+        "buffered",
     )
     LEFT_OUT = _passing("left_out", "{samples} {were} left out: {why}")
     LATE = _passing(
         "late",
-        "{samples} had waited with others and {are} stamped when they arrived, up to "
-        "{seconds:.1f} s late: the device does not stamp them",
+        "{samples} had been delayed with others and {are} stamped on arrival, up to "
+        "{seconds:.1f} s late: the device sends no timestamps for them",
     )
-    GARBLED = _passing("garbled", "{count} bytes of the device made no valid message")
+    GARBLED = _passing("garbled", "{count} bytes of the device were not part of a valid message")
     NO_OUTLET = _standing(
         "no_outlet",
-        "there is no stream of {name}, and nothing of it is sent",
+        "there is no stream for {name}, so none of its data is sent",
         _ERROR,
     )
     UNHEARD_MARKER = _passing(
         "unheard_marker",
-        "a marker was sent that nobody receives: no program records the markers",
+        "a marker was sent without a receiver: no program records the markers",
     )
 
     # Features of streams.
@@ -232,7 +233,7 @@ class Refusal(Enum):
     STAMPS_LEFT_OUT = _passing("stamps_left_out", "{why}")
     NO_FINITE_VALUE = _passing(
         "no_finite_value",
-        "{samples} {were} left out: their values are infinite or too large to be true",
+        "{samples} {were} left out: their values are infinite or implausibly large",
     )
 
     def __init__(self, word: str, level: Level, sentence: str, stands: bool) -> None:

@@ -26,7 +26,7 @@ def download(folder: Path) -> None:
     Raises
     ------
     subprocess.CalledProcessError
-        If something cannot be had or has another hash.
+        If something is not available or has a different hash.
     """
     command = [_PIP, "download", "--quiet", "--require-hashes", "--no-deps", "--dest", folder]
     platform = ["--platform", "win_amd64", "--only-binary", ":all:"]

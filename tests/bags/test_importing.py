@@ -412,7 +412,7 @@ def test_samples_without_a_time_of_day_are_left_out_and_counted(tmp_path: Path) 
     (tmp_path / "a.xdf").write_bytes(made.xdf_file.xdf(header, *samples))
     outcome = made.to_bag(tmp_path / "a.xdf", tmp_path / "a")
     _, left_out = outcome.written[0].notes
-    assert left_out == "2 samples of zephyr-U1-ecg are not in it: their stamp is no time of day"
+    assert left_out == "2 samples of zephyr-U1-ecg are not in it: their timestamp is not valid"
     import_bag(tmp_path / "a", tmp_path / "b.xdf")
     (stream,) = made.held(tmp_path / "b.xdf")
     assert stream.stamps.tolist() == [9.0, 9.004]

@@ -61,6 +61,6 @@ def test_where_arrivals_are_not_known_nothing_is_said_of_stamps() -> None:
 def test_a_capture_that_was_cut_short_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "cut.capture.gz"
     file.write_bytes(recorded_capture.FILE.read_bytes()[:-1000])
-    with pytest.raises(ConfigError, match="cut short") as caught:
+    with pytest.raises(ConfigError, match="truncated") as caught:
         read(file)
     assert caught.value.reason is ConfigReason.UNREADABLE

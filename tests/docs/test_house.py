@@ -224,7 +224,16 @@ def test_a_class_or_a_reason_is_enough(caught: str) -> None:
 INSTEAD = {
     r"anew": "again",
     r"mend(s|ed|ing)?": "fix",
-    r"one a (device|stream|sensor)": "one per device",
+    r"(once|one|value|sample)s? a (device|stream|sensor|sample|channel|row|line)": "one per device",
+    r"(row|line|column|byte)s? a (device|stream|sensor|sample|channel|value)": "a row per sample",
+    r"(the|its|from) begin": "start",
+    r"for ever": "forever",
+    r"be had": "be available",
+    r"hand(s|ed) on": "pass on",
+    r"in the place of": "instead of",
+    r"cut short": "truncated",
+    r"a damage": "damaged bytes",
+    r"without a word": "silently",
 }
 FOLDERS = ("benchmarks", "common", "docs", "examples", "gateway_win", "installer", "ros_side")
 ENDINGS = {".py", ".md", ".js", ".html", ".nsi", ".ps1"}

@@ -269,7 +269,7 @@ def test_discovery_is_shared_by_lsl_programs(
 ) -> None:
     offer(Offered(session, session))
     found = examine(context, "ports")
-    assert only(found, "UDP 16571 (discovery) can be had")
+    assert only(found, "UDP 16571 (discovery) is available")
     assert "python" in only(found, "TCP 16572").what
 
 

@@ -13,7 +13,7 @@ LEGEND = (
     "Seconds from the end of a fault to the first new sample of a stream that never pauses. "
     "Late answers: from the break that comes with them. Off-body: until the device says that it "
     "is worn again. Forgets: from when it forgot what was switched on. Asleep: from when the "
-    "agent ran again. What has no end (garbage, low battery, drift) is counted from its begin. "
+    "agent ran again. What has no end (garbage, low battery, drift) is counted from its start. "
     "Blank: the device cannot have it."
 )
 FAILED = "never"

@@ -220,7 +220,9 @@ def test_an_answer_is_cancelled_and_given_once_at_a_time(
 
     with socket.create_server(("", ANSWER_PORT)):
         panel.get_by_role("button", name="Answer another computer").click()
-        expect(panel.get_by_role("alert")).to_contain_text(f"TCP {ANSWER_PORT} cannot be had here")
+        expect(panel.get_by_role("alert")).to_contain_text(
+            f"TCP {ANSWER_PORT} is not available here"
+        )
     # A page that is ended meanwhile does not wait for whoever may come.
     first = json.loads(server.tell("POST", ANSWER, sent, {}).body)
     assert (first["state"], first["port"]) == ("waiting", ANSWER_PORT)

@@ -46,7 +46,7 @@ def test_a_recording_is_played_marked_and_ended(
     play = panel.get_by_role("button", name="Play", exact=True)
     panel.get_by_label("From").fill("1:00:00")
     play.click()
-    expect(page.locator(".toast")).to_contain_text("holds no sample that was asked for")
+    expect(page.locator(".toast")).to_contain_text("has no samples in the selection")
     panel.get_by_label("From").fill("0:10")
     panel.get_by_label("Speed").select_option("2 times")
     play.click()

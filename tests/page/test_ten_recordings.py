@@ -60,8 +60,8 @@ NEAR_S = 0.1
 is further away."""
 GREEN = re.compile(r"^\d+ streams, \d+\.\d s: all is there$")
 AMBER = re.compile(
-    r"^\d+ streams, \d+\.\d s: the file is right, and \d+ things? happened that its analysis must "
-    r"know$"
+    r"^\d+ streams, \d+\.\d s: the file is intact, but \d+ things? happened that the analysis must "
+    r"consider$"
 )
 RED = re.compile(r"^\d+ streams, \d+\.\d s: 1 thing is wrong or missing in the file$")
 TONES = {"green": "good", "amber": "warn", "red": "bad"}

@@ -213,7 +213,7 @@ def test_one_person_can_be_cut_out(path: Path) -> None:
         (Wish(without="P9"), "nobody is called 'P9'"),
         (Wish(begin="soon"), "'soon' is no time"),
         (Wish(begin="5", end="4"), "is not after"),
-        (Wish(begin="2026-03-14T10:30:00"), "does not say what time of day"),
+        (Wish(begin="2026-03-14T10:30:00"), "does not contain the time of day"),
     ],
 )
 def test_a_wrong_wish_is_one_sentence(path: Path, wish: Wish, words: str) -> None:

@@ -209,7 +209,7 @@ def test_intervals_are_a_line_each(exported: Exporting) -> None:
     (written,) = exported(study(), "kubios").written
     intervals = (written.path / "P1-polar_h10-U1-ibi.txt").read_bytes()
     assert intervals == b"0.8\n" * 19
-    assert "P1-polar_h10-U1-ibi: 1 samples are no interval and left out" in written.notes
+    assert "P1-polar_h10-U1-ibi: 1 samples are not intervals and are left out" in written.notes
 
 
 def test_an_ecg_is_cut_at_its_gaps(exported: Exporting) -> None:
@@ -257,7 +257,7 @@ def test_skin_in_another_unit_is_turned_into_microsiemens(
     assert rows[:39, 1] == pytest.approx(expected)
     # A resistance of nothing is no value.
     assert len(rows) == (39 if "Ohm" in unit else 40)
-    assert any("turned" in each for each in written.notes) == (unit != "uS")
+    assert any("converted" in each for each in written.notes) == (unit != "uS")
 
 
 def test_why_nothing_can_be_read_is_said(exported: Exporting) -> None:

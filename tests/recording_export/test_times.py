@@ -197,7 +197,7 @@ def test_a_stray_stamp_does_not_bend_the_line(exported: Exporting) -> None:
     written = _of(exported(_strap(stamps), "csv", times=Times.EVEN), "csv")
     times = [float(each["lsl_time"]) for each in _rows(written.path / "strap.csv")]
     np.testing.assert_allclose(times, BEGIN_S + np.arange(2600) / RATE, atol=1e-3)
-    assert any("1 stamp is far away" in note for note in written.notes)
+    assert any("1 stamp is far from" in note for note in written.notes)
 
 
 def test_eeg_goes_on_behind_a_gap_of_28_s(exported: Exporting) -> None:
@@ -261,7 +261,7 @@ def test_a_stream_that_no_bag_can_hold_is_missing(exported: Exporting) -> None:
     late = made.xdf(_stream(1, "lsl", BEGIN_S), _stream(2, "late", 9.9e9))
     (bag,) = exported(late, "mcap").written
     assert [note for note in bag.notes if isinstance(note, Missing)] == [
-        "50 samples of late are not in it: their stamp is no time of day"
+        "50 samples of late are not in it: their timestamp is not valid"
     ]
     assert not bag.is_whole
 
@@ -286,7 +286,7 @@ def test_a_replay_plays_the_others_and_says_so(tmp_path: Path) -> None:
         assert [each.header.name for each in player.streams] == ["lsl"]
         assert player.progress().length_s < 10
         (sentence,) = words.left_out(player)
-        assert sentence.startswith("warning: unix is not played, for its stamps are")
+        assert sentence.startswith("warning: unix is not played, because its stamps are")
         alone = Player(choose(contents, Wish(streams=("unix",))), Order(), "hash")
         assert [each.header.name for each in alone.streams] == ["unix"]
         assert alone.progress().length_s == pytest.approx(4.9, abs=0.1)
@@ -392,7 +392,7 @@ def test_why_nothing_was_written_is_said(
     with pytest.raises(RecordingError) as caught:
         exported(made.xdf(_with_runs(1, "a", stamps, 0)), name)
     assert caught.value.reason is RecordingReason.EMPTY
-    assert str(caught.value).endswith("; a: left out, for it has more than 1 gaps")
+    assert str(caught.value).endswith("; a: left out, because it has more than 1 gaps")
 
 
 def test_a_stream_that_is_left_out_makes_it_not_whole(

@@ -81,7 +81,7 @@ def ended(folder: Path, *without: str) -> Verdict:
 def test_it_is_amber_with_a_sentence(tmp_path: Path) -> None:
     verdict = ended(tmp_path, "P01@polar_h10-hr", "P01@polar_h10-ecg")
     texts = [each.text for each in verdict.findings if each.code == "away"]
-    assert texts == [f"{AWAY}was left out on purpose: nothing of it is there"]
+    assert texts == [f"{AWAY}was left out on purpose: it is not in the recording"]
     assert verdict.colour is Colour.AMBER
 
 

@@ -58,8 +58,8 @@ JUDGED: list[tuple[StreamFacts, bytes, str]] = [
     (facts(senders=["a", "b"]), WARN, "2 senders have the same source_id, name and type, on a, b"),
     (facts(doubled_s=1.0), WARN, Refusal.MAYBE_DOUBLED.told()),
     (facts(doubled_s=LEASE_S + 1), ERROR, Refusal.DOUBLED.told()),
-    (facts(delays=DELAYED), WARN, "its stamps are not times of the LSL clock"),
-    (facts(correction_s=None, attached_s=60.0), WARN, "the sender's clock cannot be asked"),
+    (facts(delays=DELAYED), WARN, "its timestamps are not times of the LSL clock"),
+    (facts(correction_s=None, attached_s=60.0), WARN, "the sender's clock cannot be queried"),
     (facts(unfit=3), WARN, "3 samples were not published: it is too large"),
     # None hides another one.
     (facts(has_unix_stamps=True, unfit=1), WARN, f"{UNIX}; 1 sample was not published"),

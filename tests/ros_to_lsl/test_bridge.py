@@ -245,7 +245,7 @@ def test_a_topic_whose_messages_have_no_numbers_yet_is_not_sending() -> None:
     for number in range(3):
         sent.take(PoseArray(), number)
     status = sent.status()
-    assert (status.level, status.message) == (WARN, "no number yet: its messages came without any")
+    assert (status.level, status.message) == (WARN, "no numbers yet: its messages contained none")
     (sentence,) = sent.said
     assert sentence.startswith(status.message)
     sent.take(PoseArray(poses=[Pose()]), 5)

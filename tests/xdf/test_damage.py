@@ -93,7 +93,7 @@ def test_after_a_damage_it_reads_on_at_the_next_whole_chunk(garbage: bytes) -> N
     assert {("damaged", ""), ("footer-count", "numbers")} <= codes(report)
     numbers, events = report.streams
     assert (numbers.stream.sample_count, events.stream.sample_count) == (160 - 4, 40 - 2)
-    assert "what comes after was read" in text_of(report, "damaged")
+    assert "the rest was read" in text_of(report, "damaged")
 
 
 @pytest.mark.parametrize("flipped", range(7))

@@ -353,7 +353,7 @@ def test_of_one_that_comes_and_goes_the_rest_is_counted() -> None:
         events += [event("disconnected", 1002.0 + 4 * k), event("connected", 1003.0 + 4 * k)]
     text = text_of(judged("P01", strap("P01"), events=events), "away")
     assert text.count("not connected") == 3
-    assert text.endswith(" and 2 times more")
+    assert text.endswith(" and 2 more times")
 
 
 def test_nothing_is_said_of_one_that_streamed() -> None:

@@ -177,14 +177,14 @@ def test_it_is_told_as_what_it_is() -> None:
     report = check(_file(bursts(delays(200))))
     assert codes(report, Level.ERROR) == codes(report, Level.WARNING) == set()
     text = text_of(report, "bursts", "a")
-    assert text == "stamped in bursts of 73 each 0.56 s; 129.8 Hz; nothing seems lost"
+    assert text == "timestamps in bursts of 73, each 0.56 s; 129.8 Hz; nothing seems lost"
     report = check(_file(overlaps(delays(200))))
     assert codes(report, Level.ERROR) == set()
     assert "its stamps overlap by up to" in text_of(report, "overlaps", "a")
     report = check(_file(without(bursts(delays(200)), [50 * BURST], 3 * BURST)))
     assert "1 gap of" in text_of(report, "gaps", "a")
     assert "about 21" in text_of(report, "gaps", "a")
-    assert text_of(report, "bursts", "a").endswith("; samples are lost beside that")
+    assert text_of(report, "bursts", "a").endswith("; other samples are lost")
 
 
 # What the agent counted, against what the file holds.
@@ -255,7 +255,7 @@ def test_what_the_recorder_lost_is_an_error() -> None:
     [
         (0.4, None, ""),
         (0.6, Level.NOTE, "1.6 s apart at 10.0 s, as on a busy computer; nothing is missing"),
-        (1.5, Level.WARNING, "2.5 s apart at 10.0 s, as on a busy computer; what has no clock"),
+        (1.5, Level.WARNING, "2.5 s apart at 10.0 s, as on a busy computer; streams without"),
     ],
 )
 def test_a_report_that_comes_late_is_no_gap(late_s: float, level: Level | None, said: str) -> None:

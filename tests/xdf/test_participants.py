@@ -145,7 +145,7 @@ def test_a_device_of_which_nothing_was_recorded_is_red() -> None:
 def test_a_device_that_never_came_is_amber() -> None:
     report = judged("P01", strap("P01"), events=[heartbeat(zephyr__B="discovering")])
     assert codes(report, Level.WARNING) == {("absent", "")}
-    assert "was never there (looking for it)" in text_of(report, "absent")
+    assert "was never available (looking for it)" in text_of(report, "absent")
 
 
 def change(kind: str, participant: str, at: float) -> dict[str, object]:

@@ -194,7 +194,7 @@ def ports(context: Context) -> Iterator[Finding]:
 
 def _discovery(port: int) -> Finding:
     if _is_free(_KINDS["UDP"], port, shared=True):
-        return ok(f"UDP {port} (discovery) can be had")
+        return ok(f"UDP {port} (discovery) is available")
     holder = _program(_owners("UDP", [port]).get(port))
     return error(
         f"UDP {port} is held by {holder} for itself alone",

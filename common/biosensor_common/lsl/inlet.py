@@ -1,7 +1,7 @@
 """Makes inlets that never wait without a time limit, and pulls blocks of samples from them.
 
 The first pull of an inlet that was never opened waits for its outlet as long as liblsl recovers
-lost streams: for ever, if the outlet is gone. And liblsl recovers by name, type and source_id
+lost streams: forever, if the outlet is gone. And liblsl recovers by name, type and source_id
 alone, so it may continue with an outlet of another session or with another header. Recovery is
 therefore switched off: a receiver that lost a stream resolves it again in its own session, and
 reads its header again.

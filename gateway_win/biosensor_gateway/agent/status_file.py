@@ -93,7 +93,7 @@ def _status_of_a_process(folder: Path) -> dict[str, Any]:
     # means nothing here.
     if not lives(status.get("process")) and not _is_held(folder):
         message = (
-            "the agent has ended without a word, as if it had been killed; start it with: "
+            "the agent has ended silently, as if it had been killed; start it with: "
             "biosensor-gateway run"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message)

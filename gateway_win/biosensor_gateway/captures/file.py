@@ -190,7 +190,7 @@ def read(path: Path) -> Capture:
     except FileNotFoundError as error:
         raise ConfigError(ConfigReason.NOT_FOUND, f"there is no file {path}") from error
     except (OSError, EOFError, zlib.error) as error:
-        raise _unreadable(path, "it is not compressed by gzip, or cut short") from error
+        raise _unreadable(path, "it is not compressed by gzip, or is truncated") from error
     if len(content) > MAX_BYTES:
         raise _unreadable(path, f"it is larger than {MAX_BYTES >> 20} MB")
     return _parsed(path, content.splitlines())

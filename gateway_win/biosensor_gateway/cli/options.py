@@ -48,7 +48,9 @@ WithoutOption = Annotated[
 FromOption = Annotated[
     str,
     typer.Option(
-        "--from", metavar="TIME", help="Since the begin, as 90.5 or 1:30.5, or a date and time."
+        "--from",
+        metavar="TIME",
+        help="Since the start, such as 90.5 or 1:30.5, or a date and time.",
     ),
 ]
 UntilOption = Annotated[str, typer.Option("--until", metavar="TIME", help="Likewise.")]

@@ -80,7 +80,7 @@ def ask(question: str, understand: Callable[[str], _Answer]) -> _Answer:
         try:
             answer = input(f"{question} ")
         except EOFError:
-            # Asking again would loop for ever.
+            # Asking again would loop forever.
             typer.echo()
             raise typer.Exit(2) from None
         try:

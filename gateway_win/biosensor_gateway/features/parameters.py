@@ -39,7 +39,7 @@ References
 """
 
 HOP_S = 0.1
-"""ECG is computed in steps of this length, counted from the begin of a run."""
+"""ECG is computed in steps of this length, counted from the start of a run."""
 GAP_PERIODS, FOREIGN_JITTER_S = 1.5, 0.1
 """As in the node and in ``xdf check``: two samples further apart are not neighbours."""
 HOLE_S = {"ECG": 0.05, "PPG": 0.05, "GSR": 0.5, "Respiration": 0.25, "Accelerometer": 0.25}

@@ -136,7 +136,7 @@ class Runs:
 
 
 class Hops:
-    """Cuts a run into pieces of equal length, counted from its begin.
+    """Cuts a run into pieces of equal length, counted from its start.
 
     All computations then see arrays of the same shape, so that results are equal to the last bit
     however the stream is cut into blocks.

@@ -92,7 +92,7 @@ class _Flags:
             del self._stamps[:old], self._flags[:old]
 
     def between(self, begin_s: float, end_s: float) -> list[bool]:
-        """Return the flags after the begin, up to and including the end."""
+        """Return the flags after the start, up to and including the end."""
         return self._flags[self._part(begin_s, end_s)]
 
     def stamps_of(self, begin_s: float, end_s: float) -> list[float]:

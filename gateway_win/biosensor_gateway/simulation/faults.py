@@ -142,7 +142,7 @@ class Fault:
         low, high = _RANGES.get(self.kind, (0.0, math.inf))
         # NaN is not in any range.
         if not low <= self.value <= high:
-            raise ValueError(f"a fault {self.kind.value} of {self.value:g} makes no sense")
+            raise ValueError(f"a fault {self.kind.value} of {self.value:g} is not possible")
 
 
 @dataclass(frozen=True, slots=True)

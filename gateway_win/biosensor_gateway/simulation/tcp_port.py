@@ -116,7 +116,7 @@ class TcpPort:
             bound.bind((LOOPBACK, self._number))
         except OSError as error:
             bound.close()
-            message = f"port {self._number} of {LOOPBACK} cannot be had for a virtual device"
+            message = f"port {self._number} of {LOOPBACK} is not available for a virtual device"
             raise TransportError(TransportReason.BUSY, f"{message}: {error}") from error
         return bound
 

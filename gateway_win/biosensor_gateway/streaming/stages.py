@@ -179,7 +179,7 @@ class _Bounds:
         self._beats = _Beats() if is_intervals and in_seconds else None
 
     def check(self, samples: ArrayLike, times: Sequence[float]) -> _Checked:
-        """Put NaN in the place of what is outside; leave out samples that have nothing else."""
+        """Replace values outside by NaN; leave out samples that have nothing else."""
         checked = _Checked(samples, times)
         values = np.asarray(samples, np.float64)
         # Samples that do not fit their times are refused later on.

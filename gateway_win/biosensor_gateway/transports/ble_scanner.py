@@ -191,7 +191,7 @@ class _SharedScan:
         before = self._seen.pop(device.address, None)
         known = Advertisement(device.address) if before is None else before.advertisement
         sighting = Sighting(device, _merged(known, device, data), self._last_heard_s)
-        # Least recently heard first: phones change their address for ever.
+        # Least recently heard first: phones keep changing their address.
         self._seen[device.address] = sighting
         while len(self._seen) > MAX_SEEN:
             del self._seen[next(iter(self._seen))]

@@ -35,7 +35,7 @@ class UdpPort:
     Raises
     ------
     OSError
-        The port cannot be had.
+        The port is not available.
     """
 
     def __init__(self, host: str = "", port: int = 0) -> None:
@@ -63,7 +63,7 @@ class UdpPort:
             self._socket.sendto(data, to)
 
     def listen(self, take: Take, lost: Callable[[OSError], object]) -> None:
-        """Hand on all datagrams in the running event loop until `end`; a thread reads them.
+        """Pass on all datagrams in the running event loop until `end`; a thread reads them.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class DataPort(Protocol):
         ...
 
     def listen(self, take: Take, lost: Callable[[OSError], object]) -> None:
-        """Hand on all datagrams until `end`."""
+        """Pass on all datagrams until `end`."""
         ...
 
     def end(self) -> None:
@@ -164,7 +164,7 @@ class DataPort(Protocol):
 
 
 class Ports(Protocol):
-    """All of them for one connection of one device; each raises OSError if it cannot be had."""
+    """All of them for one connection of one device; each raises OSError if it is not available."""
 
     async def asking(self, take: Callable[[bytes, Address], None]) -> Asking:
         """Open the port to ask from; `take` gets the answers."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 USUAL_BAUD_RATE = 115200
 OPEN_TIMEOUT_S = 20.0
-# On Windows a write to a vanished Bluetooth port would wait for ever.
+# On Windows a write to a vanished Bluetooth port would wait forever.
 WRITE_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 1.0
 # A read that was not yet on its way when it was cancelled is cancelled again after this time.

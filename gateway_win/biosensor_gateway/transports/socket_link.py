@@ -133,7 +133,7 @@ class SocketLink:
 
 CONNECT_TIMEOUT_S = 10.0
 KEEPALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
-"""A peer that vanished without a word is noticed after 25 s at most."""
+"""A peer that vanished silently is detected after at most 25 s."""
 
 _OFF = "the host does not answer; is it on and in this network?"
 _REASONS: dict[int | None, tuple[TransportReason, str]] = {

@@ -40,7 +40,7 @@ ASKED = frozenset({What.READ, What.WRITTEN, What.SUBSCRIBED, What.UNSUBSCRIBED, 
 """What a driver asks for, and waits until it is done."""
 
 CANCELLED = "cancelled"
-"""In the place of an error: the driver did not wait for the answer."""
+"""Stands for an error: the driver did not wait for the answer."""
 
 
 class Characteristic(Protocol):
@@ -126,7 +126,7 @@ def tapped(tap: Tap) -> Generator[None]:
 
 @contextmanager
 def replaced(replacement: Replacement) -> Generator[None]:
-    """Have other links made in the place of those to devices meanwhile."""
+    """Create other links instead of those to devices meanwhile."""
     token = _instead.set(replacement)
     try:
         yield

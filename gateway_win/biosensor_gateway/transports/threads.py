@@ -37,7 +37,7 @@ class _DaemonThreads(Executor):
         def run() -> None:
             try:
                 future.set_result(fn(*args, **kwargs))
-            except Exception as error:  # noqa: BLE001 - handed on to the awaiting caller
+            except Exception as error:  # noqa: BLE001 - passed on to the awaiting caller
                 future.set_exception(error)
 
         threading.Thread(target=run, daemon=True).start()
@@ -108,7 +108,7 @@ class Traffic:
             yield data
 
     def deliver(self, data: bytes, arrival: float) -> None:
-        """Hand on what came, with its LSL time of arrival; for the reading thread."""
+        """Pass on data with their LSL time of arrival; for the reading thread."""
         self._hand_on(Received(data, arrival))
 
     def lost(self, cause: Exception | None = None) -> None:

@@ -120,7 +120,7 @@ class WebSocketLink:
             await asyncio.wait({self._reader})
 
     async def _connect(self, context: ssl.SSLContext | None) -> ClientConnection:
-        # Not the library's reconnecting iterator: it would retry a wrong certificate for ever.
+        # Not the library's reconnecting iterator: it would retry a wrong certificate forever.
         try:
             parts = urlsplit(self._url)
             return await connect(

@@ -199,7 +199,7 @@ class Answerer:
             self._listener.close()
             raise TransportError(
                 TransportReason.BUSY,
-                f"TCP {self.port} cannot be had here ({error.strerror or error}); name "
+                f"TCP {self.port} is not available here ({error.strerror or error}); name "
                 "another one on both computers: --port 16800",
             ) from error
         self.port = self._listener.getsockname()[1]

@@ -35,7 +35,7 @@ from biosensor_common.lsl.api_file import PEERS, SESSION, Ports
 
 SEARCH_S, LISTEN_S = 4.0, 3.0
 CONNECT_S = 2.0
-"""Time limit of a connection; without it, dropped packets would block for ever."""
+"""Time limit of a connection; without it, dropped packets would block forever."""
 GROUPS = (LSL_GROUP, "224.0.0.183")
 """LSL's multicast groups that routers and switches treat differently."""
 _LOOK_S, _LIFE_S = 30.0, 120.0

@@ -186,7 +186,7 @@ class _File:
             elif op == _Op.CHANNEL:
                 self._take_channel(_Fields(content))
         except (struct.error, _DamagedError) as error:
-            self._note(f"{self._path}: the record at byte {record.start} makes no sense ({error})")
+            self._note(f"{self._path}: the record at byte {record.start} is invalid ({error})")
 
     def _take_schema(self, fields: _Fields) -> None:
         number = fields.number(2)

@@ -107,7 +107,7 @@ def _clock(content: dict[str, Any]) -> RecordedClock:
     times = np.array([float(lsl_s) for lsl_s, _ in pairs])
     offsets_ns = np.array([int(ns) - round(lsl_s * NS_PER_S) for lsl_s, ns in pairs], np.int64)
     if not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise ValueError("its clock makes no sense")
+        raise ValueError("its clock is invalid")
     source, resolution_s = str(content["source"]), float(content["resolution_s"])
     return RecordedClock(str(content["begun"]), WallClock(source, resolution_s, times, offsets_ns))
 

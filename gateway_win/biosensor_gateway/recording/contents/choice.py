@@ -131,7 +131,7 @@ def choose(contents: Contents, wish: Wish) -> Chosen:
     begin_s = _moment(wish.begin, contents) if wish.begin else -math.inf
     end_s = _moment(wish.end, contents) if wish.end else math.inf
     if end_s <= begin_s:
-        message = f"the end, {wish.end}, is not after the begin, {wish.begin}"
+        message = f"the end, {wish.end}, is not after the start, {wish.begin}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return Chosen(contents, tuple(streams), begin_s, end_s)
 
@@ -180,6 +180,6 @@ def _moment(text: str, contents: Contents) -> float:
         )
         raise ConfigError(ConfigReason.WRONG_VALUE, message) from None
     if contents.wall is None:
-        message = f"{contents.path} does not say what time of day it was; use seconds, not {text}"
+        message = f"{contents.path} does not contain the time of day; use seconds, not {text}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return contents.wall.to_lsl_s(round(date.timestamp() * NS_PER_S))

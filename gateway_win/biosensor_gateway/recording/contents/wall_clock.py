@@ -57,13 +57,13 @@ class WallClock:
         """How far off the time of day may be, as the end of a sentence; empty if exact."""
         if self.resolution_s >= NO_ZONE_RESOLUTION_S:
             return (
-                "may be hours off: the recorder's date has no time zone, and was taken for one of "
+                "may be hours off: the recorder's date has no time zone, and was taken as one of "
                 "this computer's"
             )
         if self.resolution_s:
             return (
-                f"is only good to {self.resolution_s:g} s, for the recorder's date is all that "
-                "tells it"
+                f"is only accurate to {self.resolution_s:g} s, because only the recorder's date "
+                "is known"
             )
         return ""
 

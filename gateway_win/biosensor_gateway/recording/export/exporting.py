@@ -146,13 +146,13 @@ def _require_samples(chosen: Chosen) -> None:
     if not any(True for each in chosen.streams for _ in chosen.samples(each)):
         path = chosen.contents.path
         why = chosen.contents.why_incomplete
-        message = f"{path} holds no sample of what is wanted, so nothing was written{why}"
+        message = f"{path} has no samples in the selection, so nothing was written{why}"
         raise RecordingError(RecordingReason.EMPTY, message)
 
 
 def _require_clock(contents: Contents, clock: Clock) -> None:
     if clock is Clock.WALL and contents.wall is None:
-        message = f"{contents.path} does not say what time of day it was; leave out --clock wall"
+        message = f"{contents.path} does not contain the time of day; leave out --clock wall"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
@@ -168,20 +168,20 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
     if guessed := [each.header.name for each in chosen.streams if each.is_guessed]:
         yield (
             f"not all of {', '.join(guessed[:3])}{', ...' if len(guessed) > 3 else ''} is UTF-8, "
-            "so letters were guessed, as those of Windows"
+            "so characters were guessed, as in Windows"
         )
     unmeasured = [each.header.name for each in chosen.streams if not each.clock.is_known]
     if unmeasured:
         streams = "1 stream" if len(unmeasured) == 1 else f"{len(unmeasured)} streams"
         yield (
             f"the clock of {streams} was never measured ({', '.join(unmeasured[:3])}"
-            f"{', ...' if len(unmeasured) > 3 else ''}): their stamps are as recorded"
+            f"{', ...' if len(unmeasured) > 3 else ''}): their timestamps are as recorded"
         )
     for each in chosen.streams:
         if each.clock_error:
             yield (
-                f"{each.header.name}: {each.clock_error}, so nothing says when it was against "
-                "the other streams"
+                f"{each.header.name}: {each.clock_error}, so its time relative to the "
+                "other streams is unknown"
             )
 
 
@@ -191,7 +191,9 @@ def _targets(
     folder = path.parent if output is None else output
     if output is not None and not output.is_dir():
         if len(exporters) > 1:
-            message = f"there is no folder {output}; make it first, for it is to hold several"
+            message = (
+                f"there is no folder {output}; create it first, because it is for several formats"
+            )
             raise ConfigError(ConfigReason.NOT_FOUND, message)
         ((format_name, exporter),) = exporters.items()
         suffix = exporter.suffix
@@ -211,7 +213,7 @@ def _targets(
 
 
 def _in_the_way(target: Path) -> ConfigError:
-    message = f"{target} exists and is not overwritten; give another place with --output"
+    message = f"{target} exists and is not overwritten; choose another place with --output"
     return ConfigError(ConfigReason.EXISTS, message)
 
 
@@ -227,7 +229,7 @@ def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
     if free < needed:
         message = (
             f"the disk of {folder} has {free / 1e6:.0f} MB left, and this may take "
-            f"{needed / 1e6:.0f} MB; make room on it, or give another place with --output"
+            f"{needed / 1e6:.0f} MB; make room on it, or choose another place with --output"
         )
         raise RecordingError(RecordingReason.UNWRITABLE, message)
 

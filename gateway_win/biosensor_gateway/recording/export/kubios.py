@@ -78,8 +78,8 @@ class Kubios:
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
-                f"{chosen.contents.path} holds no intervals between beats and no ECG of what is "
-                "wanted, so nothing was written for Kubios"
+                f"{chosen.contents.path} has no beat intervals and no ECG in the "
+                "selection, so nothing was written for Kubios"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
         write_readme(target, chosen, order, _MEANS, files, notes)
@@ -94,7 +94,7 @@ def _is_of(stream: Stream, kind: ContentType) -> bool:
 def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str]:
     name, unit = stream.header.name, stream.meaning.units[0]
     if unit not in _IN_SECONDS:
-        yield Missing(f"{name}: left out, for its unit is {unit!r}, neither s nor ms")
+        yield Missing(f"{name}: left out, because its unit is {unit!r}, neither s nor ms")
         return
     left_out, missing_s, last_s = 0, 0.0, None
     with path.open("xb") as file:
@@ -112,10 +112,10 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
             last_s = float(times[-1])
     if last_s is None:
         path.unlink()
-        yield f"{name}: left out, for it has no interval"
+        yield f"{name}: left out, because it has no intervals"
         return
     if left_out:
-        yield f"{name}: {left_out} samples are no interval and left out"
+        yield f"{name}: {left_out} samples are not intervals and are left out"
     if missing_s:
         yield f"{name}: beats of {missing_s:.0f} s in all are missing between the intervals"
 
@@ -133,7 +133,7 @@ def _write_ecg(
     cut = Runs(chosen, stream, order.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
-        notes.append(Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps"))
+        notes.append(Missing(f"{name}: left out, because it has more than {MOST_RUNS} gaps"))
         return []
     if not runs:
         return []

@@ -77,7 +77,7 @@ class Ledalab:
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
-                f"{chosen.contents.path} holds no skin conductance of what is wanted, "
+                f"{chosen.contents.path} has no skin conductance in the selection, "
                 "so nothing was written for Ledalab"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
@@ -144,12 +144,14 @@ def _write_stream(
             file.writelines(b"%b\t%b\t%b\n" % row for row in rows)
     if begin_s is None:
         path.unlink()
-        yield Missing(f"{stream.header.name}: left out, for it has no value")
+        yield Missing(f"{stream.header.name}: left out, because it has no values")
         return
     if unit.lower() in _CONDUCTANCES | _RESISTANCES:
-        yield f"{stream.header.name}: its values were turned from {unit} to microsiemens"
+        yield f"{stream.header.name}: its values were converted from {unit} to microsiemens"
     elif unit not in _MICROSIEMENS:
-        yield f"{stream.header.name}: its unit is {unit!r}, and Ledalab takes it for microsiemens"
+        yield (
+            f"{stream.header.name}: its unit is {unit!r}, and Ledalab interprets it as microsiemens"
+        )
     for what in told_of.sentences(len(happened)):
         yield f"{stream.header.name}: {what}"
     if runs is not None:
@@ -157,7 +159,7 @@ def _write_stream(
             yield f"{stream.header.name}: {what}"
         if gaps := runs.gaps():
             told = gap_text([each.lost for each in gaps])
-            yield f"{stream.header.name}: {told}; before each stands the marker {BAD_GAP}"
+            yield f"{stream.header.name}: {told}; the marker {BAD_GAP} precedes each gap"
 
 
 def _with_gaps(
@@ -204,7 +206,7 @@ class _Told:
             )
         if self.late:
             yield (
-                f"{self.late} of the markers fell where samples are missing, and stand at the "
+                f"{self.late} of the markers fell where samples are missing, and are placed at the "
                 "next one"
             )
         if self.together:

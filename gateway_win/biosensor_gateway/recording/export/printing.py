@@ -74,7 +74,7 @@ def sentences(outcome: Outcome) -> Iterator[str]:
 
 def _damage_text(damage: Damage) -> str:
     if damage.breaks_off:
-        return f"from byte {damage.start} on nothing can be read ({damage.what})"
+        return f"nothing can be read from byte {damage.start} on ({damage.what})"
     return f"bytes {damage.start} to {damage.end} cannot be read ({damage.what})"
 
 

@@ -18,7 +18,7 @@ _WIDTH = 100
 _MOST_CHANNELS, _MOST_FILES = 12, 4
 _CLOCKS = {
     Clock.LSL: "on the LSL clock of the recording computer, which began when it was switched on",
-    Clock.WALL: "unix time: seconds since the begin of 1970, in UTC",
+    Clock.WALL: "unix time: seconds since the start of 1970, in UTC",
 }
 _TIMES = {
     Times.RECORDED: "Times are as recorded. Nothing was filled in where samples are missing.",

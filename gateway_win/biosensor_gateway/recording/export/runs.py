@@ -203,7 +203,7 @@ class Runs:
         if lost:
             yield gap_text(lost)
         if inside:
-            yield f"events {BAD_GAP} tell where it goes on behind a gap; {instead} there"
+            yield f"events {BAD_GAP} mark where it continues after a gap; {instead} there"
         if len(files) > 1:
             steps = sum(not run.lost for each in files for run in each.runs) - 1
             why = "gaps and steps back in time" if steps else "gaps"
@@ -220,7 +220,7 @@ class Runs:
             yield f"even times are at most {moved_ms:g} ms from the recorded ones"
         if self.stray:
             stamps = "1 stamp is" if self.stray == 1 else f"{self.stray} stamps are"
-            yield f"{stamps} far away from those before and behind"
+            yield f"{stamps} far from those before and after"
 
     def _period_s(self, number: int) -> float:
         if self._is_even:

@@ -170,7 +170,7 @@ class LabRecorder:
         RecorderError
             If nothing was started, or the start cannot be verified; see its reason.
         ConfigError
-            If `request` makes no sense.
+            If `request` is invalid.
         """
         with RemoteControl(self._host, self._port) as remote:
             return self._start(remote, request, look)

@@ -509,14 +509,14 @@ class Growth:
         age_s = self._length_s if stream.age_s is None else stream.age_s
         if stream.nominal_hz and age_s > limit_s:
             since = "since the recording began" if not stream.samples else f"for {age_s:.0f} s"
-            text = f"nothing of it was recorded {since}, while others go on"
+            text = f"nothing of it was recorded {since}, while other streams continue"
             yield Finding(Level.ERROR, "stopped", stream.name, text)
             return  # nothing is dropped: that it has stopped is told
         unmeasured_s = self._length_s if stream.offset_age_s is None else stream.offset_age_s
         if unmeasured_s > OFFSETS_DUE_S:
             text = (
-                f"its clock has not been measured for {unmeasured_s:.0f} s: its program is gone, "
-                "or its answers do not come through"
+                f"its clock has not been measured for {unmeasured_s:.0f} s: its program has ended, "
+                "or its answers do not arrive"
             )
             yield Finding(Level.ERROR, "no-offsets", stream.name, text)
 

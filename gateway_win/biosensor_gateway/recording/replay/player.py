@@ -213,7 +213,7 @@ class Player:
         return all(each.has_receiver() for each in self._outlets.values())
 
     def _empty(self) -> ReplayError:
-        message = f"{self._chosen.contents.path} holds no sample that was asked for"
+        message = f"{self._chosen.contents.path} has no samples in the selection"
         return ReplayError(ReplayReason.EMPTY, message)
 
     def _tracks(self) -> list[Track]:

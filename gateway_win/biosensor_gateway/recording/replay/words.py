@@ -32,7 +32,7 @@ def left_out(player: Player) -> Iterator[str]:
     """Yield warnings about streams that are not played."""
     for each in player.left_out:
         yield (
-            f"warning: {each.header.name} is not played, for {each.clock_error}; --streams "
+            f"warning: {each.header.name} is not played, because {each.clock_error}; --streams "
             f"{each.header.name!r} plays it alone"
         )
 

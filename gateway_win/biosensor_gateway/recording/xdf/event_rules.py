@@ -62,7 +62,7 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
             continue
         if not CONNECTED & states.keys():
             how = ", ".join(STATE_WORDS.get(each, each) for each in states)
-            text = f"{device} was never there ({how}), so nothing of it was recorded"
+            text = f"{device} was never available ({how}), so nothing of it was recorded"
             yield Finding(Level.WARNING, "absent", "", text)
         elif not is_counted:
             # Otherwise each missing stream is reported by name.
@@ -99,14 +99,14 @@ def _away(
             continue
         said = ", ".join(_spell(each, events, extent) for each in spells[:_MOST_SPELLS])
         more = len(spells) - _MOST_SPELLS
-        said += f" and {more} times more" if more > 0 else ""
+        said += f" and {more} more times" if more > 0 else ""
         named = _named(own, device)
         # A battery level may have been measured before the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
             yield Finding(Level.WARNING, "away", "", f"{named} was {said}")
         elif any(each.stream.header.source_id in without for each in streams):
-            text = f"{named} was {said}, and was left out on purpose: nothing of it is there"
+            text = f"{named} was {said}, and was left out on purpose: it is not in the recording"
             yield Finding(Level.WARNING, "away", "", text)
         else:
             text = f"{named} was {said}, and nothing of it was recorded"
@@ -128,7 +128,7 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             more = f" and {times - _MOST_SPELLS} times more" if times > _MOST_SPELLS else ""
             text = (
                 f"the stamps of {_named(own, device)} jumped {said}{more}: those just before were "
-                "wrong so far"
+                "wrong"
             )
             yield Finding(Level.WARNING, "clock-jumped", "", text)
 
@@ -145,8 +145,8 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             times = "once" if len(spans) == 1 else f"{len(spans)} times"
             text = (
                 f"{_named(own, device)} was connected and sent nothing {times}, for {streams} "
-                f"{_number(longest, 'seconds'):.1f} s until {at:.1f} s: what came afterwards had "
-                "waited, or is counted as lost"
+                f"{_number(longest, 'seconds'):.1f} s until {at:.1f} s: data that came afterwards "
+                "was delayed, or is counted as lost"
             )
             yield Finding(Level.WARNING, "silent", "", text)
 
@@ -257,7 +257,7 @@ def _spell(spell: _Spell, events: Measured, extent: Extent) -> str:
 
     if spell.since is None and spell.until is None:
         return f"{spell.how} the whole time"
-    since = "from the begin" if spell.since is None else f"from {at(spell.since)}"
+    since = "from the start" if spell.since is None else f"from {at(spell.since)}"
     until = "to the end" if spell.until is None else f"to {at(spell.until)}"
     return f"{spell.how} {since} {until}"
 

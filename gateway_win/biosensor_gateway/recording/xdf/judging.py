@@ -77,7 +77,7 @@ def _damaged(recording: Recording) -> Iterator[Finding]:
     foreign = [each for each in recording.damages if each.is_foreign]
     if foreign:
         chunks = "1 chunk is" if len(foreign) == 1 else f"{len(foreign)} chunks are"
-        text = f"{chunks} passed over ({foreign[0].what}); all else was read"
+        text = f"{chunks} skipped ({foreign[0].what}); everything else was read"
         yield Finding(Level.WARNING, "foreign-chunk", "", text)
     damages = [each for each in recording.damages if not each.is_foreign]
     for damage in damages[:_MOST_DAMAGES]:
@@ -116,7 +116,7 @@ def _damage_text(damage: Damage, size: int) -> str:
         )
     return (
         f"bytes {damage.start} to {damage.end} of {size} cannot be read ({damage.what}); "
-        "what comes after was read"
+        "the rest was read"
     )
 
 
@@ -149,7 +149,7 @@ def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
     played = Counter(replay.title for each in measured if (replay := each.stream.header.replay))
     for title, count in played.items():
         streams = "1 stream is" if count == 1 else f"{count} streams are"
-        text = f"{streams} a replay of {title}, and not measured while this was recorded"
+        text = f"{streams} a replay of {title}, and not measured during this recording"
         yield Finding(Level.WARNING, "replay", "", text)
 
 

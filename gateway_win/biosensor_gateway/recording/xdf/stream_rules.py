@@ -44,16 +44,16 @@ def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
 def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     header = measured.stream.header
     if header.is_guessed:
-        text = "its header is not UTF-8, so letters in it are guessed, as those of Windows"
+        text = "its header is not UTF-8, so its characters are guessed, as in Windows"
         yield Level.WARNING, "not-utf8", text
     if guessed := measured.stream.guessed_texts:
         texts = "1 of its texts is" if guessed == 1 else f"{guessed} of its texts are"
-        text = f"{texts} not UTF-8, so letters are guessed, as those of Windows"
+        text = f"{texts} not UTF-8, so characters are guessed, as in Windows"
         yield Level.WARNING, "not-utf8", text
     if header.refused:
         yield Level.WARNING, "refused-header", f"it claims to be ours, but {header.refused}"
     if not header.source_id:
-        text = "it has no source_id, so it is not recorded any further when its program restarts"
+        text = "it has no source_id, so its recording ends when its program restarts"
         yield Level.WARNING, "no-source-id", text
 
 
@@ -65,10 +65,12 @@ def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     elif footer.sample_count is None:
         yield Level.WARNING, "footer-count", "its footer does not say how many samples there are"
     elif held and footer.sample_count == held - 1 and _ends_astray(measured):
-        text = "its footer counts one sample less: the last one is none, as its outlet had ended"
+        text = (
+            "its footer counts one sample less: the last one is invalid, as its outlet had closed"
+        )
         yield Level.NOTE, "footer-count", text
     elif held and footer.sample_count == held - 1:
-        text = "its footer counts one sample less: older LabRecorders forget the first"
+        text = "its footer counts one sample less: older LabRecorders do not count the first"
         yield Level.NOTE, "footer-count", text
     elif footer.sample_count != held:
         text = f"its footer counts {footer.sample_count} samples, the file holds {held}"
@@ -88,16 +90,16 @@ def _samples(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         text = "it is switched off in the settings, or this model of the device has no such data"
         yield Level.NOTE, "off", text
     elif header.is_regular and 0 < extent.length_s * header.rate < FEWEST_DUE:
-        text = f"it holds no samples: {extent.length_s:.1f} s are too short for {header.rate:g} Hz"
+        text = f"it has no samples: {extent.length_s:.1f} s are too short for {header.rate:g} Hz"
         yield Level.WARNING, "no-samples", text
     elif header.is_regular:
         text = f"it should have {header.rate:g} samples a second and holds none"
         yield Level.ERROR, "no-samples", text
     elif header.content_type == "Markers":
-        text = "it holds no marker, which some versions of MATLAB's loader cannot bear"
+        text = "it has no markers, on which some versions of MATLAB's loader fail"
         yield Level.NOTE, "no-samples", text
     else:
-        yield Level.NOTE, "no-samples", "it holds no samples"
+        yield Level.NOTE, "no-samples", "it has no samples"
 
 
 def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
@@ -105,15 +107,15 @@ def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     if figures.clock_error:
         yield Level.ERROR, "wrong-clock", figures.clock_error
     if figures.bad_stamps:
-        yield Level.ERROR, "bad-stamps", f"{figures.bad_stamps} of its stamps are no numbers"
+        yield Level.ERROR, "bad-stamps", f"{figures.bad_stamps} of its timestamps are not numbers"
     if figures.pace is not None and figures.pace.stray:
         count = len(figures.pace.stray)
         stamps = "1 stamp is" if count == 1 else f"{count} stamps are"
-        text = f"{stamps} far away from those of the samples before and behind"
+        text = f"{stamps} far from those of the samples before and after"
         yield Level.ERROR, "stray-stamps", text
     if figures.backward_steps:
         count = figures.backward_steps
-        text = f"its stamps run backwards in {'1 place' if count == 1 else f'{count} places'}"
+        text = f"its timestamps run backwards in {'1 place' if count == 1 else f'{count} places'}"
         yield Level.ERROR, "backwards", text
 
 
@@ -122,15 +124,15 @@ def _bursts(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     pace = measured.figures.pace
     if pace is None:
         return
-    lost = "nothing seems lost" if not pace.holes else "samples are lost beside that"
+    lost = "nothing seems lost" if not pace.holes else "other samples are lost"
     rate = f"{1 / pace.period_s:.4g} Hz; {lost}"
     if pace.burst > 1:
         every_s = pace.burst * pace.period_s
-        text = f"stamped in bursts of {pace.burst} each {every_s:.2g} s; {rate}"
+        text = f"timestamps in bursts of {pace.burst}, each {every_s:.2g} s; {rate}"
         yield Level.NOTE, "bursts", text
     elif pace.overlap_s > 0:
         overlap = f"its stamps overlap by up to {pace.overlap_s * 1e3:.3g} ms"
-        text = f"stamped when it came, so {overlap}; {rate}"
+        text = f"timestamps are arrival times, so {overlap}; {rate}"
         yield Level.NOTE, "overlaps", text
 
 
@@ -153,7 +155,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     if not header.can_drop_samples and any(g.length_s <= smeared_up_to for g in gaps.listed):
         text = (
             "its header does not say can_drop_samples, so load it with "
-            "dejitter_timestamps=False, else the gaps shift its stamps"
+            "dejitter_timestamps=False, otherwise the gaps shift its timestamps"
         )
         yield Level.WARNING, "smeared-gaps", text
 
@@ -163,7 +165,7 @@ def _held_up(length_s: float, at: float) -> Verdict:
     text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
     if length_s < HELD_UP_S:
         return Level.NOTE, "held-up", f"{text}; nothing is missing by that"
-    late = "what has no clock of its own, such as a heart rate, may be stamped so much too late"
+    late = "streams without a clock, such as a heart rate, may be stamped late by as much"
     return Level.WARNING, "held-up", f"{text}; {late}"
 
 
@@ -188,14 +190,14 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
             text = "no clock offsets, because the recording is too short"
             yield Level.NOTE, "no-offsets", text
         else:
-            text = "no clock offsets, so its stamps fit no stream of another computer"
+            text = "no clock offsets, so it cannot be aligned with streams of other computers"
             yield Level.WARNING, "no-offsets", text
         return
     if offsets.resets:
         times = "once" if offsets.resets == 1 else f"{offsets.resets} times"
         text = (
-            f"its sender's clock began again or was set {times}; stamps are right on either side, "
-            "but for some seconds around it"
+            f"its sender's clock was restarted or set {times}; timestamps are right before and "
+            "after, except for some seconds around it"
         )
         yield Level.WARNING, "clock-reset", text
     if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
@@ -236,7 +238,7 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         unknown = ", ".join(label for label, unit in empty if unit in _QUALIFIES)
         empty = [each for each in empty if each[1] not in _QUALIFIES]
         if unknown:
-            yield Level.NOTE, "no-values", f"nothing in the recording tells {unknown}"
+            yield Level.NOTE, "no-values", f"nothing in the recording determines {unknown}"
     labels = ", ".join(label for label, _ in empty)
     if empty and window_s is not None and extent.length_s < window_s:
         text = f"no value yet in {labels}: they look back over up to {window_s:g} s"
@@ -263,7 +265,7 @@ def _counted(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         text = f"the agent counted {counters.lost} samples as lost on their way from the device"
         yield Level.WARNING, "lost", text
     if counters.restarts:
-        text = f"the agent began again {counters.restarts} times during the recording"
+        text = f"the agent was restarted {counters.restarts} times during the recording"
         yield Level.WARNING, "restarted", text
 
 

@@ -131,4 +131,4 @@ def _sentence(report: Report, colour: Colour) -> str:
         things = "1 thing is" if count == 1 else f"{count} things are"
         return f"{what}{things} wrong or missing in the file"
     things = "1 thing" if count == 1 else f"{count} things"
-    return f"{what}the file is right, and {things} happened that its analysis must know"
+    return f"{what}the file is intact, but {things} happened that the analysis must consider"

@@ -376,7 +376,7 @@ class _UdpLink:
         if error.errno in (errno.EACCES, errno.EPERM):
             advice = "the system keeps it; choose a number above 1023"
             return TransportError(TransportReason.DENIED, f"{name}: {advice}")
-        message = f"{name}: it cannot be had ({error.strerror or error})"
+        message = f"{name}: it is not available ({error.strerror or error})"
         return TransportError(TransportReason.UNAVAILABLE, message)
 
     def _take(self, data: bytes, arrival_s: float, sender: Address) -> None:

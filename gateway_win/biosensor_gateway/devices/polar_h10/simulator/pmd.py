@@ -130,7 +130,7 @@ def decode_choice(data: bytes) -> dict[Setting, int]:
         if data[1:2] not in (b"", b"\1") or setting in chosen:
             raise ValueError(f"{setting.name} is repeated or has not one value")
         if len(data) < end:
-            raise EOFError(f"{setting.name} is cut short")
+            raise EOFError(f"{setting.name} is truncated")
         chosen[setting] = int.from_bytes(data[2:end], "little")
         data = data[end:]
     return chosen

@@ -158,7 +158,7 @@ export function Replay({ act, isRunning, onClose }) {
               ${["0.5", "1", "2", "5", "10", "50"].map((each) => html`<option value=${each}>${each === "1" ? "as recorded" : `${each} times`}</option>`)}
             </select>
           </label>
-          <label>From, as 1:30<input type="text" size="8" maxlength="40" placeholder="its begin" value=${fields.begin} onInput=${set("begin")} /></label>
+          <label>From, as 1:30<input type="text" size="8" maxlength="40" placeholder="its start" value=${fields.begin} onInput=${set("begin")} /></label>
           <label>Until<input type="text" size="8" maxlength="40" placeholder="its end" value=${fields.end} onInput=${set("end")} /></label>
           <button class="main" disabled=${isUnderWay || isRunning || !contents || !chosen.size}>${isUnderWay ? "Opening …" : "Play"}</button>
           <label class="check"><input type="checkbox" checked=${checks.loop} onChange=${tick("loop")} /> again and again</label>

@@ -189,11 +189,12 @@ class _Dataset:
         written |= self._write_events(writer)
         if not written:
             path = self._chosen.contents.path
-            message = f"{path} holds nothing that BIDS has a place for"
+            message = f"{path} has no data that BIDS has a place for"
             raise RecordingError(RecordingReason.EMPTY, message)
         describe(self._root, self._order.name, self._subjects, written)
         missing = [
-            Missing(f"{each.header.name}: left out, for {each.clock_error}") for each in self._away
+            Missing(f"{each.header.name}: left out, because {each.clock_error}")
+            for each in self._away
         ]
         return [*missing, *sentences(writer.remarks, self._subjects)]
 
@@ -292,9 +293,12 @@ def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> No
 def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
     """Yield the most important notes for the user."""
     if subjects.participants.get(UNKNOWN) == "":
-        yield f"no stream names a participant: all is in sub-{UNKNOWN}"
+        yield f"no stream names a participant: everything is in sub-{UNKNOWN}"
     elif subjects.participants.get(subjects.nobodys) == "":
-        yield f"streams that name nobody are in sub-{subjects.nobodys}; markers hold for everybody"
+        yield (
+            f"streams without a participant are in sub-{subjects.nobodys}; markers apply to "
+            "everybody"
+        )
     if remarks.without_samples:
         yield f"no samples, so no table: {_listed(remarks.without_samples)}"
     if remarks.without_table:

@@ -174,7 +174,7 @@ def _member(chosen: Chosen, order: Order, stream: Stream, notes: list[str]) -> _
         return None
     why = stream.clock_error or ("its time steps back" if len(timing.parts) > 1 else "")
     if why:
-        told = f"{stream.header.name}: in no wide table, for {why}; its own table has it"
+        told = f"{stream.header.name}: in no wide table, because {why}; its own table contains it"
         notes.append(Missing(told))
         return None
     return _Member(stream, runs, timing.rate_hz)

@@ -46,7 +46,7 @@ there is no value. Where samples are missing, so are their rows.
 Column {{time}}: when it was. Column seconds: the time since the recording begins, which is the
 same for all tables.
 
-{MARKERS}: what happened, with seconds since the begin. undone is yes where a marker was taken
+{MARKERS}: what happened, with seconds since the start. undone is yes where a marker was taken
 back later.
 
 {CONTENTS}: unit of each column, rate, sensor and who wore it, for programs.

@@ -96,7 +96,7 @@ class Edf:
             _write_stream(job, stream, target, names)
         if not any(target.iterdir()):
             message = (
-                f"{chosen.contents.path} holds no regular stream of numbers of what is wanted that "
+                f"{chosen.contents.path} has no regular numeric streams in the selection that "
                 "EDF can hold, so nothing was written as EDF"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, job.notes))
@@ -114,7 +114,7 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
     name, cut = stream.header.name, Runs(job.chosen, stream, job.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
-        job.notes.append(Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps"))
+        job.notes.append(Missing(f"{name}: left out, because it has more than {MOST_RUNS} gaps"))
         return
     if not runs:
         return

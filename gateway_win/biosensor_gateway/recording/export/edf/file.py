@@ -25,7 +25,7 @@ from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.names import unique
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, Stretch
 
-INSTEAD = "the least value that the file can hold stands"
+INSTEAD = "the smallest value of the file is written"
 """Describes what is written for missing values."""
 _LABEL = 16
 # The header has no room for more.
@@ -134,7 +134,7 @@ def _of_file(stretch: Stretch) -> Iterator[Annotation]:
         yield Annotation(row / rate_hz, rows / rate_hz, BAD_GAP)
     end_s = stretch.rows / rate_hz
     if (rest_s := length_s(stretch) - end_s) > 0.5 / rate_hz:
-        yield Annotation(end_s, rest_s, "end of data, the rest is filled up")
+        yield Annotation(end_s, rest_s, "end of data, followed by padding")
 
 
 class Holes:
@@ -184,9 +184,9 @@ class Holes:
         self._close_all()
         name = self._stream.header.name
         if self._missing:
-            yield f"{name}: {self._missing} values are none; annotations say where"
+            yield f"{name}: {self._missing} values are missing; annotations mark the places"
         if self._untold:
-            yield f"{name}: {self._untold} more of these places have no annotation"
+            yield f"{name}: {self._untold} more places are not annotated"
 
     def _close_all(self) -> None:
         for place in np.flatnonzero(~np.isnan(self._open)):

@@ -214,7 +214,7 @@ class McapExporter:
             conversion.run(progress)
         notes = list(conversion.sentences())
         if order.times is Times.EVEN:
-            notes.append("a bag has the recorded times, for the way back needs them")
+            notes.append("a bag always has the recorded times, which its import needs")
         recorded = replace(order, clock=Clock.WALL, times=Times.RECORDED)
         write_readme(target, chosen, recorded, _MEANS, conversion.topics(), notes)
         return notes
@@ -247,7 +247,7 @@ class _Conversion:
                 progress(now_s - self._begin_s)
         if not self._is_told:
             path = self._chosen.contents.path
-            message = f"no sample of {path} has a time of day, so there is nothing for a bag"
+            message = f"no sample of {path} has a time of day, so no bag was written"
             raise RecordingError(RecordingReason.EMPTY, message)
 
     def _write(self, stream: Stream, samples: Samples) -> int | None:
@@ -291,7 +291,7 @@ class _Conversion:
         wall = self._chosen.contents.wall
         if wall is None:
             yield (
-                "nothing in the recording tells the time of day, so the bag's times are those of "
+                "the time of day of the recording is unknown, so the bag's times are those of "
                 "the LSL clock and begin in 1970"
             )
         elif wall.doubt:
@@ -299,7 +299,7 @@ class _Conversion:
         for stream in self._chosen.streams:
             topics, name = self._topics[stream.number], stream.header.name
             if missing := self._timeless.get(stream.number):
-                said = f"{missing} samples of {name} are not in it: their stamp is no time of day"
+                said = f"{missing} samples of {name} are not in it: their timestamp is not valid"
                 yield said if topics.written else Missing(said)
             if topics.unfit.count:
                 yield (

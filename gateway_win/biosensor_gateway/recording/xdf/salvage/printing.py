@@ -155,6 +155,6 @@ def _stamps_text(stream: KeptStream) -> Iterator[str]:
         )
     if stream.untimed:
         yield (
-            f"{name}: {stream.untimed} samples behind a damage have no stamp of their own, so "
+            f"{name}: {stream.untimed} samples after damaged bytes have no timestamp, so "
             "they may be later than they say"
         )
