@@ -81,14 +81,13 @@ class TopicName:
 def sanitise(text: str) -> str:
     """Escape any string as one token of a ROS name; different strings give different tokens.
 
-    Letters, digits and single inner underscores stay. Every other byte of the
-    UTF-8 form becomes ``_xHH``, and so does an underscore that is doubled, at an
-    end, or would read as the start of an escape. A token that would not start
-    with a letter is put behind ``x0``, as is one that starts with it; the empty
-    string is ``x0``.
+    Letters, digits and single inner underscores stay. Every other byte of the UTF-8 form becomes
+    ``_xHH``, and so does an underscore that is doubled, at an end, or would read as the start of
+    an escape. A token that does not start with a letter, or starts with ``x0``, gets the prefix
+    ``x0``; the empty string becomes ``x0``.
 
-    A token of more than 64 characters is cut and ends in ``_x68`` and 16 hex
-    digits of its SHA-256: longer strings differ by their hash only.
+    A token of more than 64 characters is truncated and ends with ``_x68`` and 16 hex digits of its
+    SHA-256, so that different long strings stay different.
 
     Returns
     -------

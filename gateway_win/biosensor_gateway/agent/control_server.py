@@ -229,7 +229,7 @@ class ControlServer:
 
 
 class _RefusedError(Exception):
-    """A request is not carried out; the message is the sentence for the client."""
+    """A request was refused; the message is the sentence for the client."""
 
 
 async def _request(reader: asyncio.StreamReader) -> Mapping[str, Any]:

@@ -63,7 +63,7 @@ class LinkPlayer:
     unknown
         Number of requests that are not in the capture, by kind and characteristic.
     unasked
-        Number of captured requests that the driver did not make, by the same.
+        Number of captured requests that the driver did not make, by kind and characteristic.
     """
 
     def __init__(

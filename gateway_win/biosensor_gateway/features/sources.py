@@ -104,7 +104,7 @@ class Source:
         return Computer(self, {} if witnesses is None else witnesses)
 
     def new_witness(self, keep_s: float = at.MOTION_KEPT_S) -> Witness | None:
-        """Return a new witness that takes its samples; None if it is not one."""
+        """Return a new witness for its samples; None if the source cannot be a witness."""
         if self.header.content_type == ContentType.ACCELEROMETER:
             return Motion(self.header.rate, foreign=self.header.foreign, keep_s=keep_s)
         if self.header.content_type == ContentType.TEMPERATURE:

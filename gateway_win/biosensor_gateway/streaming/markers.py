@@ -147,7 +147,7 @@ class MarkerStream:
         return self._outlet is not None and self._outlet.have_consumers()
 
     def open(self) -> None:
-        """Make the outlet. What goes wrong is logged, and markers are refused then."""
+        """Create the outlet; an error is logged, and markers are refused then."""
         self._outlet = spare_outlet("markers", self.refusals, self.clock)
 
     @log_errors

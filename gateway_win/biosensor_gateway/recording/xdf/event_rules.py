@@ -165,7 +165,7 @@ def _refused(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
 
 
 def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
-    """Yield device and sentence of what a heartbeat tells is wrong, and when it was last."""
+    """Yield the problems in a heartbeat: device, sentence, and LSL time of the last occurrence."""
     of_all: object = event.get("problems")
     if event.get("event") != EventKind.HEARTBEAT or not isinstance(of_all, dict):
         return

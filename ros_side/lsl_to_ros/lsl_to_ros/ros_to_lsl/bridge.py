@@ -342,8 +342,8 @@ class PublicationLosses:
     """Counts lost messages from the sequence numbers of a publisher.
 
     Each publisher has its own numbers, and a message does not name its publisher, so losses are
-    unknown with two publishers on a topic. Missing numbers are therefore counted only at the next
-    look, if there is still one publisher.
+    unknown with two publishers on a topic. So missing numbers are only counted at the next check,
+    if there is still one publisher.
     """
 
     def __init__(self) -> None:

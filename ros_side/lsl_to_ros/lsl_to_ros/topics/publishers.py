@@ -117,7 +117,7 @@ class TopicPublisher:
 
 
 def _publish_to(ros_publisher: Publisher) -> Callable[[Any], None]:
-    """Return a function that publishes a message, or its bytes."""
+    """Return a function that publishes a message, or serialised bytes."""
     # rclpy's own method takes a sixth longer: it checks the type first, and locks the publisher,
     # which is never destroyed while a lane has it.
     publish_bytes: Callable[[bytes], None] = ros_publisher.handle.publish_raw
