@@ -226,8 +226,8 @@ def _has(attribute: CharacteristicProxy[bytes] | DescriptorProxy, wanted: _Prope
     return isinstance(attribute, DescriptorProxy) or bool(attribute.properties & wanted)
 
 
+# Time within which a device just received connects, unless it is gone.
 _CONNECT_S = 1.0
-"""Time within which a device just received connects, unless it is gone."""
 
 
 class Heard(NamedTuple):

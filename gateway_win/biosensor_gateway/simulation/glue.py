@@ -11,8 +11,8 @@ import numpy as np
 
 from biosensor_gateway.simulation.faults import Effect, lasting
 
+# Time for which bytes wait for others; those after a split wait again.
 _TOGETHER_S = 0.02
-"""Time for which bytes wait for others; those after a split wait again."""
 _LONGEST_TAIL = 24
 
 

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 from biosensor_gateway.simulation.async_serial import serial_port
 
+# Time that the system may need to report written data as unread.
 _CHECK_S = 0.02
-"""Time that the system may need to report written data as unread."""
 _PATIENCE_S = 1.0
 
 

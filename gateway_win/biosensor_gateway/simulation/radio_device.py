@@ -79,8 +79,8 @@ class PowerSwitch:
                 await (self._switch_on() if due else self._switch_off())
 
 
+# Start of a resolvable private address (two highest bits): Core 5.4 Vol 6 Part B, 1.3.2.2.
 _CHANGING = "5E"
-"""Start of a resolvable private address (two highest bits): Core 5.4 Vol 6 Part B, 1.3.2.2."""
 RADIO_EFFECTS: Effects[Peripheral] = MappingProxyType(
     {
         FaultKind.DROP: lasting(Peripheral.drop, Peripheral.restore),

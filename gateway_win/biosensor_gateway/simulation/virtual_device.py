@@ -127,8 +127,8 @@ _AT_ONCE: frozenset[Kind] = frozenset(
         Untidiness.STRAY,
     }
 )
+# Faults whose value is not their duration.
 _OF_FIXED_LENGTH: frozenset[Kind] = frozenset({FaultKind.LATE, Untidiness.RATE, Untidiness.BUNDLED})
-"""Faults whose value is not their duration."""
 
 
 class Filled(NamedTuple):

@@ -227,5 +227,5 @@ def someone(number: int) -> Wearer:
     return Wearer(number, heart_rate_bpm=64.0 + 7.0 * number, respiration_rate_bpm=13.0 + number)
 
 
+# Period after which skin conductance responses repeat.
 _RESPONSE_CYCLE_S = 600.0
-"""Period after which skin conductance responses repeat."""

@@ -45,8 +45,8 @@ _WHEEL_HZ, _CRANK_HZ = 2.0, 1.25
 _NO_NUMBER = 0x07FF
 _STATUS_AND_AMPLITUDE = 0x18
 _UNCONNECTED_TO_USER = 1 << 11
+# Exponent -1, placed above a 12-bit mantissa.
 _TENTHS = 0xF000
-"""Exponent -1, placed above a 12-bit mantissa."""
 
 
 def _tenths(value: float) -> int:

@@ -27,6 +27,7 @@ _COLUMN = re.compile(
     r"(?:(?P<stream>[^/\[\]]*)/)?(?P<label>[^/\[\]]+?)[ ]*(?:\[(?P<unit>[^\[\]]+)\])?"
 )
 
+# LSL content type by data name; `ContentType.MISC` for all others.
 _CONTENT: Mapping[str, ContentType] = MappingProxyType(
     {
         "acc": ContentType.ACCELEROMETER,
@@ -42,7 +43,6 @@ _CONTENT: Mapping[str, ContentType] = MappingProxyType(
         "temp": ContentType.TEMPERATURE,
     }
 )
-"""LSL content type by data name; `ContentType.MISC` for all others."""
 
 
 _UNITS: Mapping[str, Unit] = MappingProxyType({each.value: each for each in Unit})

@@ -34,8 +34,8 @@ from biosensor_gateway.simulation.world import World
 _POLAR = 0x006B
 _BATTERY, _SKIN, _ON_AIR = 0x01, 0x02, 0x20
 _SLOW_SECONDS = 8
+# Both are longer than the time until new data are advertised.
 _GARBAGE_S, _BETWEEN_S = 0.1, 0.15
-"""Both are longer than the time until new data are advertised."""
 _NO_LINK = "nobody connects to it, so there is nothing to ask, to refuse or to forget"
 
 EXPECTED = replace(

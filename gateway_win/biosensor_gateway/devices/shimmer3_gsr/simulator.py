@@ -68,8 +68,8 @@ _MOUNTING = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]], np.float64)
 # G)``, and a 12-bit ADC for 3 V.
 AUTO_RANGE = 4
 _FEEDBACK_KOHM = (40.2, 287.0, 1000.0, 3300.0)
+# ADC counts at 0.5 V.
 _OPEN_COUNTS = 682.5
-"""ADC counts at 0.5 V."""
 _FULL_SCALE_COUNTS = 4095
 # Counts above which the next smaller, or below which the next larger resistor is used.
 _SWITCH_UP = (_FULL_SCALE_COUNTS + 1, 3960, 3700, 3930)

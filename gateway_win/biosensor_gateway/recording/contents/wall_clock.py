@@ -87,10 +87,8 @@ class WallClock:
 
     @cached_property
     def _course(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """LSL times in s, and the offsets relative to the first one, in ns.
-
-        Where the clock was set, a time occurs twice, with the offset before and after.
-        """
+        """LSL times in s, and the offsets relative to the first one, in ns."""
+        # Where the clock was set, a time occurs twice, with the offset before and after.
         relative = (self.offsets_ns - self.offsets_ns[0]).astype(np.float64)
         set_at = np.flatnonzero(np.abs(np.diff(relative)) > STEP_NS) + 1
         knots = np.insert(self.times, set_at, self.times[set_at])

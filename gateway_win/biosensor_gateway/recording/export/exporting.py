@@ -119,11 +119,9 @@ def _mismatch(path: Path, chosen: Chosen) -> Mismatch | None:
 
 @contextmanager
 def _no_search_for_cycles() -> Generator[None]:
-    """Switch off Python's cyclic garbage collection.
-
-    Exports create no cycles, but so many lists that the collection takes up to a tenth of the
-    time.
-    """
+    """Switch off Python's cyclic garbage collection."""
+    # Exports create no cycles, but so many lists that the collection takes up to a tenth of the
+    # time.
     was_enabled = gc.isenabled()
     gc.disable()
     try:

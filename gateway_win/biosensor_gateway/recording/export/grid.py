@@ -114,12 +114,10 @@ def place(places: NDArray[np.float64], after: int) -> NDArray[np.int64]:
 
 
 def _without_falls(levels: list[int]) -> NDArray[np.int64]:
-    """Return the non-decreasing numbers with the least sum of distances from `levels`.
-
-    This is isotonic regression with absolute errors. The heap contains the points at which the
-    slope of the cost, as a function of the last number, changes by one; the cost is least at the
-    greatest point. A lower level replaces that point by itself.
-    """
+    """Return the non-decreasing numbers with the least sum of distances from `levels`."""
+    # This is isotonic regression with absolute errors. The heap contains the points at which the
+    # slope of the cost, as a function of the last number, changes by one; the cost is least at the
+    # greatest point. A lower level replaces that point by itself.
     heap: list[int] = []
     best: list[int] = []
     for level in levels:

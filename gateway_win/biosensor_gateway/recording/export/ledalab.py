@@ -39,12 +39,12 @@ CODES = "markers.csv"
 """What the numbers of markers mean."""
 _MICROSIEMENS = {Unit.MICROSIEMENS.value, "uS", "\N{MICRO SIGN}S", "\N{GREEK SMALL LETTER MU}S"}
 _CONDUCTANCES = {"s": 1e6, "siemens": 1e6, "ms": 1e3, "millisiemens": 1e3, "ns": 1e-3}
+# Conversion by unit, in lower case: a factor, or the dividend for units of resistance.
 _RESISTANCES = {
     prefix + ohm: scale
     for prefix, scale in {"": 1e6, "k": 1e3, "kilo": 1e3, "m": 1.0, "mega": 1.0}.items()
     for ohm in ("ohm", "ohms", "\N{GREEK SMALL LETTER OMEGA}")
 }
-"""Conversion by unit, in lower case: a factor, or the dividend for units of resistance."""
 
 
 _MEANS = f"""\

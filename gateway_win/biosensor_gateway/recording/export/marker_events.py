@@ -18,8 +18,8 @@ from biosensor_gateway.recording.export.markers import MARKERS, texts
 from biosensor_gateway.recording.export.runs import BAD_GAP, Gap
 from biosensor_gateway.recording.export.timeline import Timeline
 
+# Number of events held back for sorting, and because they may be undone.
 _KEPT = 10_000
-"""Number of events held back for sorting, and because they may be undone."""
 _LONGEST_NAME = 100
 # A marker added in retrospect is at most an hour late.
 _MOST_APART_S = 2 * 3600.0

@@ -9,8 +9,8 @@ from biosensor_gateway.recording.contents.stream import Stream
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 _LONGEST_NAME = 80
+# Device names, which are reserved on Windows with any suffix.
 _OF_WINDOWS = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
-"""Device names, which are reserved on Windows with any suffix."""
 
 
 def unique(names: Iterable[str]) -> list[str]:

@@ -63,8 +63,8 @@ STILL_S = 2.0
 CLOSING_S = 30.0
 _REPLY_BYTES = 4096
 _OK = "OK"
+# It has no such command, but answers every line, which shows that it is running.
 _NO_COMMAND = "status"
-"""It has no such command, but answers every line, which shows that it is running."""
 
 
 class RemoteControl:

@@ -40,8 +40,8 @@ LITTLE_SPACE_BYTES = 200_000_000
 
 _STREAM_ID_BYTES = 4
 _CLOCK_OFFSET = struct.Struct("<dd")
+# Length of the sections in which another program's stream is analysed.
 _SECTION_S, _FEWEST = 20.0, 64
-"""Length of the sections in which another program's stream is analysed."""
 # LabRecorder writes chunks of half a second, so a larger chunk means a damaged length field.
 MOST_CHUNK_BYTES = 1 << 26
 _BLOCK_BYTES = 1 << 20

@@ -63,17 +63,17 @@ PROGRAM_S = 20.0
 """Time for a program to start, search and open all streams, before the next one is tried."""
 LAST_PROGRAM_S = 60.0
 """Time for the last program, after which there is none left to try."""
+# Time until the program is started, which takes long on a busy computer.
 _SUPERVISOR_S = 60.0
-"""Time until the program is started, which takes long on a busy computer."""
 _POLL_S = 0.1
 _MARGIN_S = 10.0
+# How long a file must be unchanged; short, because the program has ended.
 _STILL_S = 0.5
-"""How long a file must be unchanged; short, because the program has ended."""
 _CLOSING_S = 30.0
 _LEAST_FREE_BYTES = 10_000_000
 _NO_STREAM_CODE = 2
+# Errors after which another program may succeed.
 _OF_THE_PROGRAM = frozenset({RecorderReason.NOT_BEGUN, RecorderReason.STREAMS_MISSING})
-"""Errors after which another program may succeed."""
 
 
 class LocalRecorder:

@@ -48,8 +48,8 @@ from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 
 _BUFFER_S = 360
+# Maximum number of values per pull, and size of the buffer for liblsl.
 _MOST_VALUES = 1 << 18
-"""Maximum number of values per pull, and size of the buffer for liblsl."""
 
 
 class ReceivedStream:
@@ -231,12 +231,12 @@ TAKE_EVERY_S = 0.02
 """Samples still buffered in liblsl are lost when their outlet closes."""
 FLUSH_EVERY_S = 0.5
 BOUNDARY_EVERY_S = 10.0
+# The search ends when no new stream was found for this long, or after this time.
 _QUIET_S, _LONGEST_S = 2.0, 10.0
-"""The search ends when no new stream was found for this long, or after this time."""
 _OPEN_S = 8.0
 _OPENED_AT_ONCE = 32
+# Time for samples that were sent right before the end and have not arrived yet.
 _LAST_S = 0.2
-"""Time for samples that were sent right before the end and have not arrived yet."""
 _UNWRITABLE, _NO_STREAM = 1, 2
 
 

@@ -31,8 +31,8 @@ SUPERVISE = "keep-recording"
 """First argument of a supervisor's command line; the second is the state folder."""
 END_S = 60.0
 """LabRecorder's program waits up to five seconds for each of its threads."""
+# Limit if the file is discarded anyway.
 _GIVEN_UP_S = 5.0
-"""Limit if the file is discarded anyway."""
 _POLL_S = 0.1
 _ALREADY, _NOT_RUN = 3, 4
 

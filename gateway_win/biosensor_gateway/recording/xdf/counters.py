@@ -195,10 +195,8 @@ def _compare_run(
 
 
 def _up_to(reading: Reading, stamps: NDArray[np.float64]) -> tuple[int, int]:
-    """Return the minimum and maximum number of the file's samples pushed before a reading.
-
-    Simultaneous events share a timestamp, and a reading may be taken between them.
-    """
+    """Return the minimum and maximum number of the file's samples pushed before a reading."""
+    # Simultaneous events share a timestamp, and a reading may be taken between them.
     around = np.array([-_SAME_STAMP_S, _SAME_STAMP_S]) + reading.last_stamp
     earlier, most = np.searchsorted(stamps, around, side="right").tolist()
     return min(earlier + 1, most), most

@@ -24,20 +24,20 @@ STEP_BACK_S = 1.0
 _FEW = 3
 NO_PAUSE_S = 3600.0
 """A longer pause followed by only a few samples is not plausible."""
+# Fewer samples are too few to fit a line.
 _FEWEST = 16
-"""Fewer samples are too few to fit a line."""
 _WINDOW_S, _LONGEST_WINDOW_S = 1.0, 16.0
+# Of this many bursts, at least one has a small delay.
 _BURSTS_IN_WINDOW = 8
-"""Of this many bursts, at least one has a small delay."""
+# Fewer windows are too few to estimate how far the line moves without gaps.
 _FEWEST_WINDOWS = 10
-"""Fewer windows are too few to estimate how far the line moves without gaps."""
+# Timestamps within 0.1 periods count as equal; from 0.3 of the steps on, not by chance.
 _AT_ONCE, _NOT_BY_CHANCE = 0.1, 0.3
-"""Timestamps within 0.1 periods count as equal; from 0.3 of the steps on, not by chance."""
+# A header's rate that deviates by a larger fraction is wrong.
 _NOMINAL_HOLDS = 0.05
-"""A header's rate that deviates by a larger fraction is wrong."""
 SECTION = 1 << 20
+# Moves beyond 4 times the 95th percentile are not by chance, even in a million moves.
 _USUAL, _UNUSUAL = 95, 4
-"""Moves beyond 4 times the 95th percentile are not by chance, even in a million moves."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,9 +22,9 @@ from biosensor_common.device_clock import READING_LIMIT_S
 
 JUMP_S = 1.0
 """An offset that changes by more between two measurements means that the clock restarted."""
+# A clock was set where offsets change by this much in s, and this many times more than usual; this
+# many offsets on either side show whether the change lasts.
 _LEAST_STEP_S, _USUAL_CHANGES, _BESIDE = 0.05, 10, 5
-"""A clock was set where offsets change by this much in s, and this many times more than usual;
-this many offsets on either side show whether the change lasts."""
 LEAST_FOR_DRIFT = 3
 """Fewer offsets are too few to estimate drift; their median is used for all times."""
 EXTRAPOLATED_S = 600.0
@@ -170,10 +170,8 @@ def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[
 
 
 def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> list[int]:
-    """Find where a clock was set by less than `JUMP_S`.
-
-    A briefly busy network makes single offsets wrong, but the following ones are right again.
-    """
+    """Find where a clock was set by less than `JUMP_S`."""
+    # A briefly busy network makes single offsets wrong, but the following ones are right again.
     offsets = np.array([offset for _, _, offset in known[begin:end]])
     changes = np.abs(np.diff(offsets))
     if len(changes) < 2 * _BESIDE:

@@ -94,8 +94,8 @@ _INTEGERS = {
     "u24": (3, False),
     "u32": (4, False),
 }
+# Mantissas from this absolute value on are special values instead of numbers.
 _SFLOAT_LIMIT, _FLOAT_LIMIT = 0x7FE, 0x7FFFFE
-"""Mantissas from this absolute value on are special values instead of numbers."""
 
 
 class Field(NamedTuple):

@@ -312,8 +312,8 @@ START_LIMIT_S = 60.0
 """BrainFlow searches for Bluetooth boards, for up to half a minute."""
 HANGS_S = 5.0
 """The process sends a keep-alive frame every second, whatever its board does."""
+# More than fit into the read that reports the start of the board.
 _MOST_EARLY = 4096
-"""More than fit into the read that reports the start of the board."""
 
 
 class BrainFlowDriver:

@@ -20,8 +20,8 @@ from biosensor_gateway.system.device_log import DeviceLog
 
 _HEAD = struct.Struct("<cBI")
 _SAMPLES = struct.Struct("<dI")
+# More than BrainFlow buffers for any board.
 _MOST_BYTES = 1 << 28
-"""More than BrainFlow buffers for any board."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +92,8 @@ def _garbage() -> ProtocolError:
     return ProtocolError(ProtocolReason.GARBAGE, message)
 
 
+# BrainFlow is polled 50 times a second; an older timestamp means that the clock was set.
 _OLDEST_S = 10.0
-"""BrainFlow is polled 50 times a second; an older timestamp means that the clock was set."""
 _WATCHED_S = 10.0
 _RATE_ERROR = 0.05
 

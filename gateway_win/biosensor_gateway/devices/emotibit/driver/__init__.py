@@ -38,8 +38,8 @@ from biosensor_gateway.transports.link import Address, Early
 PATIENCE_S = 3.0
 RATE_LIMIT_S = 2.0
 """Without pulse data until then, the rate in the settings is assumed to be right."""
+# Packets needed to accept a rate, and to reject it, because reading may be late.
 _LEAST_PACKETS, _CERTAIN_PACKETS = 4, 10
-"""Packets needed to accept a rate, and to reject it, because reading may be late."""
 _RATE_TOLERANCE = 0.3
 _RATES = (25, 100)
 _MOST_EARLY = 1024

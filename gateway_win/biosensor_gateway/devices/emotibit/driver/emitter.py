@@ -292,8 +292,8 @@ THERMOMETERS = (Tag.THERMOPILE.value, Tag.TEMPERATURE_1.value, Tag.TEMPERATURE_0
 """Thermometers, the best one first; the version of the device determines which exist."""
 CHOOSING_S = 0.5
 """Every thermometer of a device sends data within this time."""
+# A time this far back means that the clock restarted.
 _RESTARTED_MS = 2500
-"""A time this far back means that the clock restarted."""
 READ_LATE_S = 1 / 150
 """Mean delay of sensors with their own oscillator, which are read 75 times a second; the processor
 triggers the others itself."""

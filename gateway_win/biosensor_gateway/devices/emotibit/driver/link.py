@@ -155,8 +155,8 @@ class Advertising:
 CONNECT_LIMIT_S = 5.0
 PING_EVERY_S = 1.0
 _CONTROL_PORT = "CP"
+# After a pause of this length, all data sent before the end have arrived.
 _QUIET_S = 0.05
-"""After a pause of this length, all data sent before the end have arrived."""
 
 
 class Arrived(NamedTuple):

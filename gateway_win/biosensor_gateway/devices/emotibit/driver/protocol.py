@@ -215,10 +215,8 @@ class InOrder:
         return ready
 
     def _late(self, packet: Ordered, place: int) -> list[Ordered]:
-        """Return a packet that the very first one overtook.
-
-        Other late packets are repetitions, or arrive after they were counted as lost.
-        """
+        """Return a packet that the very first one overtook."""
+        # Other late packets are repetitions, or arrive after they were counted as lost.
         first, first_s = self._first or (place, packet.time_s)
         if place >= first or place in self._early or self._newest_s > first_s + PATIENCE_S:
             return []

@@ -36,8 +36,8 @@ from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOp
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock
 
+# A host without a ping for this time is gone.
 _FORGOTTEN_S = 10.0
-"""A host without a ping for this time is gone."""
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
 
 _UNAWARE = "nothing in it knows whether it is worn"

@@ -30,8 +30,8 @@ Floats = NDArray[np.float64]
 
 READ_EVERY_S = 1 / 75
 _PULSE_COUNTS, _PULSE_SWING = 110_000.0, 1500.0
+# Relative pulse amplitude of infrared, red and green light.
 _DEPTHS = (1.0, 0.6, 0.3)
-"""Relative pulse amplitude of infrared, red and green light."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,13 +39,13 @@ _METRICS = {
 # Cortex sends -1 for unknown values.
 _NEVER_NEGATIVE = frozenset({"Battery", "BatteryPercent"})
 
+# A sample with a delay this much smaller than any before has a different clock.
 _SET_FORWARD_S = 0.25
-"""A sample with a delay this much smaller than any before has a different clock."""
+# How fast the smallest delay is forgotten [s/s], far faster than any oscillator drift.
 _DELAY_LEAK = 1e-3
-"""How fast the smallest delay is forgotten [s/s], far faster than any oscillator drift."""
 _MAX_BRIDGED_S = 86_400.0
+# Tolerance in sample periods within which times are equal.
 _SAME_MOMENT = 0.5
-"""Tolerance in sample periods within which times are equal."""
 
 
 class SampleCount:

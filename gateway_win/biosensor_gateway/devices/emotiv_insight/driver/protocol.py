@@ -28,8 +28,8 @@ Column = str | tuple[str, ...]
 
 _NUMERIC_STREAMS = frozenset({"eeg", "mot", "dev", "eq", "pow", "met"})
 _NOT_NUMBERS = (".isActive", "MARKERS")
+# Integers below this limit are exact as floats.
 _MOST = 1 << 53
-"""Integers below this limit are exact as floats."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,8 +39,8 @@ from biosensor_gateway.devices.emotiv_insight.driver.protocol import (
 
 ELECTRODES = SPEC.stream("eeg").labels
 """Electrodes of an Insight, as in the declaration."""
+# Prefix of ids, which begin with the model: ``INSIGHT-``, ``INSIGHT2-``, ``EPOCX-`` ...
 _FAMILY = "INSIGHT"
-"""Prefix of ids, which begin with the model: ``INSIGHT-``, ``INSIGHT2-``, ``EPOCX-`` ..."""
 SCAN_PATIENCE_S = 25.0
 """A scan takes about 20 s."""
 CONNECT_PATIENCE_S = 30.0

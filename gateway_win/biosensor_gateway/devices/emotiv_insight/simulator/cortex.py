@@ -145,8 +145,8 @@ class Circumstances:
 
 _CORTEX_READY = 23
 _GOING_AWAY = 1001
+# Streams that are denied, one at a time.
 _DENIABLE = ("eeg", "mot", "met", "dev", "pow")
-"""Streams that are denied, one at a time."""
 
 EXPECTED = Expected(
     # Overall contact of all electrodes, in percent.

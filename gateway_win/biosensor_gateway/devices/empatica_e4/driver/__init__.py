@@ -252,10 +252,8 @@ class E4Driver:
             raise TransportError(TransportReason.ABSENT, message)
 
     async def _pause(self, switch: str) -> bool:
-        """Pause or resume data; return whether there was a reply.
-
-        A pause is optional, because replies are also recognised among data.
-        """
+        """Pause or resume data; return whether there was a reply."""
+        # A pause is optional, because replies are also recognised among data.
         try:
             await self._talk.ask("pause", switch, timeout_s=LIST_TIMEOUT_S)
         except ProtocolError:

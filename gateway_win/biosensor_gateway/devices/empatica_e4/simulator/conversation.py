@@ -286,8 +286,8 @@ class Manners:
     hides_all: bool = False
 
 
+# Time from a client's request for a radio link to the link.
 _RADIO_CONNECT_S = 0.3
-"""Time from a client's request for a radio link to the link."""
 
 
 class Commands:

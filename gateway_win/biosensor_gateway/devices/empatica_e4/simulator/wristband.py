@@ -37,8 +37,8 @@ Rows = list[tuple[float, ...]]
 
 _BVP_SCALE = 120.0
 _AMBIENT_C = 24.5
+# Value sent while the electrodes have no skin contact.
 _OPEN = 0.0
-"""Value sent while the electrodes have no skin contact."""
 
 
 class Signals:

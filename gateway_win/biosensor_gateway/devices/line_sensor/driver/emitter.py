@@ -24,8 +24,8 @@ _KEPT_LINES = 1.5
 LEAP_S = 10.0
 LEAP = 1000
 """A larger jump ahead makes a line doubtful: in seconds, or in lines without a rate."""
+# Tolerated factor between the real rate and that in the settings.
 _FASTER = 1.5
-"""Tolerated factor between the real rate and that in the settings."""
 
 # A device's count and time both overflow at some number, and restart with the device.
 SLACK_S = 90.0
@@ -202,10 +202,8 @@ class LineEmitter:
             self._emit(batch, arrival_s)
 
     def _goes_on(self, row: Row, arrival_s: float) -> bool:
-        """Whether a line's count and time continue from the previous one, or are late.
-
-        If not, it may be a stray line, such as a board's greeting; the next line decides.
-        """
+        """Whether a line's count and time continue from the previous one, or are late."""
+        # If not, it may be a stray line, such as a board's greeting; the next line decides.
         gap_s = 0.0 if self._arrival_s is None else max(0.0, arrival_s - self._arrival_s)
         return self._is_next(row, self._count, self._time, gap_s)
 
@@ -288,10 +286,8 @@ class LineEmitter:
         return self._at_time is not None and self._time.step_to(row[self._at_time]) < 0
 
     def _was_off(self, row: Row, gap_s: float) -> bool:
-        """Whether the first line of a new connection shows a restart of the device.
-
-        In that case its time is shorter than the pause, and it has not stored data meanwhile.
-        """
+        """Whether the first line of a new connection shows a restart of the device."""
+        # In that case its time is shorter than the pause, and it has not stored data meanwhile.
         if self._at_time is None or self._arrival_s is None:
             return False
         step_s = self._time.step_to(row[self._at_time]) * self._tick_s

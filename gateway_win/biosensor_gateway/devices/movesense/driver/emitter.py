@@ -277,11 +277,9 @@ class MovesenseEmitter:
         return stamp_s
 
     def _quality(self, now_s: float) -> None:
-        """Emit about once a second whether a beat was detected recently, as a contact signal.
-
-        The device itself does not report contact. Nothing is emitted while this is unknown: if the
-        device does not detect beats, or has had no time to find one.
-        """
+        """Emit about once a second whether a beat was detected recently, as a contact signal."""
+        # The device itself does not report contact. Nothing is emitted while this is unknown: if
+        # the device does not detect beats, or has had no time to find one.
         last_s = self._searched_from_s if self._beat_s is None else self._beat_s
         if last_s is None or now_s - self._quality_s < QUALITY_PERIOD_S:
             return  # nothing is dropped: it says nothing more often

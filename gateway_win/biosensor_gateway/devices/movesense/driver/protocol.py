@@ -308,8 +308,8 @@ class Assembler:
 HELLO_REFERENCE = 1
 """The measurements use other references; none is 0."""
 _ECG, _MOVEMENT, _HEART_RATE, _TEMPERATURE = 100, 99, 98, 97
+# Packets per second of movement data at all rates: 4 samples at 52 Hz, 8 at 104 Hz.
 _PACKETS_PER_SECOND = 13
-"""Packets per second of movement data at all rates: 4 samples at 52 Hz, 8 at 104 Hz."""
 _SHARED = {
     frozenset({"acc"}): ("/Meas/Acc", ("acc",)),
     frozenset({"gyro"}): ("/Meas/Gyro", ("gyro",)),

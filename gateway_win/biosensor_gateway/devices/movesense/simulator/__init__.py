@@ -216,8 +216,8 @@ def _vectors(wearer: Wearer, name: str, t: Floats) -> Floats:
 
 # The heart rate service, and the UUID assigned to the vendor.
 _ADVERTISED = ("180d", "fdf3")
+# Measurements that are denied, one at a time.
 _DENIABLE = ("hr", "temp", "ecg", "movement")
-"""Measurements that are denied, one at a time."""
 
 EXPECTED = replace(
     ANY_STRAP,

@@ -262,8 +262,8 @@ AGREE_S = 0.4
 """Tolerance for detecting a restarted clock with the first frame of a connection."""
 TURNED_BACK_S = 0.2
 """A frame has blocks of up to 150 ms, and its newest may be older than the previous frame's."""
+# With four light channels, these are the ones between the eyes.
 _INNER = slice(4, 8)
-"""With four light channels, these are the ones between the eyes."""
 _CHARGE_PERCENT = (1 / 256, 1 / 512)
 _SAMPLES = {
     Kind.EEG4: (4, EEG_HZ),
@@ -328,11 +328,9 @@ class AthenaEmitter:
                 self._emit_charge(block)
 
     def _follow_clock(self, stamp_s: float, arrival_s: float) -> None:
-        """Restart the clock mapping if the device restarted its clock.
-
-        The first frame of a connection shows this best, because later ones may have waited for the
-        agent.
-        """
+        """Restart the clock mapping if the device restarted its clock."""
+        # The first frame of a connection shows this best, because later ones may have waited for
+        # the agent.
         counts_again = self._restarts.counts_again(stamp_s, arrival_s)
         if self._newest is None:
             return  # nothing is dropped: it is the very first packet

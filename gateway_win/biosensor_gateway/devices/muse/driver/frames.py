@@ -58,11 +58,11 @@ _BYTES = {
     Kind.BATTERY: 20,
 }
 _CHANNELS = {Kind.EEG4: 4, Kind.EEG8: 8, Kind.LIGHT4: 4, Kind.LIGHT8: 8, Kind.LIGHT16: 16}
+# Latest valid time since 1970, below the limit of a `DeviceClock`.
 _LATEST_S = 9e10
-"""Latest valid time since 1970, below the limit of a `DeviceClock`."""
 _WEIGHTS = 2.0 ** np.arange(_LIGHT_BITS)
+# Battery block of newer firmware; according to other programs it extends to the frame's end.
 _LONG_BATTERY = 0x88
-"""Battery block of newer firmware; according to other programs it extends to the frame's end."""
 
 
 class Block(NamedTuple):

@@ -125,8 +125,8 @@ def _packed(counts: np.ndarray[tuple[int, ...], np.dtype[np.int64]], width: int)
     return bits.to_bytes((width * counts.size + 7) // 8, "little")
 
 
+# Its clock was never set and shows a date in the past.
 _EPOCH_US = 1_733_145_684_908_000
-"""Its clock was never set and shows a date in the past."""
 _TICK_S = 0.01
 _BLOCK_US = 61
 _ELECTRODES = ("TP9", "AF7", "AF8", "TP10", "AUX1", "AUX2", "AUX3", "AUX4")

@@ -34,8 +34,8 @@ from biosensor_gateway.devices.polar_h10.simulator.waveforms import Waveform, wa
 _REPLY = 0xF0
 _STOPPED_BY_DEVICE = 0x01
 _REPLY_HEADER_BYTES = 5
+# Flag of a running measurement in the reply to `OpCode.GET_STATUS`.
 _ONLINE = 0x40
-"""Flag of a running measurement in the reply to `OpCode.GET_STATUS`."""
 _INVALID = {
     Setting.SAMPLE_RATE: Status.INVALID_SAMPLE_RATE,
     Setting.RESOLUTION: Status.INVALID_RESOLUTION,

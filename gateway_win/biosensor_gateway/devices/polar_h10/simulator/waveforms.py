@@ -25,8 +25,8 @@ _TURNS_DEG_S = 2.0
 _FIELD_GAUSS = np.array([0.21, -0.06, 0.43])
 _FIELD_NOISE_GAUSS = 0.004
 _MICROTESLA_PER_GAUSS = 100.0
+# A compressed sample usually takes at most half of its raw size.
 _COMPRESSION = 2
-"""A compressed sample usually takes at most half of its raw size."""
 
 
 @dataclass(frozen=True)

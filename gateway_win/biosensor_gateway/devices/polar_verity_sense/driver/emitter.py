@@ -33,8 +33,8 @@ DOUBTED = frozenset({Measurement.PPG})
 GATHER_S = 0.3
 """Intervals that do not fit into one frame come in several frames in quick succession."""
 _NS = 1e9
+# Timestamp of intervals without a time.
 _NOT_LOCATED = 0
-"""Timestamp of intervals without a time."""
 
 
 class OpticalEmitter(PolarEmitter):

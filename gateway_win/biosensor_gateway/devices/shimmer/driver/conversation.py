@@ -277,8 +277,8 @@ class Conversation:
 
 SHIMMER3, SHIMMER3R = 3, 10
 
+# Earlier versions, and BtStream, had two-byte timestamps that overflow every two seconds.
 _FIRST_LOG_AND_STREAM = (0, 5, 4)
-"""Earlier versions, and BtStream, had two-byte timestamps that overflow every two seconds."""
 _FIRST_BT_STREAM = (0, 7, 3)
 _FIRST_BATTERY = (0, 5, 9)
 _FIRST_CRC = (0, 13, 7)

@@ -27,8 +27,8 @@ _GAINS = {0: 6, 1: 1, 2: 2, 3: 3, 4: 4, 5: 8, 6: 12}
 _GAIN_SHIFT, _GAIN_MASK, _INPUT_MASK = 4, 0x7, 0xF
 _TEST_SIGNAL, _CHANNEL_3 = 0x5, 0x9
 _COMPARATORS_ON = 0x40
+# Set by the firmware itself in chip 1, on boards where both chips share a clock.
 _CLOCK_OUT = 0x08
-"""Set by the firmware itself in chip 1, on boards where both chips share a clock."""
 _SLOWEST_HZ, _FASTEST_SETTING = 125.0, 6
 
 _ECG = (bytes.fromhex("00a010 40402d 0000 0203"), bytes.fromhex("00a010 404700 0000 0201"))

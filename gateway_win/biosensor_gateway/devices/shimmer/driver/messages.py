@@ -237,12 +237,12 @@ BLOCK_BYTES = 21
 """Size of the calibration of one motion sensor."""
 _MAX_EXG_BYTES = 10
 _MAX_PRESSURE_BYTES = 1 + 24
+# Answers that contain their own length.
 _MOST_BYTES = {
     _CARD: _MAX_CARD_BYTES,
     _EXG_REGISTERS: _MAX_EXG_BYTES,
     _PRESSURE: _MAX_PRESSURE_BYTES,
 }
-"""Answers that contain their own length."""
 _BATTERY_SIZE = 5
 _FIRMWARE_BODY = struct.Struct("<HHBB")
 

@@ -23,8 +23,8 @@ from biosensor_gateway.devices.shimmer.driver.messages import PressureChip, Pres
 Compensation = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Converts raw temperature and raw pressure to pressure [Pa] and temperature [Celsius]."""
 
+# Firmware fills the coefficients of a missing chip with this byte.
 _DUMMY = b"\x01"
-"""Firmware fills the coefficients of a missing chip with this byte."""
 
 
 class Sensor(NamedTuple):

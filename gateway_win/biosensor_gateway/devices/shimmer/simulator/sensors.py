@@ -43,8 +43,8 @@ _GAINS = (6, 1, 2, 3, 4, 8, 12)
 _COMPARATORS = 0x40
 _FRESH = 0x80
 _ROUTED_FROM_CHANNEL_3 = 9
+# Voltage of an open input, which the lead-off current drives to its limit.
 _RAIL_MV = 350.0
-"""Voltage of an open input, which the lead-off current drives to its limit."""
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.system.clock import Clock
 
+# Earlier samples are not sent.
 _SETTLING_TICKS = round(0.065 * TICKS_PER_S)
-"""Earlier samples are not sent."""
 _BLOCK_S = 0.1
 
 

@@ -76,10 +76,10 @@ _ARGUMENTS: Mapping[Opcode, int] = MappingProxyType(
 )
 
 
+# Position of the byte with the number of following bytes.
 _LENGTH_AT: Mapping[Opcode, int] = MappingProxyType(
     {Opcode.SET_NAME: 1, Opcode.SET_EXG_REGISTERS: 3}
 )
-"""Position of the byte with the number of following bytes."""
 _OPCODES = frozenset(int(opcode) for opcode in Opcode)
 
 

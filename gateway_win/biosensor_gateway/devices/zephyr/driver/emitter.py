@@ -35,9 +35,9 @@ _SEQUENCE_MODULUS = 256
 _RR_RANGE_MS = range(250, 1501)
 _MAX_BRIDGED_S = 86_400.0
 _REMEMBERED = 16
+# Without a device clock, numbers have restarted if they show a gap longer than the arrivals allow
+# by more than this.
 _USUALLY_LATE_S = 5.0
-"""Without a device clock, numbers have restarted if they show a gap longer than the arrivals allow
-by more than this."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -462,10 +462,10 @@ def _number(value: float | None) -> float:
     return nan if value is None else float(value)
 
 
+# Message id of a Zephyr HxM, which has a similar protocol.
 _UNKNOWN_PACKET = 0x26
-"""Message id of a Zephyr HxM, which has a similar protocol."""
+# Requests for ECG, acceleration, intervals and breathing, denied one at a time.
 _DENIABLE = (0x16, 0x1E, 0x19, 0x15)
-"""Requests for ECG, acceleration, intervals and breathing, denied one at a time."""
 
 
 class SimulatedZephyr(BioHarness):

@@ -139,11 +139,9 @@ def _channels(stream: Stream) -> list[tuple[str, str]]:
 
 
 def _coordinate_system(stream: Stream) -> tuple[str, str]:
-    """Return the BIDS coordinate system, and the header's description of it.
-
-    Gaze on a screen would need the size and distance of the screen, which LSL headers do not
-    contain.
-    """
+    """Return the BIDS coordinate system, and the header's description of it."""
+    # Gaze on a screen would need the size and distance of the screen, which LSL headers do not
+    # contain.
     try:
         told = {each.text or "" for each in stream.header.parsed().iter("coordinate_system")}
     except SpecError:

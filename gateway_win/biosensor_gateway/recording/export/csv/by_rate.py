@@ -26,8 +26,8 @@ from biosensor_gateway.recording.export.timing import find_timing
 from biosensor_gateway.recording.xdf.measuring import cuts_of
 
 MARKER = "marker"
+# Number of rows written at once.
 _BLOCK = 4096
-"""Number of rows written at once."""
 _MICROSECONDS = 6
 Array = NDArray[np.float64]
 

@@ -30,8 +30,8 @@ from biosensor_gateway.recording.xdf.samples import Block, decode
 from biosensor_gateway.recording.xdf.sorting import NewHeader, StreamSorter
 from biosensor_gateway.recording.xdf.writing import samples
 
+# With fewer samples, garbage cannot be recognised.
 _FEWEST = 8
-"""With fewer samples, garbage cannot be recognised."""
 
 
 class Break(NamedTuple):

@@ -70,6 +70,7 @@ class Setting(IntEnum):
     SECURITY = 6
 
 
+# Settings that a start command contains.
 _FORMATS: dict[int, str] = {
     Setting.SAMPLE_RATE: "H",
     Setting.RESOLUTION: "H",
@@ -77,7 +78,6 @@ _FORMATS: dict[int, str] = {
     Setting.RANGE_MILLIUNIT: "I",
     Setting.CHANNELS: "B",
 }
-"""Settings that a start command contains."""
 _FACTOR_FORMAT = struct.Struct("<f")
 _SIZES = {
     **{setting: struct.calcsize(f"<{code}") for setting, code in _FORMATS.items()},
