@@ -265,7 +265,7 @@ def test_any_other_text_is_refused_in_words(text: str) -> None:
     ],
 )
 def test_a_fault_that_cannot_be_does_not_exist(kind: FaultKind, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{kind.value} of .* makes no sense"):
+    with pytest.raises(ValueError, match=f"{kind.value} of .* is not possible"):
         Fault(kind, value)
 
 

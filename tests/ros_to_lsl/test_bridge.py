@@ -255,7 +255,7 @@ def test_a_topic_whose_messages_have_no_numbers_yet_is_not_sending() -> None:
 def test_transforms_that_list_nothing_are_no_number_either() -> None:
     sent = Sent("/tf", TFMessage)
     sent.take(TFMessage())
-    assert sent.status().message.startswith("no number yet")
+    assert sent.status().message.startswith("no numbers yet")
 
 
 CLOCKS = [
