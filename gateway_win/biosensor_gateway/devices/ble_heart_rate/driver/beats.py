@@ -214,9 +214,11 @@ class StoredBeats:
             self.is_placed_by_arrival = False
         if self._first is None:
             return self._taken(packet)
+        is_overdue = bool(self._first) and arrival_s - self._first[0].arrival_s > HOLD_LIMIT_S
+        if is_timely or is_overdue or len(self._first) == MOST_FIRST:
+            return self._begin() + self._taken(packet)
         self._first.append(packet)
-        is_overdue = arrival_s - self._first[0].arrival_s > HOLD_LIMIT_S
-        return self._begin() if is_timely or is_overdue or len(self._first) == MOST_FIRST else []
+        return []
 
     def _begin(self) -> list[PlacedBeat]:
         """Place the first packets of a connection by the one that waited least."""
