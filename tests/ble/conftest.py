@@ -13,8 +13,7 @@ from biosensor_gateway.transports import ble_choice
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_scanner import advertisements
 from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
-from tests.rigs.probe import Probe
-from tests.rigs.probe_link import choice, refusal, switched_on
+from tests.rigs.probe import Probe, choice, refusal, switched_on
 
 
 @pytest.fixture

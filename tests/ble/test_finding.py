@@ -19,8 +19,7 @@ from biosensor_gateway.transports.nearby import Advertisement
 from tests.ble.conftest import absence, heard
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
-from tests.rigs.probe import Probe
-from tests.rigs.probe_link import DEADLINE_S, choice, generic_choice, refusal, switched_on
+from tests.rigs.probe import DEADLINE_S, Probe, choice, generic_choice, refusal, switched_on
 
 # Finding a Bluetooth LE device: which one it is, and the scan that all share.
 

@@ -20,8 +20,7 @@ from biosensor_gateway.transports.bluez import KnownDevice
 from biosensor_gateway.transports.nearby import Advertisement
 from tests.rigs.bluetooth import ON_BLUEZ, ON_BUMBLE, SEAM_ON_BLUEZ
 from tests.rigs.polling import until
-from tests.rigs.probe import FLOW, NOTE, SERIAL, Probe
-from tests.rigs.probe_link import DEADLINE_S, choice, refusal
+from tests.rigs.probe import DEADLINE_S, FLOW, NOTE, SERIAL, Probe, choice, refusal
 
 if TYPE_CHECKING:
     from tests.rigs.bluez import FakeBluez

@@ -19,8 +19,20 @@ from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.ble_pairing import Pairing
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
-from tests.rigs.probe import COMPANY, EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, Probe
-from tests.rigs.probe_link import DEADLINE_S, choice, refusal, switched_on
+from tests.rigs.probe import (
+    COMPANY,
+    DEADLINE_S,
+    EVENT,
+    FLOW,
+    NOTE,
+    REFUSAL,
+    SECRET,
+    SERIAL,
+    Probe,
+    choice,
+    refusal,
+    switched_on,
+)
 
 # A Bluetooth LE link in use: requests, notifications, losses, pairing, closing.
 

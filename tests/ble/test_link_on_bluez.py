@@ -18,8 +18,7 @@ from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.bluez import known_devices
 from tests.ble.conftest import absence
 from tests.rigs.bluetooth import ON_BLUEZ, Bluetooth
-from tests.rigs.probe import SERIAL, Probe
-from tests.rigs.probe_link import DEADLINE_S, choice, generic_choice, refusal
+from tests.rigs.probe import DEADLINE_S, SERIAL, Probe, choice, generic_choice, refusal
 
 if TYPE_CHECKING:
     from tests.rigs.bluez import FakeBluez

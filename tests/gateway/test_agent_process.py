@@ -1,10 +1,11 @@
-"""The agent as a process: it ends on request in every situation, and leaves nothing behind."""
+"""The agent as a process: it ends on request in every situation, also by ``stop``."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -25,30 +26,33 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import agent as agent_module
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
+from biosensor_gateway.agent.control import CONTROL_FILE, TIME_LIMIT_S
 from biosensor_gateway.agent.device_set import Device, DeviceSet
 from biosensor_gateway.agent.device_states import State
+from biosensor_gateway.agent.single_instance import LOCK_FILE, is_held
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly
+
+# The agent as a process: it ends on request in every situation, and leaves nothing behind.
 
 ENDED_WITHIN_S = 15.0
 OPENING_TAKES_A_MINUTE = """
 import time, serial
 serial.Serial.__init__ = lambda *arguments, **options: time.sleep(60)
 """
-
 Until = Callable[[Callable[[], bool]], None]
 Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 Visible = Callable[[str], bool]
 OpenInlet = Callable[[str], pylsl.StreamInlet]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
-
 BOTH_SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
 
@@ -290,3 +294,261 @@ async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
     assert bystander.closed
     assert device_of(tmp_path) == {}
     assert not visible(f"gateway-{unit}0-events")
+
+
+# ``biosensor-gateway stop``, and agents that meet: real processes with one state folder.
+DEADLINE_S = 30.0
+NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
+RUN = ("run", "--simulate", "zephyr")
+# An agent that takes its time to close, as one with many devices out of reach.
+CLOSING_TAKES_A_MINUTE = """
+import time
+from biosensor_gateway.agent import status_file
+status_file.remove_status = lambda folder: time.sleep(60)
+"""
+# An agent that hangs as it closes, as liblsl does at times while it destroys an outlet; it may take
+# a second instead of twenty.
+CLOSING_NEVER_ENDS = """
+import threading
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.cli import agent_process
+status_file.remove_status = lambda folder: threading.Event().wait()
+agent_process._ENDS_WITHIN_S = 1.0
+"""
+# An agent that takes its time to come up, and says when it has begun.
+STARTING_TAKES_A_WHILE = """
+import time
+from biosensor_gateway.demo import virtual_devices as simulate
+start = simulate.simulated_settings
+
+def slowly(*arguments):
+    time.sleep(5)
+    return start(*arguments)
+
+simulate.simulated_settings = slowly
+"""
+
+
+def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "biosensor_gateway.cli", *arguments],
+        env=os.environ | {"BIOSENSOR_GATEWAY_STATE": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def stop(folder: Path, *options: str) -> tuple[int, str, str]:
+    ended = command(folder, "stop", *options)
+    return ended.returncode, ended.stdout, ended.stderr
+
+
+def pushed(folder: Path) -> int:
+    """How many samples the agent has sent; 0 while there is none."""
+    try:
+        devices: list[dict[str, Any]] = status_file.read_status(folder)["devices"]
+    except ConfigError:
+        return 0
+    return sum(counters["pushed"] for device in devices for counters in device["streams"].values())
+
+
+def said(folder: Path) -> str:
+    return (folder / "stderr.txt").read_text()
+
+
+@pytest.mark.seam
+def test_stop_ends_the_agent_as_ctrl_c_does(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        assert stop(tmp_path) == (0, "the agent has ended\n", "")
+        assert agent.wait(DEADLINE_S) == 0
+    assert {each.name for each in tmp_path.iterdir()} == {LOG_FILE_NAME, "stderr.txt"}
+    assert "Traceback" not in said(tmp_path)
+    assert stop(tmp_path) == (1, "", NO_AGENT)
+
+
+def test_without_an_agent_stop_says_so_and_makes_no_folder(tmp_path: Path) -> None:
+    assert stop(tmp_path / "state") == (1, "", NO_AGENT)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_several_may_ask_at_once(cli_process: StartCli, until: Until, tmp_path: Path) -> None:
+    program = [sys.executable, "-m", "biosensor_gateway.cli", "stop", "--timeout", "60"]
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        environment = os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)}
+        askers = [
+            subprocess.Popen(program, env=environment, stdout=subprocess.PIPE, text=True)
+            for _ in range(2)
+        ]
+        told = [asker.communicate()[0] for asker in askers]
+        assert agent.wait(DEADLINE_S) == 0
+    # The slower one may find that there is none any more.
+    assert "the agent has ended\n" in told
+    assert {asker.returncode for asker in askers} <= {0, 1}
+    assert "Traceback" not in said(tmp_path)
+
+
+def test_an_agent_that_is_still_starting_is_stopped_as_well(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN, before=STARTING_TAKES_A_WHILE) as agent:
+        until(lambda: is_held(tmp_path))
+        assert not (tmp_path / CONTROL_FILE).exists()
+        assert stop(tmp_path, "--timeout", "60") == (0, "the agent has ended\n", "")
+        assert agent.wait(DEADLINE_S) == 0
+
+
+@pytest.mark.seam
+def test_a_second_agent_is_refused_and_the_first_goes_on(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        log = (tmp_path / LOG_FILE_NAME).read_text()
+        second = command(tmp_path, *RUN)
+        assert (second.returncode, second.stdout) == (2, "")
+        assert second.stderr.count("\n") == 1
+        for words in (str(tmp_path), "biosensor-gateway status", "biosensor-gateway stop"):
+            assert words in second.stderr
+        assert (tmp_path / LOG_FILE_NAME).read_text() == log
+        before = pushed(tmp_path)
+        until(lambda: pushed(tmp_path) > before)
+        assert status_file.read_status(tmp_path)["process"] == agent.pid
+        assert stop(tmp_path)[0] == 0
+        assert agent.wait(DEADLINE_S) == 0
+
+
+def test_a_killed_agent_is_neither_stopped_nor_in_the_way(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN) as killed:
+        until(lambda: pushed(tmp_path) > 0)
+        killed.send_signal(signal.SIGKILL)
+        killed.wait()
+    assert (tmp_path / CONTROL_FILE).exists()
+    assert (tmp_path / LOCK_FILE).exists()
+    assert stop(tmp_path) == (1, "", NO_AGENT)
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0 and is_held(tmp_path))
+        assert stop(tmp_path) == (0, "the agent has ended\n", "")
+        assert agent.wait(DEADLINE_S) == 0
+
+
+def test_an_agent_runs_where_nothing_can_be_written(
+    cli_process: StartCli, until: Until, visible: Callable[[str], bool], tmp_path: Path
+) -> None:
+    in_the_way = tmp_path / "state"
+    in_the_way.touch()
+    before = f"import os\nos.environ['BIOSENSOR_GATEWAY_STATE'] = {str(in_the_way)!r}"
+    with cli_process(tmp_path, *RUN, before=before) as agent:
+        until(lambda: visible("zephyr-virtual-ecg"))
+        assert stop(in_the_way) == (1, "", NO_AGENT)
+        assert agent.poll() is None
+        agent.send_signal(signal.SIGINT)
+        assert agent.wait(DEADLINE_S) == 0
+    assert said(tmp_path).count("cannot write the lock file") == 1
+    assert said(tmp_path).count("`stop` will not work") == 1
+    assert "Traceback" not in said(tmp_path)
+
+
+def test_an_agent_without_a_control_file_runs_and_says_so(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    (tmp_path / CONTROL_FILE).mkdir()
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        code, out, err = stop(tmp_path, "--timeout", "1")
+        assert (code, out) == (1, "")
+        assert "does not answer" in err
+        agent.send_signal(signal.SIGINT)
+        assert agent.wait(DEADLINE_S) == 0
+    assert said(tmp_path).count("`stop` will not work") == 1
+
+
+def test_an_agent_that_hangs_is_said_not_to_answer(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        agent.send_signal(signal.SIGSTOP)
+        code, out, err = stop(tmp_path, "--timeout", "1")
+        agent.send_signal(signal.SIGCONT)
+        assert (code, out) == (1, "")
+        assert err.count("\n") == 1
+        assert str(tmp_path) in err
+        assert "does not answer" in err
+
+
+def test_an_agent_that_does_not_end_in_time_is_named(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN, before=CLOSING_TAKES_A_MINUTE) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        code, out, err = stop(tmp_path, "--timeout", "2")
+        assert (code, out) == (1, "")
+        assert err.count("\n") == 1
+        assert "has not ended within 2 s" in err
+        assert str(agent.pid) in err
+        assert agent.poll() is None
+
+
+def test_an_agent_that_hangs_while_it_closes_ends_all_the_same(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN, before=CLOSING_NEVER_ENDS) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        assert stop(tmp_path, "--timeout", "30") == (0, "the agent has ended\n", "")
+        # Not as a crash, after which a supervisor would start it again.
+        assert agent.wait(DEADLINE_S) == 0
+    assert not is_held(tmp_path)
+
+
+def reply_to(folder: Path, sent: bytes) -> dict[str, Any]:
+    port: int = json.loads((folder / CONTROL_FILE).read_text())["port"]
+    with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as connection:
+        connection.sendall(sent)
+        with connection.makefile("rb") as replies:
+            return json.loads(replies.read())
+
+
+def test_nothing_hostile_disturbs_a_running_agent(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    noise = random.Random(2)
+    with cli_process(tmp_path, *RUN, "--verbose") as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        token: str = json.loads((tmp_path / CONTROL_FILE).read_text())["token"]
+        wrong = {"token": token[::-1], "command": "stop"}
+        unknown = {"token": token, "command": "fly"}
+        attacks = [
+            *(noise.randbytes(3000) + b"\n" for _ in range(20)),
+            noise.randbytes(1_000_000).replace(b"\n", b"") + b"\n",
+            b'{"token": "',
+            json.dumps(wrong).encode() + b"\n",
+            json.dumps(unknown).encode() + b"\n",
+        ]
+        replies = [reply_to(tmp_path, attack) for attack in attacks]
+        assert [reply["ok"] for reply in replies] == [False] * len(attacks)
+        assert f"within {TIME_LIMIT_S:g} s" in replies[-3]["problem"]
+        before = pushed(tmp_path)
+        until(lambda: pushed(tmp_path) > before)
+        (device,) = status_file.read_status(tmp_path)["devices"]
+        assert (device["state"], device["connections"]) == ("streaming", 1)
+        assert all(counters["lost"] == 0 for counters in device["streams"].values())
+        assert stop(tmp_path) == (0, "the agent has ended\n", "")
+        assert agent.wait(DEADLINE_S) == 0
+    told = said(tmp_path) + (tmp_path / LOG_FILE_NAME).read_text()
+    assert "Traceback" not in told
+    assert token not in told
+    assert not any("error" in line for line in told.splitlines())
+
+
+@pytest.mark.parametrize("timeout", ["0", "soon"])
+def test_a_wrong_timeout_is_a_usage_error(tmp_path: Path, timeout: str) -> None:
+    code, _, err = stop(tmp_path, "--timeout", timeout)
+    assert code == 2
+    assert "--timeout" in err

@@ -30,8 +30,8 @@ from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system import logs
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
-from tests.rigs.held_console import HeldConsole
 from tests.rigs.stopwatch import Stopwatch
+from tests.rigs.terminal import HeldConsole
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly

@@ -23,7 +23,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import STREAMS_FILE
 from biosensor_gateway.system.logs import LOG_FILE_NAME
-from tests.gateway.test_stop_command import command, stop
+from tests.gateway.test_agent_process import command, stop
 
 DEADLINE_S = 30.0
 ECG, ECG_STEP_S = "zephyr-virtual-ecg", 1 / 250

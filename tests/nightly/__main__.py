@@ -12,8 +12,7 @@ from pathlib import Path
 from tests.nightly.parts import ROOT, Part, read_parts
 from tests.nightly.report import is_good, report
 from tests.nightly.result import Result
-from tests.nightly.runner import run_part
-from tests.nightly.version import Version, version
+from tests.nightly.runner import Version, run_part, version
 
 INTERRUPTED = 130
 

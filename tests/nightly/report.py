@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from tests.nightly.parts import Part
 from tests.nightly.result import Result
-from tests.nightly.version import Version
+from tests.nightly.runner import Version
 
 LONGEST_PART_S = 30 * 60.0
 

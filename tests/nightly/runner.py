@@ -1,7 +1,8 @@
-"""Runs the commands of a part."""
+"""Runs the commands of a part, and says on which version of the project."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shlex
 import signal
@@ -9,11 +10,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.nightly.parts import ROOT, Part
 from tests.nightly.result import Failure, Result, last_lines
+
+# Runs the commands of a part.
 
 HANGS_AFTER_S = 3600.0
 """Nothing else is decided by time: the report names a part that takes over half an hour."""
@@ -114,3 +118,42 @@ def _environment(root: Path) -> dict[str, str]:
     paths = environment.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
     others = [each for each in paths if each and not Path(each).is_relative_to(sys.prefix)]
     return environment | ({"LD_LIBRARY_PATH": os.pathsep.join(others)} if others else {})
+
+
+# On which version of the project tests run.
+@dataclass(frozen=True)
+class Version:
+    """A commit, and which files differ from it."""
+
+    commit: str
+    title: str
+    changed: tuple[str, ...]
+    key: str
+    """Names the folder of the results: changed files are another version."""
+
+    @property
+    def seed(self) -> int:
+        """A number that is another one for each commit."""
+        return int(self.commit[:7], 16)
+
+
+def version(root: Path = ROOT) -> Version:
+    """Ask git; raises ``CalledProcessError`` where there is no commit."""
+    commit, title = _git(root, "log", "-1", "--format=%H%n%s").splitlines()
+    changed = _git(root, "status", "--porcelain")
+    key = commit[:12]
+    if changed:
+        difference = hashlib.sha256((changed + _git(root, "diff", "HEAD")).encode())
+        for file in _git(root, "ls-files", "--others", "--exclude-standard").splitlines():
+            if (root / file).is_file():
+                difference.update((root / file).read_bytes())
+        key += f"-changed-{difference.hexdigest()[:8]}"
+    return Version(commit, title, tuple(changed.splitlines()), key)
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-c", "core.quotePath=false", *arguments]
+    asked = subprocess.run(
+        command, cwd=root, check=True, stdout=subprocess.PIPE, encoding="utf-8", errors="replace"
+    )
+    return asked.stdout

@@ -9,7 +9,7 @@ import pytest
 from tests.nightly.parts import Part
 from tests.nightly.report import is_good, report
 from tests.nightly.result import LAST_LINES, Failure, Result
-from tests.nightly.version import Version
+from tests.nightly.runner import Version
 
 _CASE = '<testcase classname="{0}" name="{1}" file="tests/a.py">{2}</testcase>'
 _CASES = [

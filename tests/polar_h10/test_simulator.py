@@ -13,7 +13,7 @@ from biosensor_gateway.simulation.wearer import Wearer
 from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import advertised, connection
-from tests.rigs.polar_pmd import (
+from tests.rigs.polar_h10 import (
     CONTROL,
     DATA,
     HEART_RATE,

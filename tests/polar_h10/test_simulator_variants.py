@@ -14,7 +14,7 @@ from biosensor_gateway.simulation.radio import Radio
 from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import connection
-from tests.rigs.polar_pmd import (
+from tests.rigs.polar_h10 import (
     CONTROL,
     HEART_RATE,
     NAME,

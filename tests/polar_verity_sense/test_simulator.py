@@ -25,7 +25,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import connection
-from tests.rigs.polar_pmd import CONTROL, frames_of, open_pmd
+from tests.rigs.polar_h10 import CONTROL, frames_of, open_pmd
 from tests.rigs.polling import until
 
 START_ACC = "02 02 00 01 34 00 01 01 10 00 02 01 08 00 04 01 03"

@@ -1,9 +1,12 @@
-"""Recordings of all shapes that a BIDS dataset is made of."""
+"""Recordings of all shapes that a BIDS dataset is made of, and its tables read back."""
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -13,6 +16,8 @@ from numpy.typing import NDArray
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity
 from tests.xdf import xdf_file as made
+
+# Recordings of all shapes that a BIDS dataset is made of.
 
 BEGIN_S = 100.0
 _AT_ONCE = 50
@@ -267,3 +272,38 @@ SHAPES: dict[str, bytes] = {
     "far apart": made.xdf(_far_apart()),
     "muscles and eyes": muscles_and_eyes(),
 }
+
+
+# Reads tables of a dataset with nothing but the standard library.
+@dataclass(frozen=True)
+class Table:
+    """A table and its sidecar; rows are texts by the name of the column."""
+
+    sidecar: dict[str, Any]
+    rows: list[dict[str, str]]
+
+    def of(self, column: str) -> list[str]:
+        return [row[column] for row in self.rows]
+
+
+def find(dataset: Path, pattern: str) -> Path:
+    """The only file of that name."""
+    (found,) = dataset.rglob(pattern)
+    return found
+
+
+def read(dataset: Path, name: str) -> Table:
+    """The only table whose name ends so, without ``.tsv``: ``recording-ecg_physio``."""
+    sidecar = json.loads(find(dataset, f"*{name}.json").read_text("utf-8"))
+    path = find(dataset, f"*{name}.tsv*")
+    data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    lines = [line.split("\t") for line in data.decode().split("\n")[:-1]]
+    if "Columns" in sidecar:
+        columns = sidecar["Columns"]
+    elif name.endswith("_motion"):
+        channels = path.with_name(path.name.replace("_motion", "_channels"))
+        columns = [line.split("\t")[0] for line in channels.read_text().splitlines()[1:]]
+    else:
+        columns = lines.pop(0)
+    assert {len(line) for line in lines} <= {len(columns)}
+    return Table(sidecar, [dict(zip(columns, line, strict=True)) for line in lines])

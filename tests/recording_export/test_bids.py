@@ -42,15 +42,16 @@ from tests.recording_export.bids_shapes import (
     GAZE_VALUES,
     SHAPES,
     eeg,
+    find,
     h10,
     marker,
     muscles_and_eyes,
     numbers,
     ours,
+    read,
     stream,
     times,
 )
-from tests.recording_export.bids_tables import find, read
 from tests.recording_export.conftest import Exporting
 from tests.xdf import xdf_file as made
 

@@ -25,8 +25,7 @@ from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.export.printing import as_json, sentences
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from tests.recording_export.bids_shapes import SHAPES, h10, ours, times
-from tests.recording_export.bids_tables import read
+from tests.recording_export.bids_shapes import SHAPES, h10, ours, read, times
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import study
 from tests.xdf import xdf_file as made

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from biosensor_gateway.recording.export.edf.exporter import Span, dealt_to_spans
 from biosensor_gateway.recording.export.outcome import Outcome
-from tests.recording_export.bids_tables import read
+from tests.recording_export.bids_shapes import read
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S
 from tests.xdf import xdf_file as made

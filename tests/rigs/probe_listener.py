@@ -10,8 +10,7 @@ import asyncio
 import sys
 
 from biosensor_gateway.transports.ble import BleLink
-from tests.rigs.probe import FLOW
-from tests.rigs.probe_link import choice
+from tests.rigs.probe import FLOW, choice
 
 
 async def _listen(quiet: bool) -> None:

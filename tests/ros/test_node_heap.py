@@ -18,7 +18,7 @@ from std_msgs.msg import Float32MultiArray
 from biosensor_common.process_limits import ARENAS
 from tests.faults.agent import AgentProcess
 from tests.rigs.arenas import count_arenas
-from tests.rigs.held_console import HeldConsole
+from tests.rigs.terminal import HeldConsole
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode

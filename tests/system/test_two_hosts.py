@@ -1,9 +1,4 @@
-"""Agent and node on two computers, each a set of namespaces, joined by a switch.
-
-Discovery is LSL's and DDS's own multicast over the network; nothing is configured. The
-computers' LSL clocks are a day apart. What reaches the subscriber is compared, sample by
-sample, with what another LSL program receives on the agent's own computer.
-"""
+"""Agent, node and a robot on two computers, each a set of namespaces, joined by a cable."""
 
 from __future__ import annotations
 
@@ -15,11 +10,13 @@ import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
+import pyxdf
 
+from biosensor_common.ros_clock import NS_PER_S
 from tests.faults.expectations import steady_streams
 from tests.rigs.hosts import counters, recordings
 from tests.rigs.hosts.completeness import MARGIN_S, Span, delays
@@ -28,9 +25,14 @@ from tests.rigs.hosts.pair import SENSORS, Observation, Pair, Place, Places
 from tests.rigs.hosts.programs import Program, SteeredProgram
 from tests.rigs.hosts.recordings import Recording
 from tests.rigs.hosts.subscriber import BEST_EFFORT
+from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.recorded_robot import UNWRITTEN_S, Stream, greatest_errors_s, told_lost
+from tests.rigs.robot import PARTS
 from tests.rigs.turns import turn_of, turns
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+pytestmark = pytest.mark.system
+
+# Agent and node on two computers, each a set of namespaces, joined by a switch.
 
 # How far ahead each computer's monotonic clock is; nobody boots two at the same time.
 CLOCK_OFFSETS_S = {"agent-pc": 86_400, "robot": 0}
@@ -53,7 +55,6 @@ ECG, ECG_SOURCE = "/biosensors/zephyr/ecg", "zephyr-virtual-ecg"
 COUNTERS = "/biosensors/gateway/counters"
 STAMPED = "/biosensors/empatica_e4/st_temperature"
 STAMPED_SAMPLES = 40
-
 Report = Callable[[str, object], None]
 
 
@@ -109,18 +110,21 @@ def _sleep_until(time_s: float) -> None:
     time.sleep(max(0.0, time_s - time.time()))
 
 
+@pytest.mark.timeout(400)
 def test_the_whole_set_of_sensors_crosses_without_a_loss(crossing: Crossing) -> None:
     observation, minute = crossing.observation, crossing.minute
     faults = observation.faults(crossing.expected, minute, [minute])
     assert not faults, json.dumps(faults, indent=1)
 
 
+@pytest.mark.timeout(400)
 def test_the_agent_and_another_lsl_program_agree(crossing: Crossing) -> None:
     observation = crossing.observation
     reports, streams = observation.counters, observation.streams
     assert counters.differences(reports, streams, crossing.minute) == {}
 
 
+@pytest.mark.timeout(400)
 def test_the_node_knows_of_no_loss(crossing: Crossing) -> None:
     begin = crossing.observation.facts_at(crossing.minute.start)
     end = crossing.observation.facts_at(crossing.minute.end)
@@ -133,6 +137,7 @@ def test_the_node_knows_of_no_loss(crossing: Crossing) -> None:
             assert not is_counted, f"{place.topic}: the node does not know what was lost"
 
 
+@pytest.mark.timeout(400)
 def test_the_cut_network_heals_with_its_backlog(
     crossing: Crossing, record_property: Report
 ) -> None:
@@ -148,6 +153,7 @@ def test_the_cut_network_heals_with_its_backlog(
     assert not faults, json.dumps(faults, indent=1)
 
 
+@pytest.mark.timeout(400)
 def test_the_node_kept_every_inlet_and_lost_nothing_with_the_cut(crossing: Crossing) -> None:
     assert "is gone" not in crossing.node_log
     facts = crossing.observation.facts_at(crossing.cut.end)
@@ -159,6 +165,7 @@ def test_the_node_kept_every_inlet_and_lost_nothing_with_the_cut(crossing: Cross
         assert lost == "unknown" or int(lost) <= by_devices.get(source, 0), place.topic
 
 
+@pytest.mark.timeout(400)
 def test_one_missing_message_would_be_noticed(crossing: Crossing) -> None:
     """The proof is no stronger than what it would have found."""
     observation, minute = crossing.observation, crossing.minute
@@ -183,6 +190,7 @@ def _without_one(recording: Recording, span: Span) -> Recording:
     return Recording(recording.arrivals[left], recording.stamps[left], recording.rows[left])
 
 
+@pytest.mark.timeout(400)
 def test_nothing_is_lost_to_a_reliable_subscriber_on_a_lossy_network(
     environment: dict[str, str], tmp_path: Path, record_property: Report
 ) -> None:
@@ -228,6 +236,7 @@ def _delay(observation: Observation, span: Span) -> str:
     return f"p50 {1000 * p50:.0f} ms, p99 {1000 * p99:.0f} ms, max {1000 * late.max():.0f} ms"
 
 
+@pytest.mark.timeout(400)
 @pytest.mark.alone
 @pytest.mark.parametrize(
     ("sender_host", "limit_s"), [("robot", 0.0002), ("agent-pc", 0.001)], ids=["one", "two"]
@@ -271,6 +280,7 @@ def _recorded(subscriber: SteeredProgram, folder: Path) -> Recording:
     return recordings.load(path)[STAMPED]
 
 
+@pytest.mark.timeout(400)
 def test_where_no_computers_can_be_made_it_is_said_and_not_passed_over() -> None:
     # Without capabilities root is nobody.
     powerless = ["setpriv", "--inh-caps", "-all", "--bounding-set", "-all"]
@@ -285,3 +295,51 @@ def test_where_no_computers_can_be_made_it_is_said_and_not_passed_over() -> None
     assert tried.returncode != 0
     assert "computers cannot be made of namespaces here" in tried.stderr
     assert "run this test as root" in tried.stderr
+
+
+# A robot and ``ros_to_lsl`` on one computer, LabRecorder on another one.
+RECORDER_AHEAD_S = 3_600
+# LabRecorder asks for the clocks' offset every five seconds.
+RECORD_S = 8.0
+STAMP_LIMIT_S = 0.002
+# The node's events are a stream, too.
+STREAMS = len(PARTS) + 1
+_load_xdf: Callable[..., tuple[list[Stream], Stream]] = cast("Any", pyxdf).load_xdf
+
+
+@pytest.mark.timeout(200)
+@pytest.mark.alone
+def test_stamps_are_those_that_were_published_on_the_other_computer(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    config = tmp_path / "lsl_api.cfg"
+    config.write_text("[lab]\nSessionID = robot-two-hosts\n")
+    environment = {
+        **os.environ,
+        "LSLAPICFG": str(config),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    }
+    sent, study = tmp_path / "sent.json", tmp_path / "study.xdf"
+    topics = ("-p", f"topics:=[{', '.join(each.topic for each in PARTS)}]")
+    with Lan({"robot": 0, "lab": RECORDER_AHEAD_S}) as lan:
+        robot = lan["robot"]
+        node = Program(
+            robot, environment, tmp_path, "lsl_to_ros.ros_to_lsl.node", "--ros-args", *topics
+        )
+        with (
+            node,
+            Program(robot, environment, tmp_path, "tests.rigs.robot", str(sent)),
+            LabRecorder(study, at_least=STREAMS, computer=lan["lab"], environment=environment),
+        ):
+            begun_ns = time.time_ns()
+            time.sleep(RECORD_S)
+            ended_ns = time.time_ns()
+    # The recording's clock is the monotonic one of the recorder's computer.
+    offset_s = time.time() - (time.monotonic() + RECORDER_AHEAD_S)
+    streams, _ = _load_xdf(str(study))
+    by_name = {each["info"]["name"][0]: each for each in streams}
+    span = begun_ns, ended_ns - round(UNWRITTEN_S * NS_PER_S)
+    published = json.loads(sent.read_text())
+    worst_s = greatest_errors_s(by_name, published, span, offset_s, told_lost(node.log))
+    record_property("stamp error in us", {t: round(s * 1e6) for t, s in worst_s.items()})
+    assert max(worst_s.values()) < STAMP_LIMIT_S, worst_s

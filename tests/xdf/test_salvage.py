@@ -21,8 +21,7 @@ from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from tests.xdf import xdf_file as made
-from tests.xdf.checking import load_by_pyxdf
-from tests.xdf.salvaging import Rows, rows, salvaged
+from tests.xdf.checking import Rows, load_by_pyxdf, rows, salvaged
 
 # What is written of cut and damaged recordings, and what is said to be lost.
 

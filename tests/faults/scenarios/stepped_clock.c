@@ -1,4 +1,4 @@
-/* Steps the system clock of one process; loaded by LD_PRELOAD, see stepped_clock.py.
+/* Steps the system clock of one process; loaded by LD_PRELOAD, see test_clock_of_the_computer.py.
  *
  * All that a process asks the system clock is answered with the same offset, which is
  * read anew each time from the shared file STEPPED_CLOCK: one int64, in nanoseconds.

@@ -1,16 +1,14 @@
-"""The system clock is stepped by an hour, forward and back, under the agent and the node.
-
-Only these two processes see the step: a library in front of theirs answers for the system
-clock. A third program sends samples and knows their true times.
-"""
+"""The system clock is stepped by an hour, forward and back, for some processes only."""
 
 from __future__ import annotations
 
+import mmap
 import os
+import struct
 import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import pytest
@@ -20,13 +18,14 @@ from tests.faults.agent import AgentProcess
 from tests.faults.recorder import Recorded, Recorder
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.one_computer import ThisMachine
-from tests.faults.scenarios.stepped_clock import SteppedClock
+from tests.rigs.compiler import compile_c
 from tests.rigs.hosts import recordings
 from tests.rigs.hosts.programs import Program, SteeredProgram
 from tests.rigs.hosts.recordings import Recording
 
-# A C compiler is needed.
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+# The system clock is stepped by an hour, forward and back, under the agent and the node.
 
 FAULT = "system clock stepped by +1 h, then -1 h"
 HOUR_NS = 3600 * 1_000_000_000
@@ -178,3 +177,43 @@ def test_the_lsl_stamps_go_on_evenly(stepped: Stepped, figures: Record) -> None:
     assert (spacing_s > 0).all()
     assert worst_s < ECG_PERIOD_S
     assert (stepped.reanchors, stepped.lost) == (0, 0)
+
+
+# A system clock that is stepped for some processes only; see ``stepped_clock.c``.
+SOURCE = Path(__file__).with_suffix(".c")
+_OFFSET = struct.Struct("=q")
+
+
+class SteppedClock:
+    """The clock of all processes that get its environment; a context manager.
+
+    Parameters
+    ----------
+    folder
+        Gets the library and the file that it reads the offset from.
+
+    Raises
+    ------
+    CompilerError
+        If there is no C compiler, or it fails.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        library, self._file = folder / "stepped_clock.so", folder / "offset"
+        compile_c(SOURCE, library, "-shared", "-fPIC", "-ldl")
+        self._file.write_bytes(_OFFSET.pack(0))
+        self._opened = self._file.open("r+b")
+        self._page = mmap.mmap(self._opened.fileno(), _OFFSET.size)
+        self.environment = {"LD_PRELOAD": str(library), "STEPPED_CLOCK": str(self._file)}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._page.close()
+        self._opened.close()
+
+    def set_offset(self, offset_ns: int) -> None:
+        """Let the clock be so much ahead of the true one from now on."""
+        # Eight aligned bytes are written at once.
+        self._page[:] = _OFFSET.pack(offset_ns)
