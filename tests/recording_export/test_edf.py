@@ -16,7 +16,7 @@ from biosensor_gateway.recording.export.edf.bdf import (
     channel,
     layout,
 )
-from biosensor_gateway.recording.export.exporter import Clock
+from biosensor_gateway.recording.export.exporter import Clock, Times
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, ecg_values, study
 from tests.xdf import xdf_file as made
@@ -133,3 +133,28 @@ def test_many_chunks_of_any_size_are_one_file(exported: Exporting, tmp_path: Pat
     assert len(signal.data) == 1008
     np.testing.assert_allclose(signal.data[:1001], values[:, 0], atol=1e-3)
     assert set(signal.data[1001:].tolist()) == {signal.data[1000]}
+
+
+def test_no_measured_value_is_what_stands_in_a_gap(exported: Exporting) -> None:
+    values: list[list[float]] = [
+        [-3.0 + each % 7, 1e6 + 1e-3 * (each % 3), 5.0] for each in range(1000)
+    ]
+    values[500] = [np.nan] * 3
+    stamps = [BEGIN_S + each / 100 + 4.0 * (each > 700) for each in range(1000)]
+    content = made.xdf(
+        made.stream_header(1, "a", channels=3, rate=100.0, fmt="double64"),
+        made.samples(1, "double64", values, stamps),
+    )
+    (written,) = exported(content, "edf", times=Times.EVEN).written
+    (path,) = written.path.glob("*.bdf")
+    file = read_bdf(path)
+    gap = slice(701, 1101)
+    for place, signal in enumerate(file.signals):
+        data = signal.data[: 1000 + 400]
+        is_none = np.zeros(len(data), bool)
+        is_none[500] = is_none[gap] = True
+        assert (data[is_none] == signal.physical_min).all()
+        assert data[~is_none].min() > signal.physical_min
+        assert data[0] == pytest.approx(
+            values[0][place], abs=(signal.physical_max - signal.physical_min) / 2**23
+        )

@@ -63,7 +63,8 @@ def test_a_format_is_written_beside_the_recording(
     (written,) = outcome.written
     suffix = {"csv": "_csv", "csv.gz": "_csv"}.get(name, name.replace("csv-long", ".csv"))
     assert written.path == tmp_path / f"study{suffix}"
-    assert _names(tmp_path) == sorted(["study.xdf", f"study{suffix}"])
+    told = [f"study{suffix}.README.txt"] if "long" in name else []
+    assert _names(tmp_path) == sorted(["study.xdf", f"study{suffix}", *told])
     assert written.size > 0
     assert outcome.damages == ()
 
@@ -82,7 +83,7 @@ def test_a_format_without_anything_for_it_keeps_no_other_from_being_written(
 def test_several_formats_go_into_a_folder(exported: Exporting, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     outcome = exported(WHOLE, "csv", "csv-long", output=tmp_path / "out")
-    assert _names(tmp_path / "out") == ["study.csv", "study_csv"]
+    assert _names(tmp_path / "out") == ["study.csv", "study.csv.README.txt", "study_csv"]
     assert [each.format for each in outcome.written] == ["csv", "csv-long"]
 
 
@@ -130,7 +131,7 @@ def test_what_fails_on_the_way_leaves_nothing(
     if isinstance(caught.value, RecordingError):
         assert caught.value.reason is RecordingReason.UNWRITABLE
         assert str(caught.value).endswith("study_failing: No space left on device")
-    assert _names(tmp_path) == ["study.csv", "study.xdf"]
+    assert _names(tmp_path) == ["study.csv", "study.csv.README.txt", "study.xdf"]
 
 
 def _nearly_full(_folder: Path) -> SimpleNamespace:

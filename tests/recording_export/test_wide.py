@@ -93,7 +93,7 @@ def test_a_marker_is_at_the_row_of_its_time_or_the_next_one(tmp_path: Path) -> N
     )
     rows = {row["marker"]: float(row["seconds"]) for row in _table(written) if row["marker"]}
     assert rows == {"go": pytest.approx(1.0), "in the gap": pytest.approx(7.0)}
-    assert any("1 marker" in note and "all_markers.csv alone" in note for note in written.notes)
+    assert any("1 marker" in note and "all_markers.csv" in note for note in written.notes)
 
 
 def test_a_stream_whose_time_steps_back_is_in_no_wide_table_and_that_is_said(

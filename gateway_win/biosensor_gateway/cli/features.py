@@ -123,9 +123,13 @@ def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> N
             "remarks": computed.remarks,
         }
         typer.echo(json.dumps(content, indent=2))
+        if not computed.is_whole:
+            raise typer.Exit(1)
         return
     for sentence in (*computed.refused, *computed.remarks):
         say(printable(sentence))
     for name, count in computed.counts.items():
         say(printable(f"{name}: {count} samples"))
     say(f"wrote {computed.written}")
+    if not computed.is_whole:
+        raise typer.Exit(1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -79,6 +80,15 @@ def export_recording(
         bool,
         typer.Option("--wide", help="For csv; also one table for each rate, streams side by side."),
     ] = False,
+    rate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="HZ",
+            help="For edf, kubios and bids: the rate of streams whose headers name none, if you "
+            "know it; also NAME=HZ, of one of them (repeatable).",
+            show_default=False,
+        ),
+    ] = None,
     task: Annotated[
         str, typer.Option(help="For bids; else from the recording's name, or study.")
     ] = "",
@@ -135,6 +145,7 @@ def export_recording(
         whose=whose,
         times=times,
         is_wide=wide,
+        rates=_rates(rate or ()),
     )
     if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
         with wrong_recording(), _bars() as watch:
@@ -151,6 +162,23 @@ def export_recording(
         is_certain = _export_all(recordings, wanted, print_json=print_json)
     if not is_certain:
         raise typer.Exit(1)
+
+
+def _rates(typed: Sequence[str]) -> dict[str, float]:
+    """Return rates in Hz by names of streams; ``*`` is all of them."""
+    found: dict[str, float] = {}
+    for each in typed:
+        name, _, number = each.rpartition("=")
+        try:
+            rate_hz = float(number)
+        except ValueError:
+            rate_hz = 0.0
+        if not 0 < rate_hz < math.inf:
+            message = f"--rate {each}: {number!r} is no rate in Hz; use 256 or NAME=256"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        found[name or "*"] = rate_hz
+    # What is of one stream comes before what is of all.
+    return dict(sorted(found.items(), key=lambda each: each[0] == "*"))
 
 
 def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> bool:

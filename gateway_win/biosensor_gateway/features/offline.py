@@ -26,6 +26,7 @@ from biosensor_gateway.features.sources import (
 )
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.rates import with_rates
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.system.new_file import new_file
@@ -44,13 +45,16 @@ class Computed:
     refused
         Why a stream of a suitable type has no features; sentences.
     remarks
-        Problems with the stamps of other streams; sentences.
+        Problems with the stamps of other streams, and what could not be read; sentences.
+    is_whole
+        Whether all of the recording could be read.
     """
 
     written: Path
     counts: dict[str, int]
     refused: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+    is_whole: bool = True
 
 
 def compute(path: Path, target: Path) -> Computed:
@@ -70,7 +74,8 @@ def compute(path: Path, target: Path) -> Computed:
         If the recording cannot be read.
     """
     with open_contents(path) as contents:
-        pairs, refused = _sources(contents.streams)
+        streams, remarks = with_rates(contents.streams, {})
+        pairs, refused = _sources(streams)
         if not any(source.features for _, source in pairs):
             why = "; ".join(refused) or "it has no stream of a type that features are of"
             why += contents.why_incomplete
@@ -78,7 +83,6 @@ def compute(path: Path, target: Path) -> Computed:
         try:
             with new_file(target, like=path) as file:
                 write = _write_csv if target.suffix == ".csv" else _write_xdf
-                remarks: list[str] = []
                 counts = write(file, pairs, contents.begun, remarks)
         except FileExistsError as error:
             message = f"{target} exists and is not overwritten; give another name with --output"
@@ -86,7 +90,21 @@ def compute(path: Path, target: Path) -> Computed:
         except OSError as error:
             message = f"cannot write {target}: {error.strerror or error}"
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
-        return Computed(target, counts, tuple(refused), tuple(remarks))
+        remarks += [
+            f"{each.header.name}: {each.untimed} samples are left out, for their stamps are no "
+            "number"
+            for each, _ in pairs
+            if each.untimed
+        ]
+        remarks += [
+            f"{each.header.name}: {each.clock_error}, so the times of its features are in doubt"
+            for each, _ in pairs
+            if each.clock_error
+        ]
+        if contents.damages:
+            remarks.append(f"not all of {path} can be read{contents.why_incomplete}")
+        is_whole = not contents.damages
+        return Computed(target, counts, tuple(refused), tuple(remarks), is_whole)
 
 
 _Pairs = Sequence[tuple[Stream, Source]]
@@ -112,6 +130,15 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
     empty = [each for each in found if not by_header[id(each.header)].sample_count]
     taken: Taken = set()
     chosen = [*choose(full, taken), *choose(empty, taken)]
+    kept = {id(each.header) for each in chosen}
+    owners = {(each.identity, each.header.content_type): each for each in chosen}
+    for each in found:
+        other = owners.get((each.identity, each.header.content_type))
+        if id(each.header) not in kept and other is not None and other.header.foreign:
+            refused.append(
+                f"stream {each.name!r}: left out, for stream {other.name!r} has its source_id "
+                f"{each.source_id!r}, too, and nothing tells their features apart"
+            )
     return [(by_header[id(each.header)], each) for each in chosen], refused
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, BinaryIO, NamedTuple
@@ -22,7 +23,7 @@ from biosensor_gateway.recording.xdf.container import (
 )
 from biosensor_gateway.recording.xdf.framing import STREAM_ID_BYTES
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import clock_error
+from biosensor_gateway.recording.xdf.measuring import clock_error, order_error
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
@@ -62,6 +63,8 @@ class IndexedStream:
         None if the recorder did not write one.
     guessed_texts
         Number of texts that are not UTF-8, so their encoding was guessed.
+    untimed
+        Number of samples with a NaN or infinite timestamp.
     """
 
     header: RecordedHeader
@@ -69,6 +72,7 @@ class IndexedStream:
     footer: Footer | None = None
     sample_count: int = 0
     guessed_texts: int = 0
+    untimed: int = 0
     # Arrays instead of a list of places, because a day has millions of chunks.
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
@@ -92,6 +96,7 @@ class IndexedStream:
         self._last = last
         self.sample_count += len(block.stamps)
         self.guessed_texts += block.guessed
+        self.untimed += len(block.stamps) - int(np.count_nonzero(np.isfinite(block.stamps)))
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
         """Add one of `clock_offsets`."""
@@ -191,6 +196,8 @@ class Stream:
         Size of its samples and timestamps in the file.
     is_guessed
         Whether its header or a text is not UTF-8, so the encoding was guessed.
+    untimed
+        Number of samples with a NaN or infinite timestamp; `blocks` leaves them out.
     """
 
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
@@ -203,6 +210,7 @@ class Stream:
         self.clock_offsets = tuple(indexed.clock_offsets)
         self.sample_count = indexed.sample_count
         self.byte_count = indexed.byte_count
+        self.untimed = indexed.untimed
         self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0
 
     def take_wearer(self, participant: str) -> None:
@@ -212,6 +220,15 @@ class Stream:
             worn = replace(identity, participant=participant)
             self.header = replace(self.header, identity=worn)
             self.meaning = replace(self.meaning, identity=worn)
+
+    def with_rate(self, rate_hz: float) -> Stream:
+        """Return it as if its header named this rate."""
+        other = copy(self)
+        other.header = replace(self.header, rate=rate_hz)
+        other.meaning = replace(self.meaning, rate=rate_hz)
+        for cached in ("clock_error", "order_error"):
+            other.__dict__.pop(cached, None)
+        return other
 
     def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
         """Yield the samples from `begin_s` to before `end_s`, chunk by chunk.
@@ -244,12 +261,20 @@ class Stream:
     @cached_property
     def clock_error(self) -> str:
         """Why its timestamps are not on an LSL clock, as in `xdf check`; empty if they are."""
-        stamps = self._indexed.end_stamps().ravel()
-        stamps = stamps[np.isfinite(stamps)]
+        stamps = self._some_stamps()
         if not len(stamps):
             return ""
-        ends = (float(stamps.min()), float(stamps.max()))
-        return clock_error(self.header, self.clock_offsets, *ends)
+        return clock_error(self.header, self.clock_offsets, stamps, self.sample_count)
+
+    @cached_property
+    def order_error(self) -> str:
+        """Why its stamps do not tell when a sample was measured; empty if they do."""
+        stamps = self._some_stamps()
+        return order_error(self.header, stamps, self.sample_count) if len(stamps) else ""
+
+    def _some_stamps(self) -> NDArray[np.float64]:
+        stamps = self._indexed.end_stamps().ravel()
+        return stamps[np.isfinite(stamps)]
 
     def _is_outside(self, place: Place, begin_s: float, end_s: float) -> bool:
         # In an irregular stream, timestamps may lie outside the chunk's first and last one.

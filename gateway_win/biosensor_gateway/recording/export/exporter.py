@@ -56,6 +56,8 @@ class Order:
         Times of regular streams.
     is_wide
         Whether to write additional tables with all streams of a rate side by side.
+    notes
+        Sentences about its streams that hold for any format.
     """
 
     clock: Clock
@@ -65,6 +67,7 @@ class Order:
     participant: str = ""
     times: Times = Times.RECORDED
     is_wide: bool = False
+    notes: Sequence[str] = ()
 
 
 class Missing(str):

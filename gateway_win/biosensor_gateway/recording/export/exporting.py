@@ -5,17 +5,33 @@ from __future__ import annotations
 import gc
 import os
 import shutil
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
-from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress, Times
-from biosensor_gateway.recording.export.formats import FORMATS, GROWTH, USUAL_GROWTH
+from biosensor_gateway.recording.contents.rates import with_rates
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.exporter import (
+    Clock,
+    Exporter,
+    Missing,
+    Order,
+    Progress,
+    Times,
+    with_reasons,
+)
+from biosensor_gateway.recording.export.formats import (
+    FORMATS,
+    GROWTH,
+    NEED_RATES,
+    USUAL_GROWTH,
+)
 from biosensor_gateway.recording.export.outcome import NothingForIt, Outcome, Written
+from biosensor_gateway.recording.export.readme import OF_ONE_FILE, readme_beside, write_readme
 from biosensor_gateway.recording.participants import (
     Mismatch,
     Whose,
@@ -52,6 +68,8 @@ class Task:
         Number of values processed at once; results do not depend on it.
     is_wide
         Whether ``csv`` should also contain a table per rate.
+    rates
+        Rates in Hz of streams whose headers name none; by name or source_id, with ``*`` and ``?``.
     """
 
     formats: Sequence[str]
@@ -65,6 +83,7 @@ class Task:
     times: Times = Times.RECORDED
     batch: int = BATCH
     is_wide: bool = False
+    rates: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
@@ -96,18 +115,27 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
             participant,
             task.times,
             task.is_wide,
+            notes := tuple(_clock_notes(chosen, task)),
         )
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
         _require_space(chosen, targets)
-        with _no_search_for_cycles():
-            written, without = _write_all(chosen, order, exporters, targets, watch)
+        try:
+            with _no_search_for_cycles():
+                written, without = _write_all(chosen, order, exporters, targets, watch, task.rates)
+        except RecordingError as error:
+            if error.reason is not RecordingReason.EMPTY:
+                raise
+            # There is no outcome that would tell it.
+            reasons = [each for each in notes if isinstance(each, Missing)]
+            message = with_reasons(str(error), reasons) + contents.why_incomplete
+            raise RecordingError(error.reason, message) from error
         return Outcome(
             path,
             tuple((s.header.name, s.header.source_id, s.sample_count) for s in chosen.streams),
             written,
             contents.damages,
-            tuple(_clock_notes(chosen, task)),
+            notes,
             without,
             _mismatch(path, chosen) if task.whose is None else None,
         )
@@ -176,6 +204,9 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             f"{', ...' if len(unmeasured) > 3 else ''}): their timestamps are as recorded"
         )
     for each in chosen.streams:
+        if each.untimed:
+            samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
+            yield Missing(f"{each.header.name}: {samples} left out, for their stamps are no number")
         if each.clock_error:
             yield (
                 f"{each.header.name}: {each.clock_error}, so its time relative to the "
@@ -204,7 +235,8 @@ def _targets(
     if len(set(targets.values())) < len(targets):
         message = f"{' and '.join(targets)} would have the same name; export one after the other"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    for target in targets.values():
+    told = [readme_beside(each) for key, each in targets.items() if key in OF_ONE_FILE]
+    for target in (*targets.values(), *told):
         if target.is_symlink() or target.exists():
             raise _in_the_way(target)
     return targets
@@ -238,12 +270,18 @@ def _write_all(
     exporters: dict[str, Exporter],
     targets: dict[str, Path],
     watch: Watch,
+    rates: Mapping[str, float],
 ) -> tuple[tuple[Written, ...], tuple[NothingForIt, ...]]:
+    rated: tuple[tuple[Stream, ...], list[str]] | None = None
     written: list[Written] = []
     without: list[NothingForIt] = []
     for name, exporter in exporters.items():
+        wanted, notes = chosen, list[str]()
+        if name in NEED_RATES:
+            rated = rated or with_rates(chosen.streams, rates)
+            wanted, notes = replace(chosen, streams=rated[0]), rated[1]
         try:
-            written.append(_write(chosen, order, name, exporter, targets[name], watch))
+            written.append(_write(wanted, order, name, exporter, targets[name], watch, notes))
         except RecordingError as error:
             is_last_hope = not written and len(without) == len(exporters) - 1
             if error.reason is not RecordingReason.EMPTY or is_last_hope:
@@ -253,19 +291,28 @@ def _write_all(
 
 
 def _write(
-    chosen: Chosen, order: Order, name: str, exporter: Exporter, target: Path, watch: Watch
+    chosen: Chosen,
+    order: Order,
+    name: str,
+    exporter: Exporter,
+    target: Path,
+    watch: Watch,
+    rates: Sequence[str],
 ) -> Written:
-    contents = chosen.contents
+    contents, order = chosen.contents, replace(order, notes=(*order.notes, *rates))
     begin_s, end_s = max(chosen.begin_s, contents.begin_s), min(chosen.end_s, contents.end_s)
     try:
         with new_place(target, like=contents.path) as made:
             notes = exporter.write(chosen, order, made, watch(name, max(0.0, end_s - begin_s)))
+        if means := OF_ONE_FILE.get(name):
+            files = {each.number: [target.name] for each in chosen.streams}
+            write_readme(readme_beside(target), chosen, order, means, files, notes)
     except OSError as error:
         # Only an existing target itself is the user's error, not an existing file inside it.
         if isinstance(error, FileExistsError) and os.path.lexists(target):
             raise _in_the_way(target) from None
         raise _unwritable(target, error) from error
-    return Written(name, target, _size(target), tuple(notes))
+    return Written(name, target, _size(target), (*rates, *notes))
 
 
 def _size(path: Path) -> int:

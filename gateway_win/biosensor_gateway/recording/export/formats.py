@@ -51,5 +51,7 @@ GROWTH: Mapping[str, float] = {
     "bids": 3.0,
 }
 """Size of a format on the disk, as a multiple of the samples in the recording."""
+NEED_RATES = frozenset({"bids", "edf", "kubios"})
+"""Formats in which a stream needs a rate; see `recording.contents.rates`."""
 USUAL_GROWTH = 2.0
 """The multiple for formats that are not listed."""

@@ -7,32 +7,17 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from biosensor_common.naming import AGENT, NODE
-from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 
 MARKERS = "markers"
 """Data name of the agent's own markers."""
-# Programs use the types Markers, markers, Marker, StringMarker, LSL_Marker_Strings, Trigger,
-# Events.
-_WORDS = ("marker", "trigger", "event", "stim")
-
-
-def is_markers(stream: Stream) -> bool:
-    """Whether a stream contains events rather than measurements.
-
-    These are all text streams, and irregular numeric streams with such an LSL type.
-    """
-    header = stream.header
-    if header.format is ChannelFormat.STRING:
-        return True
-    kind = header.content_type.lower()
-    return not header.is_regular and any(word in kind for word in _WORDS)
 
 
 def marker_streams(chosen: Chosen) -> list[Stream]:
     """Return the marker streams, except the agents' and nodes' own event streams."""
-    return [each for each in chosen.streams if is_markers(each) and not _is_of_a_program(each)]
+    streams = (each for each in chosen.streams if each.header.is_markers)
+    return [each for each in streams if not _is_of_a_program(each)]
 
 
 def markers(chosen: Chosen) -> Iterator[tuple[float, str]]:

@@ -58,7 +58,7 @@ class Outcome:
     damages
         Unreadable parts of the recording.
     clock_notes
-        Sentences about the times.
+        Sentences about the times; `Missing` if samples have none.
     without
         Requested formats that were not written.
     mismatch
@@ -83,4 +83,5 @@ class Outcome:
     def is_whole(self) -> bool:
         """Whether every format contains everything that fits it."""
         is_whole = all(each.is_whole for each in self.written)
-        return is_whole and not self.damages and not self.without
+        is_timed = not any(isinstance(each, Missing) for each in self.clock_notes)
+        return is_whole and is_timed and not self.damages and not self.without

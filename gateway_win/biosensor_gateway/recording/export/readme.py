@@ -14,6 +14,18 @@ from biosensor_gateway.recording.export.exporter import Clock, Order, Times
 from biosensor_gateway.recording.export.timeline import timeline
 
 README = "README.txt"
+_LONG = """\
+One table for all streams: a row for each value of each channel, one stream after the other.
+Columns: its time, who wore the sensor, the stream, the channel, its unit, and the value.
+
+value is a number, empty where a text stands in the next column, text. NaN means that there is no
+value. Where samples are missing, so are their rows.
+
+The file is UTF-8, columns are separated by commas, decimals have a point. In a spreadsheet
+whose decimals are commas, import it as text with a point (in Excel: Data > From Text/CSV).
+"""
+OF_ONE_FILE = {"csv-long": _LONG, "csv-long.gz": _LONG}
+"""What formats mean that are one file, so that README.txt stands beside it."""
 _WIDTH = 100
 _MOST_CHANNELS, _MOST_FILES = 12, 4
 _CLOCKS = {
@@ -29,8 +41,13 @@ _TIMES = {
 }
 
 
+def readme_beside(target: Path) -> Path:
+    """Return where what an export of one file holds is told."""
+    return target.with_name(f"{target.name}.{README}")
+
+
 def write_readme(
-    folder: Path,
+    place: Path,
     chosen: Chosen,
     order: Order,
     means: str,
@@ -41,12 +58,14 @@ def write_readme(
 
     Parameters
     ----------
+    place
+        Folder of the export; of one file the file to write.
     means
         Paragraphs about the files and how to read them.
     files
         File names or topics of each exported stream, by stream number.
     notes
-        Notes on this export.
+        Notes on this export, besides those of `order`.
 
     Raises
     ------
@@ -60,11 +79,12 @@ def write_readme(
         ["HOW TO READ IT", *_items(means.split("\n\n"))],
         ["TIMES", *_items(_times(chosen, order))],
     ]
-    if notes:
-        blocks.append(["WHAT YOU SHOULD KNOW", *_items(notes)])
+    if known := [*order.notes, *notes]:
+        blocks.append(["WHAT YOU SHOULD KNOW", *_items(known)])
     text = "\n\n".join("\n".join(each) for each in blocks) + "\n"
     # Names in headers may contain unpaired surrogates.
-    with (folder / README).open("x", encoding="utf-8", errors="replace", newline="\n") as file:
+    path = place / README if place.is_dir() else place
+    with path.open("x", encoding="utf-8", errors="replace", newline="\n") as file:
         file.write(text)
 
 

@@ -16,7 +16,6 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.batches import batches, section
 from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.fitted_line import FittedLine
-from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S
 
@@ -76,7 +75,7 @@ def longest_gap_s(times: Times) -> float:
 
 def has_even_times(stream: Stream, times: Times) -> bool:
     """Whether the samples of a stream get evenly spaced times."""
-    return times is Times.EVEN and stream.header.is_regular and not is_markers(stream)
+    return times is Times.EVEN and stream.header.is_regular and not stream.header.is_markers
 
 
 class Gap(NamedTuple):
@@ -118,9 +117,9 @@ class Runs:
     def __init__(self, chosen: Chosen, stream: Stream, times: Times = Times.RECORDED) -> None:
         self._chosen, self._stream = chosen, stream
         self._is_even = times is Times.EVEN
-        self.cuts = cuts = cuts_of(
-            (each.times for each in batches(chosen, stream)), stream.header, section(chosen)
-        )
+        # Where stamps tell nothing, one sample follows the other, as far as anybody knows.
+        given = () if stream.order_error else (each.times for each in batches(chosen, stream))
+        self.cuts = cuts = cuts_of(given, stream.header, section(chosen))
         self._usual_s = cuts.period_s if cuts else 1.0 / stream.header.rate
         self._lost_at = {each.at: each.lost for each in cuts.holes} if cuts else {}
         self._stray = np.array(cuts.stray if cuts else [], np.int64)

@@ -22,6 +22,7 @@ FURTHEST_BACK_S = 1.0
 _MOST_OFF_NOMINAL = 10.0
 # While a clock is unknown, samples may all get the same timestamp, which distorts the line.
 _MOST_OFF_MEDIAN = 0.01
+_SLOWEST_HZ = 1e-3
 _STRETCH_S = 4.0
 _LEAST_STRETCH = 16
 _DIGITS = 12
@@ -167,9 +168,12 @@ def find_timing(
         return None
     survey.end_line()
     survey.end_part()
+    # The header of another program may contain any rate.
+    found_hz = 0.0 if cuts is None else 1.0 / cuts.period_s
+    if found_hz < _SLOWEST_HZ:
+        found_hz = _likely(found_hz or _rate(survey, header.rate), header.rate)
     # More digits would differ between kinds of processors.
-    found_hz = _rate(survey, header.rate) if cuts is None else 1.0 / cuts.period_s
-    rate_hz = float(f"{_likely(found_hz, header.rate):.{_DIGITS}g}")
+    rate_hz = float(f"{found_hz:.{_DIGITS}g}")
     for part, line in zip(survey.parts, survey.firsts, strict=True):
         part.start_s = line.mean_s - line.mean_number / rate_hz
     rows = survey.spans_s * rate_hz + len(survey.parts)

@@ -25,6 +25,12 @@ class Explanation(NamedTuple):
 
 
 EXPLANATIONS: Mapping[str, Explanation] = {
+    "no-rate": Explanation(
+        "A signal whose header names no rate",
+        "Nothing is wrong with its samples; programs that ask the header take it for irregular.",
+        "Nothing; what is exported takes the rate that is said. If you know a better one, export "
+        "with `--rate`.",
+    ),
     "damaged": Explanation(
         "Part of the file cannot be read",
         "The samples of that part are lost; everything before and after it was read.",

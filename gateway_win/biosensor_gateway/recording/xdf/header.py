@@ -20,6 +20,8 @@ from biosensor_gateway.recording.xdf.container import ChunkError
 MAX_XML_CHARACTERS = 64_000_000
 # No device samples faster, so a higher rate means a damaged header.
 _MAX_RATE_HZ = 1e9
+# Senders call them Markers, markers, Marker, StringMarker, LSL_Marker_Strings, Trigger, Events.
+_MARKERS = ("marker", "trigger", "event", "stim")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +132,17 @@ class RecordedHeader:
         """Whether it has a nominal sample rate."""
         return self.rate > 0
 
+    @property
+    def is_markers(self) -> bool:
+        """Whether the stream tells what happened rather than what was measured.
+
+        That is any text, of whatever type, and numbers without a rate whose type says so.
+        """
+        if self.format is ChannelFormat.STRING:
+            return True
+        kind = self.content_type.lower()
+        return not self.is_regular and any(word in kind for word in _MARKERS)
+
     def _is_from(self, program: str, data_name: str = "") -> bool:
         is_from = self.identity is not None and self.identity.sensor == program
         return is_from and data_name in {"", self.data_name} and self.replay is None
@@ -239,8 +252,8 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """Return the corrected content of a stream header chunk, and what was wrong with it.
 
     Fixes the errors that some programs make: control characters (such as the end of a C string), a
-    bare ``&``, a document type, spaces around fields, a decimal comma, ``cf_float32``, no nominal
-    rate.
+    bare ``&``, a document type, spaces around fields, a decimal comma, ``cf_float32``, UTF-16, no
+    nominal rate or an impossible one.
 
     Raises
     ------
@@ -249,6 +262,9 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """
     text, _ = decoded(content)
     wrong: list[str] = []
+    if content[1:2] == b"\0" or content.startswith(_UTF16):
+        text = str(content, "utf-16" if content.startswith(_UTF16) else "utf-16-le", "replace")
+        wrong.append("UTF-16 in place of UTF-8")
     for pattern, instead, what in _FIXES:
         text, count = pattern.subn(instead, text)
         wrong += [what] if count else []
@@ -267,6 +283,7 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     return ET.tostring(root, encoding="utf-8"), tuple(wrong)
 
 
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _FIXES = (
     (re.compile(r"<!DOCTYPE[^>\[]*(\[[^\]]*\])?[^>]*>"), "", "a document type"),
     (re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"), "", "control characters"),
@@ -278,9 +295,17 @@ def _fixed_number(text: str) -> str:
     return text.replace(",", ".")
 
 
+def _fixed_rate(text: str) -> str:
+    number = _fixed_number(text)
+    try:
+        return number if 0 <= float(number) < _MAX_RATE_HZ else "0"
+    except ValueError:
+        return "0"
+
+
 _FIXED_FIELDS: Mapping[str, Callable[[str], str]] = {
     "channel_count": _fixed_number,
-    "nominal_srate": lambda text: _fixed_number(text) or "0",
+    "nominal_srate": _fixed_rate,
     "channel_format": lambda text: text.removeprefix("cf_").lower(),
 }
 

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.device_clock import READING_LIMIT_S
+from biosensor_common.quantities import ContentType
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.pace import MOST_LOST, SECTION, Cuts, Pace, find_pace
+from biosensor_gateway.recording.xdf.pace import (
+    FEWEST,
+    MOST_LOST,
+    SECTION,
+    STEP_BACK_S,
+    Cuts,
+    Pace,
+    find_pace,
+    rate_of,
+)
 from biosensor_gateway.recording.xdf.recording import RecordedStream
-from biosensor_gateway.recording.xdf.sender_clock import Offset, runs_of
+from biosensor_gateway.recording.xdf.sender_clock import Offset, is_reading, runs_of
 
 # Between timestamps further apart than this many periods, samples are missing.
 GAP_PERIODS = 1.5
@@ -103,6 +114,8 @@ class Figures:
     pace
         How the timestamps of another program deviate from a line; None where each timestamp is
         exact.
+    found_hz
+        Rate of a stream whose header names none, if its samples are evenly spaced.
     """
 
     first: float | None
@@ -116,6 +129,7 @@ class Figures:
     nan_shares: tuple[float, ...]
     clock_error: str
     pace: Pace | None = None
+    found_hz: float | None = None
 
     @property
     def span_s(self) -> float:
@@ -132,8 +146,7 @@ def measure(stream: RecordedStream) -> Figures:
 
 def _measure(stream: RecordedStream) -> Figures:
     stamps = stream.stamps
-    finite = stamps[np.isfinite(stamps)]
-    ends = (float(finite.min()), float(finite.max())) if len(finite) else None
+    finite = own = stamps[np.isfinite(stamps)]
     offsets = stream.clock_offsets
     clock = summarise_offsets(offsets)
     if clock.resets:
@@ -142,17 +155,22 @@ def _measure(stream: RecordedStream) -> Figures:
         finite = stamps[np.isfinite(stamps)]
     count = max(1, stream.sample_count)
     pace = None
-    if stream.header.is_regular and not is_exact(stream.header) and len(finite) > 1:
-        pace = find_pace(stamps, stream.header.rate)
+    header = stream.header
+    found_hz = rate_of(stamps) if may_have_rate(header) else None
+    if found_hz is not None:
+        header = replace(header, rate=found_hz)
+    is_ordered = not (len(own) and order_error(header, own, len(own)))
+    if header.is_regular and not is_exact(header) and len(finite) > 1 and is_ordered:
+        pace = find_pace(stamps, header.rate)
         gaps = _gaps_of(pace, stamps)
         finite = np.delete(stamps, pace.stray)
         finite = finite[np.isfinite(finite)]
         rate_between_gaps_hz: float | None = 1.0 / pace.period_s
         backward_steps = pace.odd_steps_back
     else:
-        gaps = find_gaps(finite, stream.header)
-        rate_between_gaps_hz = _rate_between_gaps(finite, gaps, stream.header)
-        backward_steps = int(np.count_nonzero(finite[1:] < finite[:-1]))
+        gaps = find_gaps(finite, header) if is_ordered else Gaps()
+        rate_between_gaps_hz = _rate_between_gaps(finite, gaps, header) if is_ordered else None
+        backward_steps = int(np.count_nonzero(finite[1:] < finite[:-1])) if is_ordered else 0
     first, last = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
     return Figures(
         first=first,
@@ -164,9 +182,19 @@ def _measure(stream: RecordedStream) -> Figures:
         gaps=gaps,
         offsets=clock,
         nan_shares=tuple(float(share) for share in stream.nan_counts / count),
-        clock_error="" if ends is None else clock_error(stream.header, offsets, *ends),
+        clock_error=clock_error(header, offsets, own, len(own)) if len(own) else "",
         pace=pace,
+        found_hz=found_hz,
     )
+
+
+def may_have_rate(header: RecordedHeader) -> bool:
+    """Whether a stream whose header names no rate may be a signal.
+
+    Ours say what they mean, and intervals between beats are as even as the heart.
+    """
+    is_signal = not header.is_markers and header.content_type != ContentType.RR
+    return is_signal and not header.is_regular and not header.is_ours
 
 
 def is_exact(header: RecordedHeader) -> bool:
@@ -295,26 +323,66 @@ def _drift_and_scatter(run: Sequence[Offset]) -> tuple[float, float] | None:
 
 
 def clock_error(
-    header: RecordedHeader, offsets: Sequence[tuple[float, float]], first: float, last: float
+    header: RecordedHeader,
+    offsets: Sequence[tuple[float, float]],
+    stamps: NDArray[np.float64],
+    sample_count: int,
 ) -> str:
-    """Return why timestamps from `first` to `last` are not on the LSL clock; empty if they are.
+    """Return why timestamps are not on the LSL clock; empty if they are.
 
     Every clock offset contains the stream's own LSL time, and the header contains the time at
     which the outlet was created; the timestamps must be consistent with both.
+
+    Parameters
+    ----------
+    stamps : ndarray of float64, shape (n,)
+        Finite, in the order of the file; those of first and last sample of each chunk are enough.
+    sample_count
+        Of the stream.
     """
+    if why := order_error(header, stamps, sample_count):
+        return why
+    first, last = float(stamps.min()), float(stamps.max())
     unix = " (they are unix time)" if _UNIX_S[0] < first < _UNIX_S[1] else ""
     # For an outlet that has just closed, LabRecorder writes a clock time of 0.
-    times = [time for time, _ in offsets if time]
+    times = [time for time, _ in offsets if time and is_reading(time)]
     if times:
         # The state of a device may have been measured long before the recording.
         early_s = 0.0 if header.may_be_older else min(times) - last
         error_s = max(first - max(times), early_s)
         if error_s > MAX_STAMP_ERROR_S:
-            return f"its stamps are {error_s:.0f} s away from the LSL clock{unix}"
+            return f"its stamps are {_seconds(error_s)} away from the LSL clock{unix}"
         return ""
     since = header.created_at if math.isfinite(header.created_at) else 0.0
     if last < since - MAX_STAMP_ERROR_S:
-        return f"its stamps are {since - last:.0f} s older than the stream itself"
+        return f"its stamps are {_seconds(since - last)} older than the stream itself"
     if unix or first - since > MAX_UPTIME_S:
-        return f"its stamps are {first - since:.0f} s away from when the stream was made{unix}"
+        away = _seconds(first - since)
+        return f"its stamps are {away} away from when the stream was made{unix}"
     return ""
+
+
+def order_error(header: RecordedHeader, stamps: NDArray[np.float64], sample_count: int) -> str:
+    """Say why stamps of a regular stream do not tell when a sample was measured; empty if they do.
+
+    Parameters
+    ----------
+    stamps, sample_count
+        See `clock_error`.
+    """
+    if not header.is_regular or sample_count < max(FEWEST, header.rate):
+        return ""
+    steps = np.diff(stamps)
+    back, ahead = int(np.count_nonzero(steps < 0)), int(np.count_nonzero(steps > 0))
+    if not back and not ahead:
+        return "its stamps are all the same" if len(steps) else ""
+    if back > ahead:
+        return "its stamps decrease from sample to sample"
+    # Those of a clock that was set step back now and then, those of no clock all the time.
+    if np.count_nonzero(steps < -STEP_BACK_S) > max(3, len(steps) / 8):
+        return "its stamps are in no order"
+    return ""
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds <= READING_LIMIT_S else f"{seconds:.3g} s"

@@ -24,8 +24,9 @@ STEP_BACK_S = 1.0
 _FEW = 3
 NO_PAUSE_S = 3600.0
 """A longer pause followed by only a few samples is not plausible."""
+_FEWEST_FOR_RATE = 200
 # Fewer samples are too few to fit a line.
-_FEWEST = 16
+FEWEST = 16
 _WINDOW_S, _LONGEST_WINDOW_S = 1.0, 16.0
 # Of this many bursts, at least one has a small delay.
 _BURSTS_IN_WINDOW = 8
@@ -157,6 +158,42 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     )
 
 
+def rate_of(stamps: Array) -> float | None:
+    """Return the rate of a stream whose header names none; None if its samples come unevenly.
+
+    However late single stamps are, a number of samples takes as long everywhere in an even stream.
+    Where each step is another one, as from beat to beat, it varies the more, the more samples.
+
+    Parameters
+    ----------
+    stamps : ndarray of float64, shape (n_samples,)
+        In the order of the file, in s.
+    """
+    stamps = stamps[np.isfinite(stamps)]
+    if len(stamps) < _FEWEST_FOR_RATE:
+        return None
+    steps = np.diff(stamps)
+    # A pause is as long as it likes.
+    longest_s = 3 * float(np.percentile(np.abs(steps), 99.5))
+    steps = np.clip(steps, -longest_s, longest_s)
+    line = np.concatenate([[0.0], np.cumsum(steps)])
+    few = max(4, len(line) // 100)
+    many = 8 * few
+    spans_s = line[many:] - line[:-many]
+    period_s = float(np.median(spans_s)) / many
+    if period_s <= 0 or np.count_nonzero(steps < 0) > len(steps) / 3:
+        return None
+    most_s = max(1.6 * _range(line[few:] - line[:-few], 10), 1.5 * _range(steps, 0.1))
+    if _range(spans_s, 10) > most_s + _AT_ONCE * period_s:
+        return None
+    return 1.0 / find_pace(stamps, 1.0 / period_s).period_s
+
+
+def _range(values: Array, percent: float) -> float:
+    low, high = np.percentile(values, (percent, 100 - percent))
+    return float(high - low)
+
+
 class Cuts:
     """Finds where runs begin in a stream that is read in blocks.
 
@@ -266,7 +303,7 @@ def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[i
     wanted = max(_WINDOW_S / nominal_s, min(several, _LONGEST_WINDOW_S / nominal_s))
     # In a short stream, several short windows are better than long ones if each has some bursts.
     most = len(steps) / (2 if several else _FEWEST_WINDOWS)
-    window = max(_FEWEST, int(min(wanted, most)))
+    window = max(FEWEST, int(min(wanted, most)))
     lag = lag or window
     if len(marks) < _FEWEST_WINDOWS * lag:
         return window, nominal_s

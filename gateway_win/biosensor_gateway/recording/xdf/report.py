@@ -10,6 +10,7 @@ from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import Figures
 from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
+from biosensor_gateway.recording.xdf.sender_clock import is_reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +29,8 @@ class Measured:
     @property
     def recorder_offset_s(self) -> float:
         """Offset from the times in its statistics to the recorder's clock, in s."""
-        offsets = self.stream.clock_offsets
-        return offsets[0][1] if offsets and not self.figures.offsets.resets else 0.0
+        offsets = [each for _, each in self.stream.clock_offsets if is_reading(each)]
+        return offsets[0] if offsets and not self.figures.offsets.resets else 0.0
 
 
 @dataclass(frozen=True, slots=True)

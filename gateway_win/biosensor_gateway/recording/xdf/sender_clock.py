@@ -152,7 +152,7 @@ def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[
 
     Values that no clock can show come from damage and are ignored.
     """
-    known = [(at, *each) for at, each in enumerate(offsets) if all(map(_is_reading, each))]
+    known = [(at, *each) for at, each in enumerate(offsets) if all(map(is_reading, each))]
     begins = [
         number
         for number, (_, time_s, offset) in enumerate(known)
@@ -189,7 +189,8 @@ def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> l
     return [begin + at for at in found]
 
 
-def _is_reading(value: float) -> bool:
+def is_reading(value: float) -> bool:
+    """Whether a clock can show this time, in s."""
     # NaN is not within the limit either.
     return abs(value) <= READING_LIMIT_S
 

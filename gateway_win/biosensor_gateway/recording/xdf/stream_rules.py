@@ -151,8 +151,11 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         f"the longest of {worst.length_s:.3g} s at {at:.1f} s"
     )
     yield Level.WARNING, "gaps", text
-    smeared_up_to = max(_LOADER_BREAK_S, _LOADER_BREAK_SAMPLES / header.rate)
-    if not header.can_drop_samples and any(g.length_s <= smeared_up_to for g in gaps.listed):
+    period_s = 1 / header.rate if header.is_regular else 0.0
+    smeared_up_to = max(_LOADER_BREAK_S, _LOADER_BREAK_SAMPLES * period_s)
+    # Loaders leave stamps of a stream without a rate alone.
+    is_smeared = header.is_regular and not header.can_drop_samples
+    if is_smeared and any(g.length_s <= smeared_up_to for g in gaps.listed):
         text = (
             "its header does not say can_drop_samples, so load it with "
             "dejitter_timestamps=False, otherwise the gaps shift its timestamps"
@@ -172,6 +175,13 @@ def _held_up(length_s: float, at: float) -> Verdict:
 def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     figures, nominal = measured.figures, measured.stream.header.rate
     rate = figures.rate_between_gaps_hz
+    if figures.found_hz is not None:
+        text = (
+            f"its header names no rate, and its samples come evenly, at {figures.found_hz:.4g} Hz; "
+            "EDF, Kubios, BIDS and features take that"
+        )
+        yield Level.NOTE, "no-rate", text
+        return
     too_few = measured.stream.sample_count < MIN_SAMPLES_FOR_RATE
     # A late report is followed by one on time, which makes the rate look wrong.
     is_told = measured.stream.header.is_counters

@@ -26,7 +26,6 @@ from biosensor_gateway.recording.export.marker_events import (
     is_left_out,
     marker_events,
 )
-from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.timeline import timeline
 from biosensor_gateway.recording.participants import entities_of
 from biosensor_gateway.recording.recorder.request import BidsLabels
@@ -96,7 +95,7 @@ def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subj
     called = {found[each]: each for each in people}
     if len(_people(chosen.contents.streams)) == 1:
         return Subjects(called, next(iter(called)))
-    has_shared = any(not participant(each) and not is_markers(each) for each in streams)
+    has_shared = any(not participant(each) and not each.header.is_markers for each in streams)
     return Subjects(called | ({shared: ""} if has_shared or not people else {}), shared)
 
 
@@ -174,8 +173,8 @@ class _Dataset:
         BidsLabels(UNKNOWN, task=task, session=session or UNKNOWN)
         self._entities = Entities("", task, session, told.get("acq", ""), told.get("run", ""))
         streams = [each for each in chosen.streams if not is_left_out(each)]
-        self._signals = [each for each in streams if not is_markers(each)]
-        self._markers = [each for each in streams if is_markers(each)]
+        self._signals = [each for each in streams if not each.header.is_markers]
+        self._markers = [each for each in streams if each.header.is_markers]
         self._subjects = find_subjects(chosen, streams, told.get("sub", ""))
 
     def write(self) -> list[str]:

@@ -17,7 +17,7 @@ from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv import tables
 from biosensor_gateway.recording.export.exporter import Missing, Order, on_clock
 from biosensor_gateway.recording.export.grid import Grid, write_rows
-from biosensor_gateway.recording.export.markers import is_markers, markers
+from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import unique
 from biosensor_gateway.recording.export.numbers import rows_of_numbers, tidied
 from biosensor_gateway.recording.export.runs import Runs, has_even_times
@@ -29,6 +29,8 @@ MARKER = "marker"
 # Number of rows written at once.
 _BLOCK = 4096
 _MICROSECONDS = 6
+_MOST_ROWS = 1e15
+"""Behind more, a float64 no longer tells one row from the next."""
 Array = NDArray[np.float64]
 
 
@@ -126,7 +128,7 @@ def table_names(chosen: Chosen) -> dict[float, str]:
 
 
 def _is_signal(stream: Stream) -> bool:
-    return stream.header.is_regular and not is_markers(stream)
+    return stream.header.is_regular and not stream.header.is_markers
 
 
 def write_by_rate(
@@ -173,6 +175,8 @@ def _member(chosen: Chosen, order: Order, stream: Stream, notes: list[str]) -> _
     if timing is None:
         return None
     why = stream.clock_error or ("its time steps back" if len(timing.parts) > 1 else "")
+    if not why and timing.rows > _MOST_ROWS:
+        why = "its stamps are too far apart"
     if why:
         told = f"{stream.header.name}: in no wide table, because {why}; its own table contains it"
         notes.append(Missing(told))
@@ -231,7 +235,8 @@ def _write_table(
     if moved := sum(each.grid.displacement.moved for each in columns):
         yield f"{moved} samples are not in the row of their time, as it was taken"
     if told:
-        yield f"{len(told)} markers came after its last row and are in {tables.MARKERS} alone"
+        markers_came = "1 marker came" if len(told) == 1 else f"{len(told)} markers came"
+        yield f"{markers_came} after its last row: {tables.MARKERS} alone has them"
 
 
 def _with_markers(text: bytes, rows: NDArray[np.int64], told: deque[tuple[int, str]]) -> bytes:

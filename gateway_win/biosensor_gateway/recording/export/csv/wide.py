@@ -29,7 +29,6 @@ from biosensor_gateway.recording.export.marker_events import (
     is_left_out,
     marker_events,
 )
-from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.readme import write_readme
@@ -151,7 +150,7 @@ def _write_markers(
     chosen: Chosen, order: Order, even: Sequence[tuple[Stream, Runs]], path: Path
 ) -> None:
     line = timeline(chosen, order.clock)
-    streams = [each for each in chosen.streams if is_markers(each) and not is_left_out(each)]
+    streams = [each for each in chosen.streams if each.header.is_markers and not is_left_out(each)]
 
     def all_of_them() -> Iterator[tuple[Stream, MarkerEvent]]:
         for stream, samples in merged(streams, chosen.begin_s, chosen.end_s):

@@ -29,6 +29,8 @@ RATES_HZ = (1e-3, 1e6)
 """Lowest and highest plausible rate that fits into a header."""
 
 _FIELD = 8
+_ROOM_BELOW = 1e-3
+"""Part of a channel's range."""
 # With a rate from a damaged header, one record could exceed the memory.
 _SHORT = 10_000
 """Width of a number in the header, in characters."""
@@ -118,7 +120,10 @@ def channel(place: int, label: str, unit: str, least: float, greatest: float) ->
     dimension = "uV" if unit in _IN_MICROVOLTS else _DIMENSIONS.get(unit, unit)
     if not least <= greatest:
         least = greatest = 0.0
-    low, high = _outward(least * factor, math.floor), _outward(greatest * factor, math.ceil)
+    least, greatest = least * factor, greatest * factor
+    # What stands where there is no value is further down than all values.
+    below = _ROOM_BELOW * ((greatest - least) or 1.0)
+    low, high = _outward(least - below, math.floor), _outward(greatest, math.ceil)
     if low is None or high is None:
         return None
     if low == high:
@@ -148,7 +153,7 @@ _SEPARATORS = str.maketrans({0x14: " ", 0x15: " ", 0x00: " "})
 
 
 def digital(values: NDArray[Any], channels: Sequence[Channel]) -> NDArray[np.int32]:
-    """Return the values as 24-bit integers; NaN becomes the minimum.
+    """Return the values as 24-bit integers; NaN becomes the minimum, which no value becomes.
 
     Parameters
     ----------
@@ -161,8 +166,8 @@ def digital(values: NDArray[Any], channels: Sequence[Channel]) -> NDArray[np.int
     picked = np.asarray(values[:, [each.place for each in channels]], np.float64)
     factors, least, steps = np.array([(c.factor, c.least, c.step) for c in channels]).T
     found = np.rint((picked * factors - least) / steps) + LEAST
-    found = np.where(np.isfinite(found), found, LEAST)
-    return np.asarray(np.clip(found, LEAST, GREATEST), np.int32)
+    found = np.where(np.isfinite(found), np.clip(found, LEAST + 1, GREATEST), LEAST)
+    return np.asarray(found, np.int32)
 
 
 def records(

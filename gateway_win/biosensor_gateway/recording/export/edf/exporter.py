@@ -33,7 +33,7 @@ from biosensor_gateway.recording.export.exporter import (
     Times,
     with_reasons,
 )
-from biosensor_gateway.recording.export.markers import is_markers, markers
+from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
@@ -45,6 +45,7 @@ from biosensor_gateway.recording.export.runs import (
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
+_MOST_NAMED = 5
 Happened = tuple[float, str]
 """Time on the recorder's clock, in s, and text."""
 
@@ -68,7 +69,8 @@ Each file is EDF+ in 24 bits (BDF+); open it with EDFbrowser, EEGLAB or MNE. It 
 and if that has gaps, what is between two of them.
 
 Markers are annotations. So is the LSL time at which a file begins, by which files can be
-aligned, and each place where there is no value: the least value of the channel stands there.
+aligned, and each place where there is no value: the least value that the channel can have stands
+there (its physical minimum), which is below every value that was measured.
 
 The last data record is filled up with the last sample; an annotation says from where on.
 """
@@ -86,23 +88,27 @@ class Edf:
         target.mkdir()
         count, happened = SampleCount(chosen, progress), sorted(markers(chosen))
         job = _Job(chosen, order.clock, order.times, count, happened)
-        irregular, names = 0, FileNames()
+        irregular, names = list[str](), FileNames()
         for stream in chosen.streams:
-            if is_markers(stream):
+            if stream.header.is_markers:
                 continue
             if not stream.header.is_regular:
-                irregular += 1
+                irregular.append(stream.header.name)
                 continue
             _write_stream(job, stream, target, names)
+        if irregular:
+            told = ", ".join(irregular[:_MOST_NAMED])
+            told += f" and {len(irregular) - _MOST_NAMED} more" * (len(irregular) > _MOST_NAMED)
+            job.notes.append(
+                f"without a rate, so left out, for EDF cannot hold it: {told}; --rate HZ helps if "
+                "you know it"
+            )
         if not any(target.iterdir()):
             message = (
                 f"{chosen.contents.path} has no regular numeric streams in the selection that "
                 "EDF can hold, so nothing was written as EDF"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, job.notes))
-        if irregular:
-            streams = "1 stream" if irregular == 1 else f"{irregular} streams"
-            job.notes.append(f"{streams} without a rate left out, which EDF cannot hold")
         if cut := sum(len(text) > MOST_CHARACTERS for _, text in happened):
             texts = "1 marker is" if cut == 1 else f"{cut} markers are"
             job.notes.append(f"{texts} cut off after {MOST_CHARACTERS} characters; csv has all")

@@ -25,7 +25,7 @@ from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.names import unique
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, Stretch
 
-INSTEAD = "the smallest value of the file is written"
+INSTEAD = "the smallest value of the channel, below all measured ones, is written"
 """Describes what is written for missing values."""
 _LABEL = 16
 # The header has no room for more.

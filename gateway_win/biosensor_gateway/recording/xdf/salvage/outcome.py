@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.xdf.container import (
     Damage,
@@ -147,12 +149,11 @@ def _places(known: Survey) -> tuple[Place, ...]:
 
 
 def _is_on_lsl_clock(stream: KeptStream) -> bool:
-    first, last = stream.first, stream.last
-    is_finite = math.isfinite(first) and math.isfinite(last)
+    ends = np.array([stream.first, stream.last])
     return (
         bool(stream.sample_count)
-        and is_finite
-        and not clock_error(stream.header, stream.clock_offsets, first, last)
+        and bool(np.isfinite(ends).all())
+        and not clock_error(stream.header, stream.clock_offsets, ends, 0)
     )
 
 

@@ -27,6 +27,7 @@ from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, NO_PAUSE_S
 from biosensor_gateway.recording.xdf.samples import Block, decode
+from biosensor_gateway.recording.xdf.sender_clock import is_reading
 from biosensor_gateway.recording.xdf.sorting import NewHeader, StreamSorter
 from biosensor_gateway.recording.xdf.writing import samples
 
@@ -123,7 +124,7 @@ class KeptStream:
     @property
     def offset_s(self) -> float:
         """Offset from a timestamp to the recorder's clock; 0 if never measured."""
-        return self._offsets[1] if self._offsets else 0.0
+        return next(filter(is_reading, self._offsets[1::2]), 0.0)
 
     @property
     def is_unclosed(self) -> bool:

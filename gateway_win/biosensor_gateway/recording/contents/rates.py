@@ -1,0 +1,57 @@
+"""Finds the rate of streams whose header names none, though their samples come evenly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.xdf.measuring import may_have_rate
+from biosensor_gateway.recording.xdf.pace import SECTION, rate_of
+
+
+def estimated_rate(stream: Stream) -> float | None:
+    """Return the rate of a stream whose header names none; None if its samples do not tell one."""
+    if not may_have_rate(stream.header):
+        return None
+    parts: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
+    count = 0
+    for samples in stream.blocks():
+        parts.append(samples.stamps)
+        count += len(samples)
+        if count >= SECTION:
+            break
+    return rate_of(np.concatenate(parts)) if parts else None
+
+
+def with_rates(
+    streams: Sequence[Stream], wanted: Mapping[str, float]
+) -> tuple[tuple[Stream, ...], list[str]]:
+    """Return streams as if headers named the rates that they have, and what is to be said of it.
+
+    Parameters
+    ----------
+    wanted
+        Rates in Hz that somebody knows of streams without one, by name or source_id, with ``*`` and
+        ``?``.
+    """
+    found: list[Stream] = []
+    notes: list[str] = []
+    for stream in streams:
+        name = stream.header.name
+        known = [hz for fit, hz in wanted.items() if _fits(stream, fit)]
+        rate_hz = known[0] if known else estimated_rate(stream)
+        if stream.header.is_regular or rate_hz is None:
+            found.append(stream)
+            continue
+        found.append(stream.with_rate(rate_hz))
+        why = "as --rate says" if known else "that of a line through its stamps"
+        notes.append(f"{name}: its header names no rate; it is taken as {rate_hz:.6g} Hz, {why}")
+    return tuple(found), notes
+
+
+def _fits(stream: Stream, pattern: str) -> bool:
+    names = (stream.header.name, stream.header.source_id)
+    return any(fnmatchcase(each, pattern) for each in names)
