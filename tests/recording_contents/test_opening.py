@@ -317,3 +317,30 @@ def test_the_last_offset_of_an_outlet_that_goes_is_no_reset() -> None:
     offsets = _offsets(5000.0, 6, 0.0, 0.0, np.zeros(6))
     told = summarise_offsets([*offsets, (805030.0, -775000.0)])
     assert (told.resets, told.drift_ppm, told.scatter_s) == (0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("step_s", "is_told"), [(0.6, False), (-0.6, False), (600.0, True)])
+def test_times_near_a_step_of_the_clock_are_in_doubt_or_right(step_s: float, is_told: bool) -> None:
+    true_s = np.arange(1000.0, 1200.0, 5.0)
+    stepped = true_s > 1102.0
+    offsets = list(
+        zip((true_s + step_s * stepped).tolist(), (-step_s * stepped).tolist(), strict=True)
+    )
+    clock = SenderClock(offsets)
+    spans = clock.doubtful_spans
+    samples_s = np.arange(1000.0, 1195.0, 0.1)
+    stamps = samples_s + step_s * (samples_s > 1102.0)
+    found = np.concatenate(
+        [
+            clock.to_recorder(np.array([stamp]), int(np.searchsorted(true_s, at)))
+            for at, stamp in zip(samples_s, stamps, strict=True)
+        ]
+    )
+    wrong = samples_s[np.abs(found - samples_s) > 1e-6]
+    assert all(any(each.begin_s <= at <= each.end_s for each in spans) for at in wrong)
+    assert np.abs(found - samples_s).max() <= (0.0 if is_told else abs(step_s)) + 1e-6
+    assert is_told == (not spans)
+    if spans:
+        ((begin_s, end_s, found_s),) = [(each.begin_s, each.end_s, each.step_s) for each in spans]
+        assert (begin_s, end_s) == (pytest.approx(1100.0), pytest.approx(1105.0))
+        assert found_s == pytest.approx(step_s)

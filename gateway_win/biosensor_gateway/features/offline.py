@@ -101,6 +101,11 @@ def compute(path: Path, target: Path) -> Computed:
             for each, _ in pairs
             if each.clock_error
         ]
+        remarks += [
+            f"{each.header.name}: {span.text(contents.begin_s)}"
+            for each, _ in pairs
+            for span in each.clock.doubtful_spans
+        ]
         if contents.damages:
             remarks.append(f"not all of {path} can be read{contents.why_incomplete}")
         is_whole = not contents.damages

@@ -207,6 +207,8 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
             yield Missing(f"{each.header.name}: {samples} left out, for their stamps are no number")
+        for span in each.clock.doubtful_spans:
+            yield f"{each.header.name}: {span.text(chosen.contents.begin_s)}"
         if each.clock_error:
             yield (
                 f"{each.header.name}: {each.clock_error}, so its time relative to the "

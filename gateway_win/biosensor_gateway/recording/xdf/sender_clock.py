@@ -73,6 +73,31 @@ class _Line:
         return np.maximum(np.maximum(self.first - stamps, stamps - self.last), 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class DoubtfulSpan:
+    """A span in which the sender's clock was set, where a timestamp does not tell before or after.
+
+    Attributes
+    ----------
+    begin_s, end_s
+        On the recorder's clock, between the clock offsets on either side.
+    step_s
+        By how much the clock was set; timestamps in the span may be wrong by up to that.
+    """
+
+    begin_s: float
+    end_s: float
+    step_s: float
+
+    def text(self, zero_s: float) -> str:
+        """Return a sentence about it, with times since `zero_s`."""
+        begin_s, end_s = self.begin_s - zero_s, self.end_s - zero_s
+        return (
+            f"its sender's clock was set by {self.step_s:.3g} s between {begin_s:.1f} and "
+            f"{end_s:.1f} s, so times there may be off by up to that"
+        )
+
+
 class SenderClock:
     """Clock offsets of one stream, over all runs of its clock.
 
@@ -95,6 +120,26 @@ class SenderClock:
     def restarts(self) -> int:
         """How often the clock restarted."""
         return max(0, len(self._lines) - 1)
+
+    @property
+    def doubtful_spans(self) -> list[DoubtfulSpan]:
+        """Spans in which the clock was set by so little that times there are in doubt."""
+        found: list[DoubtfulSpan] = []
+        for before, after in pairwise(self._lines):
+            offset_before, offset_after = (
+                float(line.offsets(np.array([at]))[0])
+                for line, at in ((before, before.last), (after, after.first))
+            )
+            begin_s, end_s = before.last + offset_before, after.first + offset_after
+            # Positive if the sender's own clock went ahead.
+            step_s = offset_before - offset_after
+            is_told = abs(step_s) > end_s - begin_s
+            if step_s < 0:
+                # After that, its clock shows the same times once more.
+                is_told = is_told and not after.first <= before.last <= after.last
+            if not is_told:
+                found.append(DoubtfulSpan(begin_s, end_s, step_s))
+        return found
 
     def to_recorder(
         self, stamps: NDArray[np.float64], offsets_before: int = 0

@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.report import Extent, Measured
+from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 Verdict = tuple[Level, str, str]
 """Level, code and text of a finding."""
 
 # The recorder takes the first offset after 5 s.
 OFFSETS_DUE_S = 6.0
+_MOST_SPANS = 3
 # Relative errors that loaders complain about, and that no oscillator explains.
 WRONG_RATE, ODD_RATE = 0.1, 0.01
 MIN_SAMPLES_FOR_RATE = 20
@@ -205,10 +207,10 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     if offsets.resets:
         times = "once" if offsets.resets == 1 else f"{offsets.resets} times"
-        text = (
-            f"its sender's clock was restarted or set {times}; timestamps are right before and "
-            "after, except for some seconds around it"
-        )
+        spans = SenderClock(measured.stream.clock_offsets).doubtful_spans
+        told = "; ".join(each.text(extent.begin) for each in spans[:_MOST_SPANS])
+        text = f"its sender's clock was restarted or set {times}; "
+        text += told or "its timestamps tell before from after, so times are right"
         yield Level.WARNING, "clock-reset", text
     if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
         text = f"its clock offsets scatter by {offsets.scatter_s * 1e3:.0f} ms: a slow network"
