@@ -23,7 +23,7 @@ from biosensor_common.lsl_header import describe
 from biosensor_common.naming import AGENT, lsl_name, source_id
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
-from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Tag, framed
+from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, Tag, framed
 from tests.rigs.headers import declared_streams
 from tests.rigs.turns import OF_A_LAB
 

@@ -15,15 +15,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from typer.testing import CliRunner
 
 from biosensor_gateway.cli.bag import app
-from biosensor_gateway.recording.bag.errors import BagError, BagReason
-from biosensor_gateway.recording.bag.headers import listed_facts
+from biosensor_gateway.recording.bag.headers import TOPIC, RecordedStream, listed_facts, stream_text
 from biosensor_gateway.recording.bag.importing import Imported, import_bag
-from biosensor_gateway.recording.bag.recorded_streams import TOPIC, RecordedStream, stream_text
-from biosensor_gateway.recording.bag.types import EVENT, SAMPLES
+from biosensor_gateway.recording.bag.types import EVENT, SAMPLES, BagError, BagReason
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import judge
 from tests.bags import made, mcap_bytes
 from tests.xdf.checking import load_by_pyxdf
 

@@ -29,7 +29,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_common.topic_shape import queue_depth
 from biosensor_gateway.recording.bag import types
 from biosensor_gateway.recording.bag.importing import import_bag
-from biosensor_gateway.recording.bag.messages import Topic
+from biosensor_gateway.recording.bag.types import Topic
 from biosensor_gateway.recording.contents.opening import open_contents
 from lsl_to_ros.ros_to_lsl import fields
 from tests.bags import made

@@ -27,7 +27,7 @@ from biosensor_gateway.features.sources import Source
 from biosensor_gateway.page.network.source import Reader
 from biosensor_gateway.recording.recorder import receiver, streams
 from biosensor_gateway.recording.recorder.program import predicate
-from biosensor_gateway.recording.replay.playing import refuse_if_present
+from biosensor_gateway.recording.replay.playback import refuse_if_present
 from biosensor_gateway.recording.replay.source import ReplayError
 from lsl_to_ros.lsl.discovery import Discovery
 

@@ -12,11 +12,10 @@ import pytest
 from pylsl import local_clock
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.transports import byte_links, socket_link
-from biosensor_gateway.transports.byte_links import RfcommLink, byte_link
+from biosensor_gateway.transports import byte_links
+from biosensor_gateway.transports.byte_links import RfcommLink, TcpLink, byte_link
 from biosensor_gateway.transports.link import ByteLink
 from biosensor_gateway.transports.serial_port import SerialLink
-from biosensor_gateway.transports.socket_link import TcpLink
 from biosensor_gateway.transports.threads import in_daemon_thread
 
 pytestmark = pytest.mark.nightly
@@ -177,7 +176,7 @@ async def test_commands_are_sent_at_once_and_a_dead_peer_is_noticed(
         made.append(create_connection(address, timeout))
         return made[0]
 
-    monkeypatch.setattr(socket_link.socket, "create_connection", noted)
+    monkeypatch.setattr(byte_links.socket, "create_connection", noted)
     link = TcpLink("127.0.0.1", peer.port)
     await link.open()
     assert made[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -210,7 +209,7 @@ async def test_a_reset_ends_a_waiting_read(peer: Peer, link: ByteLink) -> None:
 
 @pytest.mark.nightly
 async def test_a_quiet_link_stays_open(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(socket_link, "WRITE_TIMEOUT_S", 0.02)
+    monkeypatch.setattr(byte_links, "WRITE_TIMEOUT_S", 0.02)
     link = TcpLink("127.0.0.1", peer.port)
     await link.open()
     await asyncio.sleep(0.3)
@@ -223,7 +222,7 @@ async def test_a_quiet_link_stays_open(peer: Peer, monkeypatch: pytest.MonkeyPat
 async def test_a_write_that_nobody_takes_ends_the_link(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socket_link, "WRITE_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(byte_links, "WRITE_TIMEOUT_S", 0.1)
     link = TcpLink("127.0.0.1", peer.port)
     await link.open()
     assert peer.connection
@@ -236,9 +235,9 @@ async def test_a_write_that_nobody_takes_ends_the_link(
 async def test_closing_waits_neither_for_a_write_nor_for_the_other_side(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socket_link, "WRITE_TIMEOUT_S", 2 * ENDED_WITHIN_S)
-    monkeypatch.setattr(socket_link, "CLOSE_TIMEOUT_S", 0.1)
-    monkeypatch.setattr(socket_link, "FAREWELL_S", 0.1)
+    monkeypatch.setattr(byte_links, "WRITE_TIMEOUT_S", 2 * ENDED_WITHIN_S)
+    monkeypatch.setattr(byte_links, "CLOSE_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(byte_links, "FAREWELL_S", 0.1)
     link = TcpLink("127.0.0.1", peer.port)
     await link.open()
     assert peer.connection
@@ -283,7 +282,7 @@ async def test_what_the_system_says_of_tcp_becomes_a_reason_and_an_advice(
     def refuse(*_: object) -> None:
         raise raised
 
-    monkeypatch.setattr(socket_link.socket, "create_connection", refuse)
+    monkeypatch.setattr(byte_links.socket, "create_connection", refuse)
     error = await open_error(TcpLink("fe80::1", 5000))
     assert error.reason is reason
     assert words in str(error)
@@ -301,7 +300,7 @@ def slow_connection(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> Generator[th
         made.connect(("127.0.0.1", peer.port))
         return made
 
-    monkeypatch.setattr(socket_link.socket, "create_connection", slow)
+    monkeypatch.setattr(byte_links.socket, "create_connection", slow)
     yield may_connect
     may_connect.set()
 
@@ -311,7 +310,7 @@ def slow_connection(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> Generator[th
 async def test_a_connection_that_comes_too_late_is_not_held(
     peer: Peer, slow_connection: threading.Event, monkeypatch: pytest.MonkeyPatch, is_stopped: bool
 ) -> None:
-    monkeypatch.setattr(socket_link, "OPEN_TIMEOUT_S", ENDED_WITHIN_S if is_stopped else 0.05)
+    monkeypatch.setattr(byte_links, "OPEN_TIMEOUT_S", ENDED_WITHIN_S if is_stopped else 0.05)
     link = TcpLink("127.0.0.1", peer.port)
     opening = asyncio.create_task(link.open())
     if is_stopped:

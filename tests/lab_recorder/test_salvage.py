@@ -14,9 +14,9 @@ from typing import Any
 import pylsl
 import pytest
 
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import judge
 from tests.rigs.lab_recorder import PROGRAM
 from tests.xdf.checking import load_by_pyxdf
 

@@ -17,7 +17,7 @@ from biosensor_gateway.recording.export import kubios, runs
 from biosensor_gateway.recording.export.edf import exporter as edf_exporter
 from biosensor_gateway.recording.export.exporter import Missing, Times
 from biosensor_gateway.recording.export.outcome import Outcome, Written
-from biosensor_gateway.recording.replay import words
+from biosensor_gateway.recording.replay import playback
 from biosensor_gateway.recording.replay.player import Order, Player
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.sender_clock import EXTRAPOLATED_S, SenderClock
@@ -285,7 +285,7 @@ def test_a_replay_plays_the_others_and_says_so(tmp_path: Path) -> None:
         player = Player(choose(contents, Wish()), Order(), "hash")
         assert [each.header.name for each in player.streams] == ["lsl"]
         assert player.progress().length_s < 10
-        (sentence,) = words.left_out(player)
+        (sentence,) = playback.left_out(player)
         assert sentence.startswith("warning: unix is not played, because its stamps are")
         alone = Player(choose(contents, Wish(streams=("unix",))), Order(), "hash")
         assert [each.header.name for each in alone.streams] == ["unix"]

@@ -36,9 +36,8 @@ from biosensor_gateway.recording.recorder.request import (
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
-from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
+from biosensor_gateway.recording.xdf.container import Chunk, Tag, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.framing import Tag
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import decode
 from biosensor_gateway.recording.xdf.verdict import Colour

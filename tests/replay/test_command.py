@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.bag.errors import BagError, BagReason
+from biosensor_gateway.recording.bag.types import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.exporter import Clock, Progress
@@ -29,8 +29,8 @@ from biosensor_gateway.recording.replay.player import (
     Timeline,
     Track,
 )
+from biosensor_gateway.recording.replay.player_process import ReplayJob
 from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
-from biosensor_gateway.recording.replay.told import ReplayJob
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.replay import files
 from tests.replay.playing import PATIENCE_S, playing

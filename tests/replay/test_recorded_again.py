@@ -13,8 +13,8 @@ import pytest
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import judge
 from tests.recording_contents.ours import description
 from tests.replay import files
 from tests.replay.playing import playing

@@ -25,9 +25,9 @@ from biosensor_gateway.simulation import async_serial
 from biosensor_gateway.simulation.async_serial import TcpSerialPort
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import byte_links, ports
+from biosensor_gateway.transports.byte_links import FAREWELL_S, TcpLink
 from biosensor_gateway.transports.ports import Take, UdpPort
 from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink
-from biosensor_gateway.transports.socket_link import FAREWELL_S, TcpLink
 from biosensor_gateway.transports.threads import Traffic
 from tests.rigs.virtual_time import clock_of_the_test
 

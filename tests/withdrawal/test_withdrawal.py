@@ -19,11 +19,17 @@ from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.bids.study import Study
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
-from biosensor_gateway.recording.withdrawal.planning import Action, Plan, plan
 from biosensor_gateway.recording.withdrawal.traces import Person
-from biosensor_gateway.recording.withdrawal.work import Report, carry_out, digest
-from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.withdrawal.work import (
+    Action,
+    Plan,
+    Report,
+    carry_out,
+    digest,
+    plan,
+)
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import judge
 from tests.recording_export.study import BEGIN_S, ecg_values, ours
 from tests.xdf import xdf_file as made
 

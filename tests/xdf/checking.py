@@ -10,10 +10,10 @@ import pyxdf
 
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import judge
 
 # Reads and judges the bytes of a file in one step.
 

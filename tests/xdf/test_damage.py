@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.header import decoded
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import judge
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, load_by_pyxdf, only, read, text_of
 from tests.xdf.xdf_file import two_streams

@@ -23,10 +23,10 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.recorder.recording_file import summarize
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report
+from biosensor_gateway.recording.xdf.verdict import judge
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
 from biosensor_gateway.streaming.outlets import Outlet

@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import judge
 from tests.xdf import xdf_file as made
 from tests.xdf.checking import Rows, load_by_pyxdf, rows, salvaged
 

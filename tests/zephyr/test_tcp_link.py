@@ -15,7 +15,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from biosensor_gateway.streaming.sink import DeviceSink
-from biosensor_gateway.transports.socket_link import TcpLink
+from biosensor_gateway.transports.byte_links import TcpLink
 from tests.rigs.zephyr import SteeredBioHarness
 
 DEADLINE_S = 30.0

@@ -59,7 +59,7 @@ UntilOption = Annotated[str, typer.Option("--until", metavar="TIME", help="Likew
 @contextmanager
 def wrong_recording() -> Generator[None]:
     """Raise `ConfigError`, for exit code 2, if an argument is not a readable recording or bag."""
-    from biosensor_gateway.recording.bag.errors import BagError, BagReason  # not needed for help
+    from biosensor_gateway.recording.bag.types import BagError, BagReason  # not needed for help
     from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
     try:

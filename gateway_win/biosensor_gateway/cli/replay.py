@@ -29,12 +29,12 @@ from biosensor_gateway.cli.options import (
 )
 from biosensor_gateway.cli.output import say
 from biosensor_gateway.cli.settings import settings_or_defaults
-from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
+from biosensor_gateway.recording.replay import FASTEST, SLOWEST
 from biosensor_gateway.settings.models import LslSettings
 
 if TYPE_CHECKING:
+    from biosensor_gateway.recording.replay.playback import Wanted
     from biosensor_gateway.recording.replay.player import Player
-    from biosensor_gateway.recording.replay.playing import Wanted
 
 _SHOWN_PER_S = 2
 _ALLOWED_BY = "add --beside-live"
@@ -82,8 +82,8 @@ def replay(
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
     from biosensor_gateway.recording.contents.choice import Wish
+    from biosensor_gateway.recording.replay.playback import Wanted
     from biosensor_gateway.recording.replay.player import Order
-    from biosensor_gateway.recording.replay.playing import Wanted
     from biosensor_gateway.system.shutdown import until_signalled
 
     wanted = Wanted(
@@ -124,17 +124,17 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
 
 def _play(wanted: Wanted, stopping: threading.Event) -> bool:
     """Play; return whether all requested streams were played."""
-    from biosensor_gateway.recording.replay import words
-    from biosensor_gateway.recording.replay.playing import prepared
+    from biosensor_gateway.recording.replay import playback
+    from biosensor_gateway.recording.replay.playback import prepared
 
     with wrong_recording(), prepared(wanted, _ALLOWED_BY) as player:
-        for sentence in (*words.damaged(player.damages), *words.left_out(player)):
+        for sentence in (*playback.damaged(player.damages), *playback.left_out(player)):
             say(sentence)
         if not stopping.is_set():
-            say(words.begun(wanted.file.name, player, wanted.order.speed))
+            say(playback.begun(wanted.file.name, player, wanted.order.speed))
             with _shown(player):
                 player.run(stopping)
-        for sentence in words.ended(player, was_stopped=stopping.is_set()):
+        for sentence in playback.ended(player, was_stopped=stopping.is_set()):
             say(sentence)
         return not player.left_out
 
@@ -145,10 +145,10 @@ def _shown(player: Player) -> Generator[None]:
     if not sys.stdout.isatty():
         yield
         return
-    from biosensor_gateway.recording.replay import words
+    from biosensor_gateway.recording.replay import playback
 
     def line() -> Text:
-        text = words.line(player.progress(), len(player.streams))
+        text = playback.line(player.progress(), len(player.streams))
         return Text(text, no_wrap=True, overflow="ellipsis")
 
     # `Live` draws on its own thread, so that a blocked console does not delay samples.

@@ -15,8 +15,7 @@ from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.xdf.printing import printable
 
 if TYPE_CHECKING:
-    from biosensor_gateway.recording.withdrawal.planning import Plan
-    from biosensor_gateway.recording.withdrawal.work import Report
+    from biosensor_gateway.recording.withdrawal.work import Plan, Report
 
 
 def withdraw(
@@ -47,8 +46,7 @@ def withdraw(
     cannot be restored: do not copy them first, and remember your backups, which this command
     cannot reach.
     """
-    from biosensor_gateway.recording.withdrawal.planning import Action, plan
-    from biosensor_gateway.recording.withdrawal.work import carry_out
+    from biosensor_gateway.recording.withdrawal.work import Action, carry_out, plan
 
     for place in places:
         if not place.exists():

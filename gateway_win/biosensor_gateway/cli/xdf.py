@@ -36,12 +36,12 @@ from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome as Salvaged
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import judge
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 
-from biosensor_gateway.recording.bag.errors import BagError
 from biosensor_gateway.recording.bag.importing import import_bag, usual_path
+from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written

@@ -31,10 +31,10 @@ from biosensor_gateway.recording.export.several import Exported, export_several,
 from biosensor_gateway.recording.xdf import verdict as judging
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import by_devices
-from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import judge
 
 MOST_MARKERS = 1000
 _log = structlog.get_logger("biosensor_gateway.page")

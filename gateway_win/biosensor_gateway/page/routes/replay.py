@@ -37,16 +37,15 @@ from biosensor_gateway.page.models import (
 from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.replay import words
-from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
-from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
-from biosensor_gateway.recording.replay.told import (
+from biosensor_gateway.recording.replay import FASTEST, SLOWEST, playback
+from biosensor_gateway.recording.replay.player_process import (
     Phase,
     PlayedStream,
     ReplayJob,
     ReplayProgress,
     Told,
 )
+from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
 from biosensor_gateway.system.child import start_for
 
 
@@ -470,7 +469,7 @@ def _contents(path: Path) -> RecordingContents:
         return RecordingContents(
             length_s=contents.end_s - contents.begin_s,
             streams=[_stream(each) for each in contents.streams],
-            problems=list(words.damaged(contents.damages)),
+            problems=list(playback.damaged(contents.damages)),
         )
 
 

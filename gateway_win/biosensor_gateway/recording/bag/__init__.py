@@ -1,5 +1,5 @@
 """Reads and writes ROS bags without ROS.
 
-:mod:`.types` has the definitions of all messages; :mod:`.recorded_streams` is the topic that
-allows a bag exported from a recording to be converted back without loss.
+:mod:`.types` has the definitions of all messages; :mod:`.headers` also reads the topic
+that allows a bag exported from a recording to be converted back without loss.
 """

@@ -13,24 +13,28 @@ import numpy as np
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.ros_clock import NS_PER_S, ClockPair
-from biosensor_gateway.recording.bag.errors import (
-    BagError,
-    BagReason,
-    MessageError,
-    UnsuitableError,
-)
-from biosensor_gateway.recording.bag.headers import STAMPED, Facts, listed_facts
-from biosensor_gateway.recording.bag.messages import Message, Topic
-from biosensor_gateway.recording.bag.opening import bag_files, read_bag
-from biosensor_gateway.recording.bag.recorded_streams import (
+from biosensor_gateway.recording.bag.headers import (
+    STAMPED,
     TOPIC,
+    Facts,
     RecordedClock,
     RecordedStream,
+    listed_facts,
     read_text,
 )
-from biosensor_gateway.recording.bag.stream_writer import StreamWriter
-from biosensor_gateway.recording.bag.streams import AnyTopic, NewStream, StampedTopic
-from biosensor_gateway.recording.bag.types import EVENT, SAMPLES, MessageType
+from biosensor_gateway.recording.bag.opening import bag_files, read_bag
+from biosensor_gateway.recording.bag.streams import AnyTopic, NewStream, StampedTopic, StreamWriter
+from biosensor_gateway.recording.bag.types import (
+    EVENT,
+    SAMPLES,
+    BagError,
+    BagReason,
+    Message,
+    MessageError,
+    MessageType,
+    Topic,
+    UnsuitableError,
+)
 from biosensor_gateway.recording.contents.wall_clock import WallClock
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.system.new_file import new_file

@@ -22,8 +22,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
-from biosensor_gateway.recording.bag.errors import BagError, BagReason, MessageError
-from biosensor_gateway.recording.bag.messages import Message, Note, Topic
+from biosensor_gateway.recording.bag.types import (
+    BagError,
+    BagReason,
+    Message,
+    MessageError,
+    Note,
+    Topic,
+)
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 

@@ -1,10 +1,12 @@
-"""Definitions of the messages in bags: those of ROS 2 Jazzy, and this project's own."""
+"""The parts of a bag, its errors, and definitions of messages: ROS 2 Jazzy's and ours."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Enum, unique
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
@@ -18,14 +20,73 @@ from rosbags.typesys import (
 from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
+from biosensor_common.errors import GatewayError
 from biosensor_common.ros.fields import Definition, Slot
-from biosensor_gateway.recording.bag.errors import MessageError
-from biosensor_gateway.recording.bag.messages import Topic
 
+
+@unique
+class BagReason(Enum):
+    """Why a bag cannot be read at all."""
+
+    NOT_FOUND = "not_found"
+    UNREADABLE = "unreadable"
+    NOT_A_BAG = "not_a_bag"
+    EMPTY = "empty"
+    """It contains nothing that fits a recording."""
+    EXISTS = "exists"
+    """The output file exists."""
+    UNWRITABLE = "unwritable"
+    """The output file cannot be written."""
+
+
+class BagError(GatewayError):
+    """The bag cannot be read, or no file can be written from it."""
+
+
+class MessageError(Exception):
+    """A message or its type is invalid; the text is the end of a sentence."""
+
+
+class UnsuitableError(MessageError):
+    """No message of a topic fits a recording; the text is the end of a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic of a bag.
+
+    Attributes
+    ----------
+    type_name
+        Type of its messages, such as ``sensor_msgs/msg/Imu``.
+    encoding
+        Language of `definition`: ``ros2msg``, ``ros2idl``, or empty.
+    definition
+        Definition of the type and all types in it; empty if the bag does not contain it.
+    qos
+        QoS profiles of its publishers, as YAML.
+    """
+
+    name: str
+    type_name: str
+    encoding: str = ""
+    definition: str = ""
+    qos: str = ""
+
+
+class Message(NamedTuple):
+    """One serialised message of a bag; `unix_ns` is the time of recording."""
+
+    topic: Topic
+    unix_ns: int
+    content: bytes
+
+
+Note = Callable[[str], None]
+"""Called with a sentence about something that cannot be read."""
 _ARRAYS = (Nodetype.ARRAY, Nodetype.SEQUENCE)
 SAMPLES = "biosensor_msgs/msg/Samples"
 EVENT = "biosensor_msgs/msg/Event"
-
 # Copied from the files in ros_side/biosensor_msgs, which document the fields but are not installed
 # with the agent.
 OWN = {
@@ -35,8 +96,6 @@ OWN = {
         "string[] labels\nstring[] units\nint64[] offsets_ns\nfloat64[] data\nint64[] integers\n"
     ),
 }
-
-
 # Types whose fields are accessed by name, so a bag's definition must have these fields. This is
 # also true for Time and Duration, but the library rejects any other definition of them.
 _READ_BY_NAME = (*OWN, "std_msgs/msg/Header")

@@ -10,7 +10,7 @@ from pathlib import Path
 from biosensor_gateway.recording.contents.stream import IndexedStream, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
-from biosensor_gateway.recording.xdf.sorting import StreamSorter
+from biosensor_gateway.recording.xdf.recording import StreamSorter
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,12 @@ from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.recording.xdf.container import (
+    STREAM_ID_BYTES,
     Chunk,
     ChunkError,
     RecordingError,
     RecordingReason,
 )
-from biosensor_gateway.recording.xdf.framing import STREAM_ID_BYTES
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import clock_error, order_error
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode

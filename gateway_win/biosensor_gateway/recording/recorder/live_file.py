@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.xdf.container import ChunkError
+from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, ChunkError, Frame, Tag
 from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
-from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Frame, Tag
 from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
 from biosensor_gateway.recording.xdf.measuring import (
     MAX_STAMP_ERROR_S,

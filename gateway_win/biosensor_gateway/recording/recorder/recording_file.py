@@ -16,10 +16,10 @@ from biosensor_gateway.recording.xdf.container import (
     Chunk,
     ChunkError,
     RecordingError,
+    Tag,
     open_recording,
     read_chunks,
 )
-from biosensor_gateway.recording.xdf.framing import Tag
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 
 _POLL_S = 0.25

@@ -16,21 +16,23 @@ from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.withdrawal.traces import Person, Pieces
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.recording.xdf.container import (
+    MAGIC,
     Chunk,
     ChunkError,
     Damage,
+    Tag,
+    framed,
     open_recording,
     read_chunks,
 )
-from biosensor_gateway.recording.xdf.framing import MAGIC, Tag, framed
 from biosensor_gateway.recording.xdf.header import (
     Footer,
     RecordedHeader,
     fix_stream_header,
     parse_stream_header,
 )
+from biosensor_gateway.recording.xdf.recording import StreamSorter
 from biosensor_gateway.recording.xdf.samples import Texts, decode
-from biosensor_gateway.recording.xdf.sorting import StreamSorter
 from biosensor_gateway.system.new_file import new_file
 
 _PIECES_OF_A_STREAM = 5

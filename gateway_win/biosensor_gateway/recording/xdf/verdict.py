@@ -1,17 +1,315 @@
-"""Sums up the check of a recording in a colour and sentences."""
+"""Judges a recording as a whole, and says in a colour and sentences whether it can be trusted."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import json
+import math
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum, unique
 from pathlib import Path
+from typing import Any, NamedTuple, cast
 
+from biosensor_gateway.recording.participants import listed
+from biosensor_gateway.recording.xdf.container import Damage
+from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings, refusals
+from biosensor_gateway.recording.xdf.event_rules import judge_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
-from biosensor_gateway.recording.xdf.findings import Finding, Level, in_order
-from biosensor_gateway.recording.xdf.judging import judge
-from biosensor_gateway.recording.xdf.recording import read_recording
-from biosensor_gateway.recording.xdf.report import Report
+from biosensor_gateway.recording.xdf.findings import (
+    About,
+    Finding,
+    Level,
+    in_order,
+    other_participants,
+)
+from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.measuring import measure
+from biosensor_gateway.recording.xdf.recording import Recording, read_recording
+from biosensor_gateway.recording.xdf.report import Measured, Report, extent
+from biosensor_gateway.recording.xdf.stream_rules import judge_stream
+
+_MOST_DAMAGES = 10
+# The fastest messages in a lab's network take no longer; a larger delay may be a clock error.
+MAX_EDGE_S = 0.02
+# This finding is detected in the agent's counters but concerns the sensors' streams.
+_OF_PERSONS = frozenset({"held-up"})
+_IN_ORDER = ("synchronised", "unknown", "")
+
+
+def judge(
+    recording: Recording, expected: Sequence[ExpectedStream] = (), without: Collection[str] = ()
+) -> Report:
+    """Measure every stream of a recording and report what is wrong; see `verdict.check`."""
+    streams = [Measured(stream, measure(stream)) for stream in recording.streams]
+    streams, findings = compare_with_agent(streams)
+    length = extent(streams)
+    findings = [
+        *_damaged(recording),
+        *_not_closed(recording),
+        *other_participants(recording.path, (each.header.identity for each in recording.streams)),
+        *_missing(streams, expected),
+        *_duplicates(streams),
+        *_unaligned(streams),
+        *_replayed(streams),
+        *judge_devices(streams, length, without),
+        *judge_robot_clocks(streams),
+        *findings,
+        *(
+            finding if finding.code in _OF_PERSONS else finding.of(about(each.stream.header))
+            for each in streams
+            for finding in judge_stream(each, length)
+        ),
+    ]
+    if not _has_footers(recording):
+        # Reported once for the whole file.
+        findings = [finding for finding in findings if finding.code != "no-footer"]
+    return Report(recording, tuple(streams), length, tuple(in_order(findings)))
+
+
+def about(header: RecordedHeader) -> About:
+    """Return what a finding about a stream is about."""
+    if not header.is_ours:
+        return About.OTHERS
+    is_own = header.is_counters or header.is_events or header.is_events_of_node
+    return About.OURSELVES if is_own else About.PERSONS
+
+
+def _damaged(recording: Recording) -> Iterator[Finding]:
+    foreign = [each for each in recording.damages if each.is_foreign]
+    if foreign:
+        chunks = "1 chunk is" if len(foreign) == 1 else f"{len(foreign)} chunks are"
+        text = f"{chunks} skipped ({foreign[0].what}); everything else was read"
+        yield Finding(Level.WARNING, "foreign-chunk", "", text)
+    damages = [each for each in recording.damages if not each.is_foreign]
+    for damage in damages[:_MOST_DAMAGES]:
+        yield Finding(Level.ERROR, "damaged", "", _damage_text(damage, recording.size))
+    more = len(damages) - _MOST_DAMAGES
+    if more > 0:
+        yield Finding(Level.ERROR, "damaged", "", f"{more} more places cannot be read")
+    if recording.orphans:
+        count = sum(recording.orphans.values())
+        numbers = ", ".join(str(number) for number in sorted(recording.orphans)[:_MOST_DAMAGES])
+        text = f"{count} chunks belong to streams without a header (number {numbers})"
+        yield Finding(Level.ERROR, "no-header", "", text)
+    if not recording.streams:
+        yield Finding(Level.ERROR, "no-streams", "", "the file holds no stream")
+    elif not any(stream.sample_count for stream in recording.streams):
+        yield Finding(Level.ERROR, "no-samples", "", "no stream of the file holds samples")
+
+
+def _has_footers(recording: Recording) -> bool:
+    return any(stream.footer is not None for stream in recording.streams)
+
+
+def _not_closed(recording: Recording) -> Iterator[Finding]:
+    # LabRecorder gives no footer to the streams that it cannot record.
+    due = any(each.header.is_recordable for each in recording.streams)
+    if due and not _has_footers(recording):
+        text = "no stream has a footer: the recorder was ended before it could close the file"
+        yield Finding(Level.ERROR, "not-closed", "", text)
+
+
+def _damage_text(damage: Damage, size: int) -> str:
+    if damage.breaks_off:
+        return (
+            f"the file breaks off at byte {damage.start} of {size} ({damage.what}); "
+            "everything before was read"
+        )
+    return (
+        f"bytes {damage.start} to {damage.end} of {size} cannot be read ({damage.what}); "
+        "the rest was read"
+    )
+
+
+def _missing(measured: Sequence[Measured], expected: Sequence[ExpectedStream]) -> Iterator[Finding]:
+    for each in expected:
+        found = [one for one in measured if each.is_met_by(one.stream.header)]
+        if not found:
+            text = "it was expected and is not in the recording"
+            yield Finding(Level.ERROR, "missing", each.name, text)
+        elif each.must_have_samples and not any(one.stream.sample_count for one in found):
+            text = "it was expected and holds no samples"
+            yield Finding(Level.ERROR, "expected-empty", each.name, text)
+
+
+def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
+    ids = Counter(each.stream.header.source_id for each in measured)
+    for source_id, count in ids.items():
+        if source_id and count > 1:
+            text = f"{count} streams have the source_id {source_id!r}"
+            yield Finding(Level.ERROR, "duplicate-source-id", "", text)
+    names = Counter(each.name for each in measured)
+    for name, count in names.items():
+        if count > 1:
+            text = f"{count} streams have the name {name!r}"
+            yield Finding(Level.WARNING, "duplicate-name", "", text)
+
+
+def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
+    """Report once for each replayed recording which streams came from it."""
+    played = Counter(replay.title for each in measured if (replay := each.stream.header.replay))
+    for title, count in played.items():
+        streams = "1 stream is" if count == 1 else f"{count} streams are"
+        text = f"{streams} a replay of {title}, and not measured during this recording"
+        yield Finding(Level.WARNING, "replay", "", text)
+
+
+def _unaligned(measured: Sequence[Measured]) -> Iterator[Finding]:
+    filled = [each for each in measured if each.stream.sample_count]
+    hosts = {each.stream.header.hostname for each in filled}
+    bare = [each.name for each in filled if not each.figures.offsets.count]
+    if len(hosts) > 1 and bare:
+        text = (
+            f"the streams come from {len(hosts)} computers, and without clock offsets "
+            f"{len(bare)} of them cannot be aligned with the others"
+        )
+        yield Finding(Level.ERROR, "not-aligned", "", text)
+
+
+class _Told(NamedTuple):
+    """The node's report on one clock at one moment."""
+
+    word: str
+    edge_s: float
+
+    @property
+    def is_doubtful(self) -> bool:
+        return self.word not in _IN_ORDER or abs(self.edge_s) >= MAX_EDGE_S
+
+
+def judge_robot_clocks(streams: Sequence[Measured]) -> Iterator[Finding]:
+    """Report which streams from topics have timestamps of a clock not known to be right."""
+    heard = {
+        each.stream.header.hostname: list(_heartbeats(each.stream.texts))
+        for each in streams
+        if each.stream.header.is_events_of_node
+    }
+    for each in streams:
+        header = each.stream.header
+        robot = header.robot
+        if robot is None or header.replay is not None:
+            continue
+        told = [_Told(robot.clock, robot.edge_s)]
+        for topics in heard.get(header.hostname, ()):
+            told += _clocks(topics.get(robot.topic))
+        doubts = [one for one in told if one.is_doubtful]
+        if doubts:
+            worst = max(doubts, key=lambda one: 0.0 if math.isnan(one.edge_s) else abs(one.edge_s))
+            text = f"{_how_far(worst)}; its first sample has the time of its {robot.stamped_by}"
+            yield Finding(Level.WARNING, "robot-clock", header.name, text)
+
+
+def _how_far(told: _Told) -> str:
+    if math.isnan(told.edge_s):
+        return "the clock of the robot is not known to be right"
+    if told.edge_s < 0:
+        return f"the clock of the robot is {-told.edge_s:.3f} s ahead, at least"
+    if told.word == "wrong":
+        return f"the clock of the robot is wrong: about {told.edge_s:.3f} s behind"
+    return f"the clock of the robot may be behind by up to {told.edge_s:.3f} s"
+
+
+def _heartbeats(texts: Iterable[str]) -> Iterator[Mapping[str, Any]]:
+    for text in texts:
+        try:
+            yield _inside(json.loads(text), "topics")
+        except (ValueError, RecursionError):
+            continue
+
+
+def _clocks(topic: object) -> Iterator[_Told]:
+    for each in _inside(topic, "clocks").values():
+        try:
+            yield _Told(str(each["state"]), float(each["edge_s"]))
+        except (TypeError, KeyError, ValueError):
+            continue
+
+
+def _inside(content: object, name: str) -> Mapping[str, Any]:
+    """Return an object nested in another one; an empty one if there is none."""
+    inner = cast("Mapping[str, object]", content).get(name) if isinstance(content, dict) else None
+    nothing: Mapping[str, Any] = {}
+    return cast("Mapping[str, Any]", inner) if isinstance(inner, dict) else nothing
+
+
+def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], list[Finding]]:
+    """Compare every stream with the counters of the agent on its computer.
+
+    Returns
+    -------
+    list of Measured
+        The same streams, with the comparison where one is possible.
+    list of Finding
+        Findings about the counters themselves.
+    """
+    compared = list(streams)
+    findings: list[Finding] = []
+    for counters in streams:
+        header = counters.stream.header
+        if not header.is_counters:
+            continue
+        readings, unreadable = parse_readings(counters.stream.texts, counters.stream.stamps)
+        if unreadable:
+            text = f"{unreadable} of its samples cannot be read"
+            found = Finding(Level.ERROR, "counters", header.name, text, About.OURSELVES)
+            findings.append(found)
+        for source_id, run in readings.items():
+            places = _places(streams, source_id, header.hostname)
+            for at in places:
+                compared[at] = _compared(streams[at], run, counters)
+                findings += _refused(streams[at], run)
+        findings += _left_out(streams, readings, header)
+    findings += _uncounted(streams)
+    return compared, findings
+
+
+def _places(streams: Sequence[Measured], source_id: str, hostname: str) -> list[int]:
+    headers = [each.stream.header for each in streams]
+    return [
+        at
+        for at, header in enumerate(headers)
+        if (header.source_id, header.hostname) == (source_id, hostname)
+    ]
+
+
+def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> Measured:
+    end = counters.figures.last
+    if end is None:
+        return stream
+    return replace(stream, counters=compare(run, stream.stream.stamps, end))
+
+
+def _refused(stream: Measured, run: Sequence[Reading]) -> Iterator[Finding]:
+    for sentence in refusals(run):
+        yield Finding(Level.WARNING, "refused", stream.stream.header.name, sentence)
+
+
+def _left_out(
+    streams: Sequence[Measured], readings: Mapping[str, Sequence[Reading]], counters: RecordedHeader
+) -> Iterator[Finding]:
+    """Report streams that were pushed but not recorded, once for each device."""
+    of_device: dict[str, list[str]] = {}
+    for source_id, run in readings.items():
+        was_pushed = run[-1].pushed > run[0].pushed
+        if was_pushed and not _places(streams, source_id, counters.hostname):
+            # No other part of a source_id contains a hyphen.
+            of_device.setdefault(source_id.rpartition("-")[0], []).append(source_id)
+    for device, ids in of_device.items():
+        if len(ids) == 1:
+            text = f"the agent also had the stream {ids[0]}, which was not recorded"
+        else:
+            names = listed(each.rpartition("-")[2] for each in ids)
+            text = f"the agent also had {device}, of which {names} were not recorded"
+        yield Finding(Level.ERROR, "left-out", counters.name, text)
+
+
+def _uncounted(streams: Sequence[Measured]) -> Iterator[Finding]:
+    # The agent counts neither replays nor a node's own streams.
+    counted = [each.stream.header for each in streams if each.stream.header.is_of_agent]
+    if counted and not any(header.is_counters for header in counted):
+        text = "the agent's counters were not recorded, so nothing can be compared with them"
+        yield Finding(Level.NOTE, "no-counters", "", text)
 
 
 @unique

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.ros_clock import ClockPair
-from biosensor_gateway.recording.xdf.framing import (
+from biosensor_gateway.recording.xdf.container import (
     BOUNDARY,
     MAGIC,
     STREAM_ID_BYTES,

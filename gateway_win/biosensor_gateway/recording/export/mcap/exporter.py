@@ -27,7 +27,7 @@ from biosensor_common.ros.texts import (
 )
 from biosensor_common.ros_clock import MAX_TIME_S, NS_PER_S
 from biosensor_common.topic_shape import queue_depth
-from biosensor_gateway.recording.bag.recorded_streams import (
+from biosensor_gateway.recording.bag.headers import (
     TOPIC,
     RecordedClock,
     RecordedStream,

@@ -13,17 +13,15 @@ import numpy as np
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.xdf.container import (
-    Damage,
-    RecordingError,
-    RecordingReason,
-    open_recording,
-)
-from biosensor_gateway.recording.xdf.framing import (
     BOUNDARY,
     MAGIC,
     STREAM_ID_BYTES,
+    Damage,
+    RecordingError,
+    RecordingReason,
     Tag,
     framed,
+    open_recording,
     read_frame,
 )
 from biosensor_gateway.recording.xdf.measuring import clock_error

@@ -15,20 +15,22 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from biosensor_gateway.recording.xdf.container import (
+    STREAM_ID_BYTES,
     Chunk,
     Damage,
     OpenRecording,
     RecordingError,
     RecordingReason,
+    Tag,
+    framed,
     read_chunks,
 )
-from biosensor_gateway.recording.xdf.framing import STREAM_ID_BYTES, Tag, framed
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, NO_PAUSE_S
+from biosensor_gateway.recording.xdf.recording import NewHeader, StreamSorter
 from biosensor_gateway.recording.xdf.samples import Block, decode
 from biosensor_gateway.recording.xdf.sender_clock import is_reading
-from biosensor_gateway.recording.xdf.sorting import NewHeader, StreamSorter
 from biosensor_gateway.recording.xdf.writing import samples
 
 # With fewer samples, garbage cannot be recognised.
