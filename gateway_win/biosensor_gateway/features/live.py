@@ -231,7 +231,7 @@ class _Stage:
         known = self._link.read()
         if self._link.has_received or (self._link.connection.is_open and not self.has_rival):
             # The outlets are opened only now, so that there are none for a stream that has ended,
-            # or that never sends while another one does: Muse 2 has no optics, Athena no PPG.
+            # or that never sends while another one does: which one depends on the model.
             self._sender = self._sender or Sender(self.source)
             for events, seconds in known:
                 self._sender.send(events, seconds)

@@ -130,7 +130,7 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
             continue  # nothing is dropped: as above
         if source is not None:
             found.append(source)
-    # A stream without samples gets what is left: Muse 2 has no optics, Athena no PPG.
+    # A stream without samples gets what is left: which of two has any may depend on the model.
     full = [each for each in found if by_header[id(each.header)].sample_count]
     empty = [each for each in found if not by_header[id(each.header)].sample_count]
     taken: Taken = set()

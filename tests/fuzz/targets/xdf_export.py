@@ -19,6 +19,7 @@ from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.csv.tables import MARKERS
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.export.readme import OF_ONE_FILE, readme_beside
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import folder, written
 
@@ -47,8 +48,9 @@ def check(data: bytes) -> None:
             ensure(str(error) != "" and "\n" not in str(error), "a refusal of no line", error)
             ensure(not any(target.iterdir()), "a refused export is left behind", name)
             continue
-        made = [each.path for each in outcome.written]
-        ensure(list(target.iterdir()) == made, "something else is left behind", made)
+        made = {each.path for each in outcome.written}
+        made |= {readme_beside(each) for each in made if name in OF_ONE_FILE}
+        ensure(set(target.iterdir()) == made, "something else is left behind", made)
         if name == "csv":
             _holds_all(outcome, path)
 
