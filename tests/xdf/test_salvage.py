@@ -189,7 +189,9 @@ def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
     ]
     outcome, file, _ = salvaged(made.xdf(*parts), tmp_path)
     assert len(rows(file)["a"]) == 3
-    assert "a: 2 samples after damaged bytes have no timestamp" in "\n".join(printing.after_table(outcome))
+    assert "a: 2 samples after damaged bytes have no timestamp" in "\n".join(
+        printing.after_table(outcome)
+    )
 
 
 def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> None:
@@ -425,7 +427,10 @@ def test_a_lost_header_is_that_of_another_recording(tmp_path: Path) -> None:
         (b"version https://git-lfs.github.com/spec/v1\noid", "a pointer of Git LFS"),
         (b"#ROSBAG V2.0\n", "a bag of ROS 1"),
         (b"\x89MCAP0\r\n", "a bag of ROS 2"),
-        (b"something else", "does not begin with 'XDF:'"),
+        (b"%PDF-1.7", "a PDF document"),
+        (b"time,ECG\r\n0.1,23.5\r\n", "a text, such as a table"),
+        (b"\xef\xbb\xbfXDF:\x01", "saved it as a text"),
+        (b"\x00\x01 something else", "does not begin with 'XDF:'"),
     ],
 )
 def test_a_file_that_is_none_is_said_to_be_what_it_is(

@@ -264,6 +264,7 @@ _OTHERS = (
     (b"\xffBIOSEMI", "it is a BDF file"),
     (b"<!DOCTYPE", "it is a web page, which was downloaded in its place"),
     (b"<!doctype", "it is a web page, which was downloaded in its place"),
+    (b"<HTML", "it is a web page, which was downloaded in its place"),
     (b"<html", "it is a web page, which was downloaded in its place"),
     (b"version https://git-lfs", "it is a pointer of Git LFS; fetch the file with: git lfs pull"),
     (b"#ROSBAG V", "it is a bag of ROS 1; convert it with rosbags-convert, then: bag import"),
@@ -274,7 +275,10 @@ _OTHERS = (
     (b"\x89HDF", "it is an HDF5 file"),
     (b"PK\x03\x04", "it is a ZIP archive; unpack it first"),
     (b"\x28\xb5\x2f\xfd", "it is packed with zstd; unpack it first"),
+    (b"%PDF", "it is a PDF document"),
 )
+_TEXT = "it is a text, such as a table"
+_LINE_ENDS = dict.fromkeys(map(ord, "\r\n\t"), " ")
 
 
 @contextmanager
@@ -316,9 +320,12 @@ def _what_it_is(head: bytes) -> str:
     if not head.strip(b"\0"):
         return "it holds nothing but zeros, as after a crash of the computer; try a backup"
     # A page may begin with a byte order mark and empty lines.
-    head = head.lstrip(b"\xef\xbb\xbf\r\n ")
-    known = (what for begin, what in _OTHERS if head.startswith(begin))
-    return next(known, "it does not begin with 'XDF:'")
+    bare = head.lstrip(b"\xef\xbb\xbf\r\n ")
+    if bare.startswith(MAGIC):
+        return "a program has saved it as a text, which damages its data; use the original file"
+    known = (what for begin, what in _OTHERS if bare.startswith(begin))
+    is_text = bare.isascii() and bare.decode("ascii").translate(_LINE_ENDS).isprintable()
+    return next(known, _TEXT if is_text else "it does not begin with 'XDF:'")
 
 
 def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:
