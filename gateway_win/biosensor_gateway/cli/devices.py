@@ -20,7 +20,6 @@ from biosensor_gateway.cli.settings import chosen_devices
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search
-from biosensor_gateway.doctor.device_test import run_device_test
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.editor import add_device
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LogSettings
@@ -281,8 +280,10 @@ def _tested(devices: Sequence[DeviceSettings]) -> str | None:
 
 
 def _passes(device: DeviceSettings) -> bool:
+    from biosensor_gateway.doctor import device_test  # takes a second, and needs liblsl
+
     typer.echo()
     say(f"{_title(device)}: connecting, then listening for {TEST_S:g} seconds ...")
-    outcome = asyncio.run(run_device_test(device, TEST_S))
+    outcome = asyncio.run(device_test.run_device_test(device, TEST_S))
     print_outcome(outcome)
     return not outcome.problems
