@@ -9,7 +9,9 @@ import pytest
 from edfio import read_bdf
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from biosensor_gateway.cli import xdf
 from biosensor_gateway.recording.export.edf.bdf import (
     Annotation,
     annotation_records,
@@ -17,6 +19,7 @@ from biosensor_gateway.recording.export.edf.bdf import (
     layout,
 )
 from biosensor_gateway.recording.export.exporter import Clock, Times
+from biosensor_gateway.recording.xdf.container import RecordingError
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, ecg_values, study
 from tests.xdf import xdf_file as made
@@ -158,3 +161,34 @@ def test_no_measured_value_is_what_stands_in_a_gap(exported: Exporting) -> None:
         assert data[0] == pytest.approx(
             values[0][place], abs=(signal.physical_max - signal.physical_min) / 2**23
         )
+
+
+@pytest.mark.parametrize(
+    ("is_even", "options", "said"),
+    [
+        (True, [], "taken as 10 Hz, that of a line through its stamps"),
+        (True, ["--rate", "b=5"], "--rate b: no stream without a rate"),
+        (False, ["--rate", "8"], "taken as about 8 Hz, as --rate says"),
+        (False, ["--rate", "b=5", "--rate", "a=8"], "taken as about 8 Hz, as --rate says"),
+    ],
+)
+def test_the_command_takes_the_rate_of_a_stream_whose_header_names_none(
+    tmp_path: Path, is_even: bool, options: list[str], said: str
+) -> None:
+    path = tmp_path / "study.xdf"
+    steps = [0.1] * 400 if is_even else np.random.default_rng(3).exponential(0.1, 400)
+    stamps = (BEGIN_S + np.cumsum(steps)).tolist()
+    rows = [[float(each % 50)] for each in range(400)]
+    header = made.stream_header(1, "a", kind="Respiration", channels=1, rate=0.0)
+    path.write_bytes(made.xdf(header, made.samples(1, "float32", rows, stamps)))
+    command = ["export", str(path), "--to", "edf"]
+    if not is_even:
+        refused = CliRunner().invoke(xdf.app, command)
+        assert isinstance(refused.exception, RecordingError)
+        assert "--rate HZ" in str(refused.exception)
+    outcome = CliRunner().invoke(xdf.app, [*command, *options])
+    assert outcome.exit_code == 0, outcome.output
+    assert said in outcome.output
+    # The wish makes it a signal; its stamps say how fast it is.
+    (signal,) = read_bdf(next((tmp_path / "study_edf").glob("*.bdf"))).signals
+    assert signal.sampling_frequency == pytest.approx(10, rel=0.15)

@@ -47,8 +47,18 @@ def with_rates(
             found.append(stream)
             continue
         found.append(stream.with_rate(rate_hz))
-        why = "as --rate says" if known else "that of a line through its stamps"
-        notes.append(f"{name}: its header names no rate; it is taken as {rate_hz:.6g} Hz, {why}")
+        taken = (
+            f"about {rate_hz:.6g} Hz, as --rate says"
+            if known
+            else f"{rate_hz:.6g} Hz, that of a line through its stamps"
+        )
+        notes.append(f"{name}: its header names no rate; it is taken as {taken}")
+    without = [each for each in streams if not each.header.is_regular]
+    notes += [
+        f"--rate {fit}: no stream without a rate is called that"
+        for fit in wanted
+        if not any(_fits(each, fit) for each in without)
+    ]
     return tuple(found), notes
 
 
