@@ -109,7 +109,7 @@ def test_each_trial_has_its_markers_in_order(lab: WebLab) -> None:
         page = browser.new_page()
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(f"{lab.site.origin}/{EXAMPLE.name}{lab.key}")
+        page.goto(f"{lab.site.origin}/{WEB_EXAMPLE.name}{lab.key}")
         for trial in range(1, TRIALS + 1):
             reader.wait_for("circle on", f"trial {trial}")
             page.keyboard.press("Space")

@@ -163,7 +163,7 @@ OURS = DeviceIdentity("gateway", STREAM)
 def _foreign(
     name: str, channel_format: str, rate: float, source_id: str | None = None, channels: int = 1
 ) -> pylsl.StreamOutlet:
-    name = f"{name}-{NAME}"
+    name = f"{name}-{STREAM}"
     info = pylsl.StreamInfo(name, "Test", channels, rate, channel_format, source_id or name)
     return pylsl.StreamOutlet(info)
 
@@ -184,7 +184,7 @@ class Outlets:
         self.unix = _foreign("unix", "float32", 10)
         self.empty = _foreign("empty", "float32", 10)
         self.deduced = _foreign("deduced", "double64", 100, channels=2)
-        self.duplicates = [_foreign("twin", "int16", 0, f"twin-{side}-{NAME}") for side in "ab"]
+        self.duplicates = [_foreign("twin", "int16", 0, f"twin-{side}-{STREAM}") for side in "ab"]
         self.recording = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._push_all)
@@ -282,17 +282,17 @@ def test_every_sample_is_read_that_pyxdf_reads(report: Report, folder: Path) -> 
 
 def test_all_errors_are_found_and_no_other(report: Report) -> None:
     assert codes(report, Level.ERROR) == {
-        ("int64", f"int64-{NAME}"),
-        ("wrong-clock", f"unix-{NAME}"),
-        ("no-samples", f"empty-{NAME}"),
-        ("not-recorded", f"polar_h10-{NAME}-hr"),
+        ("int64", f"int64-{STREAM}"),
+        ("wrong-clock", f"unix-{STREAM}"),
+        ("no-samples", f"empty-{STREAM}"),
+        ("not-recorded", f"polar_h10-{STREAM}-hr"),
     }
-    assert text_of(report, "not-recorded", f"polar_h10-{NAME}-hr").startswith(f"{INVENTED} of")
-    assert "unix time" in text_of(report, "wrong-clock", f"unix-{NAME}")
+    assert text_of(report, "not-recorded", f"polar_h10-{STREAM}-hr").startswith(f"{INVENTED} of")
+    assert "unix time" in text_of(report, "wrong-clock", f"unix-{STREAM}")
 
 
 def test_the_gap_is_found_where_it_is(report: Report) -> None:
-    ecg = _stream(report, f"polar_h10-{NAME}-ecg")
+    ecg = _stream(report, f"polar_h10-{STREAM}-ecg")
     (gap,) = ecg.figures.gaps.listed
     assert gap.lost == GAP_SAMPLES
     assert gap.length_s == pytest.approx((GAP_SAMPLES + 1) / ECG_HZ)
@@ -305,25 +305,25 @@ def test_the_gap_is_found_where_it_is(report: Report) -> None:
 
 
 def test_duplicates_are_named(report: Report) -> None:
-    assert f"twin-{NAME}" in text_of(report, "duplicate-name")
+    assert f"twin-{STREAM}" in text_of(report, "duplicate-name")
 
 
 def test_whose_streams_they_are(report: Report) -> None:
     ours = {each.name for each in report.streams if each.stream.header.is_ours}
     assert ours == {
-        f"polar_h10-{NAME}-ecg",
-        f"polar_h10-{NAME}-hr",
-        f"gateway-{NAME}-counters",
+        f"polar_h10-{STREAM}-ecg",
+        f"polar_h10-{STREAM}-hr",
+        f"gateway-{STREAM}-counters",
     }
 
 
 @pytest.mark.seam
 def test_values_and_offsets(report: Report) -> None:
-    deduced = _stream(report, f"deduced-{NAME}")
+    deduced = _stream(report, f"deduced-{STREAM}")
     assert deduced.figures.nan_shares == (1.0, 1.0)
     assert deduced.figures.offsets.count >= 1
     for each in report.streams:
-        if each.name != f"int64-{NAME}":
+        if each.name != f"int64-{STREAM}":
             assert each.stream.footer is not None
             assert each.stream.footer.sample_count == each.stream.sample_count
 
@@ -332,7 +332,7 @@ def test_a_recorder_that_died(folder: Path) -> None:
     report = judge(read_recording(folder / "killed.xdf"))
     assert len(report.streams) == 9
     assert ("not-closed", "") in codes(report, Level.ERROR)
-    ecg = _stream(report, f"polar_h10-{NAME}-ecg")
+    ecg = _stream(report, f"polar_h10-{STREAM}-ecg")
     assert ecg.stream.sample_count > 0
     assert ecg.counters is not None
     assert ecg.counters.pushed == ecg.counters.held

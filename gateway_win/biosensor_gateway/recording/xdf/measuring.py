@@ -351,13 +351,13 @@ def clock_error(
         early_s = 0.0 if header.may_be_older else min(times) - last
         error_s = max(first - max(times), early_s)
         if error_s > MAX_STAMP_ERROR_S:
-            return f"its stamps are {_seconds(error_s)} away from the LSL clock{unix}"
+            return f"its stamps are {seconds_text(error_s)} away from the LSL clock{unix}"
         return ""
     since = header.created_at if math.isfinite(header.created_at) else 0.0
     if last < since - MAX_STAMP_ERROR_S:
-        return f"its stamps are {_seconds(since - last)} older than the stream itself"
+        return f"its stamps are {seconds_text(since - last)} older than the stream itself"
     if unix or first - since > MAX_UPTIME_S:
-        away = _seconds(first - since)
+        away = seconds_text(first - since)
         return f"its stamps are {away} away from when the stream was made{unix}"
     return ""
 
@@ -384,5 +384,6 @@ def order_error(header: RecordedHeader, stamps: NDArray[np.float64], sample_coun
     return ""
 
 
-def _seconds(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds <= READING_LIMIT_S else f"{seconds:.3g} s"
+def seconds_text(seconds: float, digits: int = 0) -> str:
+    """Return a time for people, also one of a damaged stamp, which would have 300 digits."""
+    return f"{seconds:.{digits}f} s" if abs(seconds) <= READING_LIMIT_S else f"{seconds:.3g} s"

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level
+from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.report import Measured, Report
 
 _GAPS_SHOWN = 5
@@ -135,7 +136,7 @@ def _summary(report: Report) -> str:
     ]
     streams = "1 stream" if len(report.streams) == 1 else f"{len(report.streams)} streams"
     return (
-        f"{report.recording.path}: {streams}, {report.extent.length_s:.1f} s; "
+        f"{report.recording.path}: {streams}, {seconds_text(report.extent.length_s, 1)}; "
         f"{', '.join(counts) or 'no problem found'}"
     )
 

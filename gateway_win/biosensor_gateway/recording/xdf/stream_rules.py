@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
@@ -228,10 +229,18 @@ def _extent(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     late_s = extent.since_begin(figures.first, measured)
     if late_s > LATE_S:
-        yield Level.WARNING, "begins-late", f"it begins {late_s:.1f} s after the recording"
+        yield (
+            Level.WARNING,
+            "begins-late",
+            f"it begins {seconds_text(late_s, 1)} after the recording",
+        )
     early_s = extent.length_s - extent.since_begin(figures.last, measured)
     if early_s > LATE_S:
-        yield Level.WARNING, "ends-early", f"it ends {early_s:.1f} s before the recording"
+        yield (
+            Level.WARNING,
+            "ends-early",
+            f"it ends {seconds_text(early_s, 1)} before the recording",
+        )
 
 
 def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:

@@ -24,7 +24,7 @@ from biosensor_gateway.recording.xdf.findings import (
     other_participants,
 )
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import measure
+from biosensor_gateway.recording.xdf.measuring import measure, seconds_text
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report, extent
 from biosensor_gateway.recording.xdf.stream_rules import judge_stream
@@ -420,7 +420,7 @@ def _colour(report: Report) -> Colour:
 
 def _sentence(report: Report, colour: Colour) -> str:
     streams = "1 stream" if len(report.streams) == 1 else f"{len(report.streams)} streams"
-    what = f"{streams}, {report.extent.length_s:.1f} s: "
+    what = f"{streams}, {seconds_text(report.extent.length_s, 1)}: "
     if colour is Colour.GREEN:
         return f"{what}all is there"
     worst = Level.ERROR if colour is Colour.RED else Level.WARNING
