@@ -32,7 +32,7 @@ OURS = {
     "biosensor_gateway.cli",
     "biosensor_gateway.cli.app",
     "biosensor_gateway.system",
-    "biosensor_gateway.system.windows_session",
+    "biosensor_gateway.system.windows_console",
 }
 LOADED_AT_THE_END = """
 import atexit, sys

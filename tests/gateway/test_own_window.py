@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.system.windows_session import is_own_window
+from biosensor_gateway.system.windows_console import is_own_window
 from tests.rigs.terminal import at_terminal
 
 _CODE = """

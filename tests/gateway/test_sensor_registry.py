@@ -131,8 +131,8 @@ print(*[name for name in sys.modules if name.startswith("biosensor_gateway.devic
 """
     run = [sys.executable, "-c", script]
     loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
-    inside = {name.split(".")[3] for name in loaded if name.count(".") > 2}
-    assert inside == {"declaration"}
+    assert {f"biosensor_gateway.devices.{name}" for name in sensor_names()} <= set(loaded)
+    assert not [name for name in loaded if name.count(".") > 2]
 
 
 def test_another_package_adds_a_sensor(install: Install) -> None:

@@ -8,8 +8,6 @@ from datetime import datetime
 from enum import Enum, unique
 from typing import Any, NamedTuple
 
-from biosensor_gateway.devices.registry import sensor_title
-
 
 @unique
 class State(Enum):
@@ -112,6 +110,9 @@ def names(devices: Iterable[Mapping[str, Any]], joint: str = " ") -> list[str]:
 
 
 def _name(device: Mapping[str, Any], joint: str) -> str:
+    # The registry brings all declarations, which `stop` and the like do without.
+    from biosensor_gateway.devices.registry import sensor_title  # noqa: PLC0415 - see above
+
     sensor = " ".join(filter(None, (sensor_title(device["sensor"]), device["label"])))
     return joint.join(filter(None, (device["participant"], sensor)))
 

@@ -78,7 +78,7 @@ def _run() -> None:
 
 
 def _ask_after_double_click() -> None:
-    from biosensor_gateway.system.windows_session import has_a_reader, is_own_window  # only now
+    from biosensor_gateway.system.windows_console import has_a_reader, is_own_window  # only now
 
     if is_own_window() and has_a_reader():
         # A window opened by a double click closes at once, so a list of commands helps nobody.
@@ -90,7 +90,7 @@ def _keep_window_open_after_failure(
 ) -> None:
     if error is None or (isinstance(error, SystemExit) and not error.code):
         return
-    from biosensor_gateway.system.windows_session import hold_open  # only now
+    from biosensor_gateway.system.windows_console import hold_open  # only now
 
     hold_open()
 

@@ -43,7 +43,7 @@ from biosensor_gateway.system.logs import (
 )
 from biosensor_gateway.system.shutdown import until_signalled
 from biosensor_gateway.system.terminal import shows_colours
-from biosensor_gateway.system.windows_session import quick_edit_off
+from biosensor_gateway.system.windows_console import quick_edit_off
 
 _start_log = structlog.get_logger("biosensor_gateway.cli")
 

@@ -1,0 +1,156 @@
+"""What is doubled, left out or stamped by another clock is said above OK, with real parts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pylsl
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Int32, String
+
+from biosensor_common.refusal import Refusal
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros, RunningNode, Status
+
+# Each test starts nodes of its own; the node that a module shares would be one more.
+pytestmark = pytest.mark.nightly
+
+Start = Callable[..., "RunningNode"]
+
+
+def markers(name: str, source_id: str) -> pylsl.StreamOutlet:
+    return pylsl.StreamOutlet(pylsl.StreamInfo(name, "Markers", 1, 0, "string", source_id))
+
+
+def status_of(ros: Ros, name: str) -> Status:
+    status = ros.status(name)
+    assert status is not None
+    return status
+
+
+def test_a_node_that_runs_twice_is_an_error(ros: Ros, start_node: Start) -> None:
+    outlet = markers("twice", "twice-1")
+    topic = "/biosensors/twice/Markers"
+    first, second = start_node(), start_node()
+    ros.until(lambda: len(ros.publishers(topic)) == 2, "both nodes")
+
+    def is_said(level: bytes) -> bool:
+        told = [ros.status("node"), ros.status(topic)]
+        return all(each is not None and each.level == level for each in told)
+
+    ros.until(lambda: is_said(DiagnosticStatus.WARN), "a warning")
+    ros.until(lambda: is_said(DiagnosticStatus.ERROR), "an error")
+    assert "two nodes of this name" in status_of(ros, "node").message
+    assert status_of(ros, topic).message == Refusal.DOUBLED.told()
+    ros.until(
+        lambda: all(each.count("two nodes of this name") for each in (first, second)),
+        "a line in each log",
+    )
+    second.end()
+    ros.until(lambda: "two nodes" not in status_of(ros, "node").message, "that one is left")
+    ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "a topic of one node")
+    del outlet
+
+
+def test_two_senders_with_one_source_id_are_both_published_and_said(
+    ros: Ros, start_node: Start
+) -> None:
+    outlets = [markers("MyMarkerStream", "myuidw43536") for _ in range(2)]
+    topics = [f"/biosensors/MyMarkerStream/Markers{end}" for end in ("", "_2")]
+    heard = [ros.listen(String, topic) for topic in topics]
+    start_node()
+    ros.until(lambda: all(ros.status(topic) for topic in topics), "a topic of each")
+
+    def push() -> bool:
+        for number, outlet in enumerate(outlets):
+            outlet.push_sample([f"sender {number}"])
+        return all(heard)
+
+    ros.until(push, "the markers of both")
+    # Which has the stream's own name is up to the network, if both start at once.
+    told = [{message.data for message in each} for each in heard]
+    assert sorted(told, key=str) == [{"sender 0"}, {"sender 1"}]
+    for topic in topics:
+        assert status_of(ros, topic).level == DiagnosticStatus.WARN
+        assert "2 senders have the same source_id" in status_of(ros, topic).message
+
+
+def test_a_sender_with_unix_stamps_is_told_so(ros: Ros, start_node: Start) -> None:
+    outlet = markers("unix", "unix-1")
+    node = start_node()
+    topic = "/biosensors/unix/Markers"
+    heard = ros.listen(String, topic)
+    ros.until(lambda: ros.status(topic) is not None, "its entry")
+
+    def push() -> bool:
+        outlet.push_sample(["go"], time.time())
+        return bool(heard) and status_of(ros, topic).message == Refusal.UNIX_STAMPS.told()
+
+    ros.until(push, "events and a warning")
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    assert abs(float(status_of(ros, topic)["age_s"])) < 30.0
+    assert node.count("a sample is not published") == 0
+
+
+def test_simulated_time_is_a_warning(ros: Ros, start_node: Start) -> None:
+    node = start_node("--ros-args", "-p", "use_sim_time:=true")
+    ros.until(lambda: node.count("[WARN]", "use_sim_time is on") == 1, "a line in the log")
+
+    def is_said() -> bool:
+        status = ros.status("node")
+        return status is not None and "use_sim_time is on" in status.message
+
+    ros.until(is_said, "the same in /diagnostics")
+    assert status_of(ros, "node").level == DiagnosticStatus.WARN
+
+
+def test_a_subscriber_that_gets_nothing_is_told(ros: Ros, start_node: Start) -> None:
+    outlet = markers("typed", "typed-1")
+    node = start_node()
+    topic = "/biosensors/typed/Markers"
+    ros.until(lambda: ros.status(topic) is not None, "its entry")
+    ros.listen(Int32, topic)
+
+    def message() -> str:
+        status = ros.status(topic)
+        return "" if status is None else status.message
+
+    other_type = "/listener reads it as std_msgs/msg/Int32, and it is std_msgs/msg/String"
+    ros.until(lambda: other_type in message(), "a warning of the type")
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    ros.until(lambda: node.count("[WARN]", topic, other_type) == 1, "a line in the log")
+    ros.stop_listening()
+    ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "nobody gets nothing")
+    ros.listen(String, topic, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    durability = f"{topic}: a subscriber gets nothing: it is volatile and not transient_local"
+    ros.until(lambda: durability in message(), "a warning of the durability")
+    ros.listen(String, topic)
+    ros.attached(topic, readers=1)
+    # Of that one, nothing is said.
+    assert message() == f"{durability}, as /listener wants it"
+    del outlet
+
+
+def test_the_user_names_sensors_and_says_how_often_to_report(ros: Ros, start_node: Start) -> None:
+    outlet = markers("Muse (00:55:DA)", "muse-1")
+    heard = ros.listen(DiagnosticArray, "/diagnostics")
+    parameters = ("-p", 'aliases:=["Muse*=muse_left"]', "-p", "diagnostic_updater.period:=3600.0")
+    start_node("--ros-args", *parameters)
+    topic = "/biosensors/muse_left/Markers"
+    ros.until(lambda: ros.status(topic) is not None, "its entry under that name")
+    assert "/biosensors/Muse_x20_x2800_x3A55_x3ADA_x29/Markers" not in ros.topics()
+    assert status_of(ros, topic)["sensor"] == "muse_left"
+    ros.spin(4.0)
+    levels = [{each.name: each.level for each in report.status} for report in heard]
+    # Only what has become worse or better.
+    assert all(before != after for before, after in pairwise(levels))
+    assert ros.set("diagnostic_updater.period", 1.0) == ""
+    count = len(heard)
+    ros.until(lambda: len(heard) > count + 3, "reports each second")
+    del outlet
