@@ -1,27 +1,20 @@
-"""A person's way through the page of the network, and its server's end."""
+"""A person's way through the page of the network: real outlets, server and browser."""
 
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
-from collections.abc import Generator, Iterator
-from pathlib import Path
+from collections.abc import Generator
 from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from biosensor_common.errors import ConfigError, TransportError, TransportReason
-from biosensor_gateway.page.network_page import NetworkPage
-from biosensor_gateway.system.browser import WayIn
 from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.page.test_window import OpenWindow, violations
 
 pytestmark = pytest.mark.nightly
-
-# A person's way through the page of the network: real outlets, the real server, a real browser.
 
 NAME = "<img src=x onerror=alert(1)>\n\u202e"
 SHOWN = "<img src=x onerror=alert(1)>\\n\\u202e"
@@ -180,28 +173,3 @@ def _narrow(page: Page) -> None:
         page.set_viewport_size({"width": width, "height": 700})
         page.wait_for_function("() => document.documentElement.scrollWidth <= innerWidth")
     page.set_viewport_size({"width": 1280, "height": 900})
-
-
-# The server of the network's page says with what it has ended.
-@pytest.fixture(autouse=True)
-def _signals() -> Iterator[None]:
-    """Put back the handlers, of which the server has its own."""
-    usual = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for each, handler in usual.items():
-        signal.signal(each, handler)
-
-
-def test_wrong_settings_end_it(tmp_path: Path) -> None:
-    settings = tmp_path / "settings.toml"
-    settings.write_text('[lsl]\nport_range = "wide"\n')
-    with pytest.raises(ConfigError, match="port_range"):
-        NetworkPage(settings, lambda _address: None).run()
-
-
-def test_a_page_that_cannot_be_opened_ends_it(tmp_path: Path) -> None:
-    def refuse(_way_in: WayIn) -> None:
-        raise TransportError(TransportReason.UNAVAILABLE, "there is no browser")
-
-    with pytest.raises(TransportError, match="no browser"):
-        NetworkPage(tmp_path / "none.toml", refuse).run()
