@@ -387,10 +387,14 @@ class Refusals:
     @property
     def present(self) -> list[Refused]:
         """Return lasting reports and those of the last seconds, the most severe first."""
+        return self.within(LATELY_S)
+
+    def within(self, lately_s: float) -> list[Refused]:
+        """Return lasting reports and those of this many seconds, the most severe first."""
         now = self._clock()
         shown = [
             each
             for each in self.all
-            if not each.is_over and (each.what.stands or now - each.last_s <= LATELY_S)
+            if not each.is_over and (each.what.stands or now - each.last_s <= lately_s)
         ]
         return sorted(shown, key=lambda each: -each.what.level)

@@ -10,9 +10,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -122,6 +123,35 @@ def test_who_dies_comes_back_costs_no_sample_and_ends_with_the_agent(tmp_path: P
     assert np.abs(np.diff(stamps)).max() < 1.5 * ECG_PERIOD_S
     said = "live features have ended (killed by SIGKILL) and are started again now"
     assert _logged(tmp_path).count(said) == 1
+
+
+def test_heartbeats_tell_what_has_no_features(tmp_path: Path) -> None:
+    _outlet = pylsl.StreamOutlet(pylsl.StreamInfo("Pleth", "PPG", 1, 64.0, "float32", "pleth"))
+    with _agent(tmp_path):
+        found: list[pylsl.StreamInfo] = []
+        _until(
+            lambda: (
+                found.extend(pylsl.resolve_bypred("contains(source_id, '-events')", 1, 1.0))
+                or found
+            ),
+            "events",
+        )
+        events = pylsl.StreamInlet(found[0], recover=False)
+        heard: list[dict[str, object]] = []
+
+        def has_told() -> bool:
+            heard.extend(json.loads(each) for (each,) in events.pull_chunk(0.2)[0])
+            return any(_of_gateway(each) for each in heard)
+
+        _until(has_told, "a heartbeat with it")
+        events.close_stream()
+    (told,) = next(each for each in map(_of_gateway, heard) if each)
+    assert str(told["what"]).startswith("live features of Pleth: ")
+
+
+def _of_gateway(event: Mapping[str, Any]) -> list[dict[str, object]]:
+    problems: Mapping[str, list[dict[str, object]]] = event.get("problems", {})
+    return problems.get("gateway", [])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")

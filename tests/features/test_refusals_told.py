@@ -8,19 +8,22 @@ import time
 from pathlib import Path
 
 import pytest
+from pylsl import local_clock
 
-from biosensor_common.refusal import Refusal, Refusals
+from biosensor_common.refusal import LATELY_S, Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals
-from biosensor_gateway.agent.agent import snapshot
+from biosensor_gateway.agent.agent import problems_of, snapshot
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.feature_refusals import STALE_AFTER_S, FeatureRefusals
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.recording.xdf.verdict import Colour, verdict
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.gateway.test_new_file import NoDriver
 from tests.rigs.memory_outlet import MemoryOutlet
+from tests.xdf.test_participants import judged
 
 
 def strap(patch: pytest.MonkeyPatch) -> Device:
@@ -31,7 +34,7 @@ def strap(patch: pytest.MonkeyPatch) -> Device:
 
 
 def told() -> Refusals:
-    refusals = Refusals()
+    refusals = Refusals(clock=local_clock)
     why = "its stamps stepped back once"
     refusals.refuse(Refusal.STAMPS_LEFT_OUT, 3, about="P01-polar_h10-A1-ecg", why=why)
     refusals.refuse(Refusal.NO_FEATURES, about="Pleth", why="stream 'Pleth' has no unit")
@@ -50,6 +53,40 @@ def test_it_stands_with_its_stream_or_with_the_agent(
     assert (of_stream.what, of_stream.level, of_stream.now) == ("stamps_left_out", "warn", True)
     (of_agent,) = status.refusals
     assert of_agent.sentence == "live features of Pleth: stream 'Pleth' has no unit"
+
+
+def test_a_recording_is_amber_with_what_heartbeats_tell_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FeatureRefusals(tmp_path).write(told())
+    device = strap(monkeypatch)
+    features = feature_refusals.read(tmp_path)
+    problems = problems_of({"polar_h10/A1": device}, Refusals(), features, LATELY_S)
+    stepped = "live features of P01-polar_h10-A1-ecg: its stamps stepped back once"
+    (of_device,) = problems["polar_h10/A1"]
+    # It has passed, and a recording that begins later does not tell of it.
+    assert of_device == {"what": stepped, "last": features[0].last_s}
+    no_unit = "live features of Pleth: stream 'Pleth' has no unit"
+    assert problems["gateway"] == [{"what": no_unit}]
+    of_device["last"] = 1005.0
+    states = {"polar_h10/A1": "streaming"}
+    heartbeat: dict[str, object] = {"event": "heartbeat", "lsl_time": 1006.0, "devices": states}
+    heartbeat["problems"] = problems
+    report = judged("P01", device.sink.identity, events=[heartbeat, heartbeat])
+    sentences = {each.text for each in report.findings if each.code == "refused"}
+    assert sentences == {f"polar_h10/A1 of P01: {stepped}", no_unit}
+    assert verdict(report).colour is Colour.AMBER
+
+
+def test_of_who_has_withdrawn_heartbeats_tell_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FeatureRefusals(tmp_path).write(told())
+    device = strap(monkeypatch)
+    device.sink.pause()
+    features = feature_refusals.read(tmp_path)
+    problems = problems_of({"polar_h10/A1": device}, Refusals(), features, LATELY_S)
+    assert problems.keys() == {"gateway"}
 
 
 def test_it_is_over_when_its_program_has_ended(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ class SupervisedDriver:
 
     def problems(self) -> list[dict[str, object]]:
         """Return what heartbeats tell of it."""
-        return Device(self.supervisor, self.sink).problems
+        return Device(self.supervisor, self.sink).problems()
 
     async def end(self) -> None:
         self.task.cancel()

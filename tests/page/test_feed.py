@@ -152,6 +152,27 @@ async def test_what_a_slow_reader_misses_is_the_oldest_and_is_counted() -> None:
     assert (np.diff(values) == 1).all()
 
 
+async def test_a_new_reader_gets_the_newest_sample_of_each_stream() -> None:
+    feed = Feed()
+    worn, withdrawn, removed = (DeviceIdentity("zephyr", each) for each in "123")
+    for each in (worn, withdrawn, removed):
+        sink = DeviceSink(each, declaration("zephyr"))
+        feed.watch(sink)
+        assert sink.tap is not None
+        sink.tap("bat", [88.0, 87.0], [3.0, 4.0])
+        sink.tap("ecg", np.zeros((2, 1)), [5.0, 6.0])
+    facts = {"sensor": "zephyr", "participant": "", "label": "", "paused": False}
+    devices = [facts | {"unit": "1"}, facts | {"unit": "2", "paused": True}]
+    feed.send_status({"devices": devices})
+    reading = feed.conversation({})
+    frames = list(_frames(await anext(reading)))
+    await reading.aclose()
+    got = [read_samples(content) for kind, content in frames if kind is FrameKind.SAMPLES]
+    told = {each.source_id: (each.stamps.tolist(), each.values.tolist()) for each in got}
+    # Nothing of who has withdrawn, and of a sensor that is not there any more.
+    assert told == {"zephyr-1-bat": ([4.0], [[87.0]]), "zephyr-1-ecg": ([6.0], [[0.0]])}
+
+
 async def test_one_reader_too_many_is_refused_with_a_sentence() -> None:
     feed = Feed()
     readers = [feed.conversation({}) for _ in range(MAX_READERS)]

@@ -23,12 +23,13 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.selection import chosen, described
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.auth import ViewKeys
-from biosensor_gateway.page.live import HOLDS_S, History
+from biosensor_gateway.page.live import HOLDS_S, History, is_of_now
 from biosensor_gateway.page.models import AgentState, DeviceView, StreamView
 from biosensor_gateway.page.routes import devices
 from biosensor_gateway.page.routes.api import misformed
@@ -165,6 +166,23 @@ def test_a_heart_rate_of_before_is_not_that_of_now_and_a_battery_holds() -> None
     for name in ("hr", "ibi", "ecg"):
         assert not stream(shown, name).is_fresh
     assert stream(shown, "bat").values == [72.0]
+
+
+def test_a_slow_stream_is_of_now_until_its_next_sample_is_overdue() -> None:
+    assert is_of_now(20.0, nominal_hz=0.1, is_signal=True)
+    assert not is_of_now(31.0, nominal_hz=0.1, is_signal=True)
+    assert not is_of_now(6.0, nominal_hz=130.0, is_signal=True)
+    meter = RateMeter(0.1)
+    meter.note(1, 0.0)
+    meter.note(2, 10.0)
+    assert meter.rate_hz(19.0) == pytest.approx(0.1)
+
+
+def test_what_was_sent_before_the_page_is_not_nothing_yet() -> None:
+    agent = Agent()
+    agent._history.keep_only(())  # pyright: ignore[reportPrivateUsage]
+    battery = stream(agent.shows(), "bat")
+    assert (battery.age_s, battery.values) == (0.0, [])
 
 
 def test_a_virtual_device_of_each_of_two_people_is_another_one() -> None:

@@ -17,8 +17,9 @@ from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.lsl.network import configure_lsl
+from biosensor_common.naming import AGENT
 from biosensor_common.process_limits import limit_arenas
-from biosensor_common.refusal import Refusal, Refusals
+from biosensor_common.refusal import LATELY_S, Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import feature_refusals, status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
@@ -26,12 +27,15 @@ from biosensor_gateway.agent.device_set import (
     Device,
     DeviceChanges,
     DeviceSet,
+    Problem,
     ReadSettings,
     SettingsReload,
+    problem,
 )
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.markers import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
+from biosensor_gateway.agent.selection import unique_names
 from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
 from biosensor_gateway.agent.status_file import STATUS_FILE
 from biosensor_gateway.settings.models import GatewaySettings
@@ -82,6 +86,37 @@ def snapshot(
     )
     feature_refusals.add(status, features)
     return status
+
+
+def problems_of(
+    devices: Mapping[str, Device],
+    own: Refusals,
+    features: Iterable[RefusedStatus],
+    lately_s: float,
+) -> dict[str, list[Problem]]:
+    """Return what is wrong with the data of each device, for heartbeats.
+
+    What is of no device is under `AGENT`, and of a paused device nothing is told.
+
+    Parameters
+    ----------
+    devices
+        By their names in heartbeats.
+    own
+        Refusals of the agent's own stream of markers; without that of events there is no heartbeat.
+    features
+        Refusals that programs with live features report.
+    lately_s
+        For how many seconds that is told which does not last.
+    """
+    found = {name: device.problems(lately_s) for name, device in devices.items()}
+    found[AGENT] = [problem(each) for each in own.within(lately_s)]
+    name_of = {each: name for name, device in devices.items() for each in device.lsl_names}
+    for about, told in feature_refusals.problems(features, local_clock() - lately_s):
+        name = name_of.get(about, AGENT)
+        if name == AGENT or not devices[name].sink.is_paused:
+            found[name].append(told)
+    return {name: of_one for name, of_one in found.items() if of_one}
 
 
 UNWRITTEN_REPORTS = 3
@@ -237,6 +272,7 @@ class Agent:
         self._reload = SettingsReload(settings, read_again, self._change, self._preview)
         self._feed = Feed()
         self._heartbeat_s = settings.events.heartbeat_s
+        self._feature_refusals: Sequence[RefusedStatus] = ()
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
         self._status = StatusWriter(folder)
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
@@ -297,10 +333,18 @@ class Agent:
         return self.devices.preview(settings.devices)
 
     def _states(self) -> dict[str, str]:
-        return {device.name: device.state for device in self.devices}
+        return {name: device.state for name, device in self._named().items()}
 
-    def _problems(self) -> dict[str, object]:
-        return {device.name: found for device in self.devices if (found := device.problems)}
+    def _problems(self) -> dict[str, list[Problem]]:
+        # Up to the next heartbeat, so that each of them is in one.
+        lately_s = max(LATELY_S, self._heartbeat_s)
+        own = self._markers.refusals
+        return problems_of(self._named(), own, self._feature_refusals, lately_s)
+
+    def _named(self) -> dict[str, Device]:
+        devices = list(self.devices)
+        names = unique_names([each.sink.identity for each in devices])
+        return dict(zip(names, devices, strict=True))
 
     async def _report(self, outlet: Outlet, announcer: Announcer) -> None:
         """Once a second, send states and counters to LSL, write the status, keep the PC awake."""
@@ -318,7 +362,7 @@ class Agent:
             )
             own = (announcer.refusals, self._markers.refusals)
             virtual = self._reload.is_virtual
-            features = feature_refusals.read(self._folder)
+            features = self._feature_refusals = feature_refusals.read(self._folder)
             status = snapshot(
                 self.devices, virtual=virtual, own=own, features=features
             ).model_dump()

@@ -11,11 +11,13 @@ from typing import Any
 
 import structlog
 
+from biosensor_common import naming
 from biosensor_common.device_clock import ClockState
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.refusal import LATELY_S, Refused
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.feed import Feed
-from biosensor_gateway.agent.selection import device_name
+from biosensor_gateway.agent.selection import described, device_name
 from biosensor_gateway.agent.status import (
     ClockStatus,
     DeclaredStream,
@@ -83,6 +85,16 @@ class LoopLag:
         self._longest_s = max(self._longest_s, now - self._scheduled)
 
 
+Problem = dict[str, object]
+"""A sentence ``what`` in heartbeats, and ``last``, the LSL time in s of what does not last."""
+
+
+def problem(refused: Refused) -> Problem:
+    """Describe something refused for heartbeats."""
+    lasts = {} if refused.what.stands else {"last": round(refused.last_s, 6)}
+    return {"what": refused.sentence, **lasts}
+
+
 class Device:
     """A device with its supervisor and its sink.
 
@@ -131,18 +143,33 @@ class Device:
         return "paused" if self.sink.is_paused else self.supervisor.state.value
 
     @property
-    def problems(self) -> list[dict[str, object]]:
-        """What is wrong with what it sends, as heartbeats tell it; of a paused device nothing."""
+    def room_name(self) -> str:
+        """Name that is unique also where two people wear a virtual device of one kind."""
+        return described(self.sink.identity)
+
+    @property
+    def lsl_names(self) -> list[str]:
+        """LSL names of its streams."""
+        identity = self.sink.identity
+        return [naming.lsl_name(identity, each.data_name) for each in self.sink.spec.streams]
+
+    def problems(self, lately_s: float = LATELY_S) -> list[Problem]:
+        """Return what is wrong with what it sends, as heartbeats tell it.
+
+        Of a paused device nothing is told.
+
+        Parameters
+        ----------
+        lately_s
+            For how long that is told which does not last.
+        """
         supervisor = self.supervisor
         if self.sink.is_paused:
             return []
-        found: list[dict[str, object]] = []
+        found: list[Problem] = []
         if supervisor.state is State.STREAMING and supervisor.last_error:
             found.append({"what": supervisor.last_error})
-        for refused in self.sink.refusals.present:
-            lasts = {} if refused.what.stands else {"last": round(refused.last_s, 6)}
-            found.append({"what": refused.sentence, **lasts})
-        return found
+        return [*found, *map(problem, self.sink.refusals.within(lately_s))]
 
     def announce_to(self, announcer: Announcer) -> None:
         """Begin to announce the device's events."""
@@ -251,7 +278,7 @@ class DeviceSet:
         TransportError
             ``EXHAUSTED`` if no device has room.
         """
-        left_out = self._room.share_out({each.name: each.streams for each in self})
+        left_out = self._room.share_out({each.room_name: each.streams for each in self})
         if left_out and not self.with_room:
             raise TransportError(TransportReason.EXHAUSTED, left_out)
         if left_out:
@@ -260,7 +287,7 @@ class DeviceSet:
     @property
     def with_room(self) -> list[Device]:
         """The devices whose streams fit into this process."""
-        return [device for device in self if self._room.has(device.name)]
+        return [device for device in self if self._room.has(device.room_name)]
 
     async def run(self) -> None:
         """Wait until cancelled.
@@ -325,7 +352,7 @@ class DeviceSet:
         assert self._feed is not None
         device.announce_to(self._announcer)
         self._feed.watch(device.sink)
-        device.supervisor.admit = partial(self._room.take, device.name, device.streams)
+        device.supervisor.admit = partial(self._room.take, device.room_name, device.streams)
         device.sink.own_delay = self._lag.packet_delay_s
         task = asyncio.create_task(device.supervisor.run())
         task.add_done_callback(self._note_end)
@@ -343,7 +370,7 @@ class DeviceSet:
         await asyncio.gather(*ending.values(), return_exceptions=True)
         for device in ending:
             device.close(self._announcer)
-            self._room.give_back(device.name)
+            self._room.give_back(device.room_name)
             self._announce(EventKind.DEVICE_REMOVED, device)
 
     def _announce(self, kind: EventKind, device: Device) -> None:

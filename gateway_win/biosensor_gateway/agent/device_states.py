@@ -8,6 +8,8 @@ from datetime import datetime
 from enum import Enum, unique
 from typing import Any, NamedTuple
 
+from biosensor_common.spec import DeviceIdentity
+
 
 @unique
 class State(Enum):
@@ -55,8 +57,6 @@ class Absence(NamedTuple):
 
     Attributes
     ----------
-    device
-        Its ``sensor/unit``.
     name
         Its name for people, with its participant.
     is_partial
@@ -69,7 +69,7 @@ class Absence(NamedTuple):
         source_ids of its streams that the agent has opened; empty while it sends some.
     """
 
-    device: str
+    device: DeviceIdentity
     name: str
     is_paused: bool
     is_partial: bool
@@ -117,6 +117,11 @@ def _name(device: Mapping[str, Any], joint: str) -> str:
     return joint.join(filter(None, (device["participant"], sensor)))
 
 
+def identity_of(device: Mapping[str, Any]) -> DeviceIdentity:
+    """Return the identity of a device of the agent's status."""
+    return DeviceIdentity(device["sensor"], device["unit"], device["participant"], device["label"])
+
+
 def _is_absent(device: Mapping[str, Any]) -> bool:
     is_whole = device["state"] == State.STREAMING.value and not device.get("error")
     return bool(device.get("paused")) or not is_whole
@@ -131,7 +136,7 @@ def _absence(device: Mapping[str, Any], name: str) -> Absence:
     if device.get("error") and not paused:
         how += f"{', but' if since is None else ''}: {device['error']}"
     return Absence(
-        f"{device['sensor']}/{device['unit']}",
+        identity_of(device),
         name,
         paused,
         state == State.STREAMING.value and not paused,

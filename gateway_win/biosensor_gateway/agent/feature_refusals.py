@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from biosensor_common import naming
-from biosensor_common.refusal import Refusals
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.status import (
     AgentStatus,
@@ -27,6 +27,9 @@ from biosensor_gateway.system import state_file
 
 STALE_AFTER_S = 5.0
 _NAME = "features-{process}.json"
+
+
+_LASTING = frozenset(each.word for each in Refusal if each.stands)
 
 
 class _Report(BaseModel):
@@ -87,6 +90,23 @@ def add(status: AgentStatus, refused: Sequence[RefusedStatus]) -> None:
         else:
             more = {"sentence": f"live features of {each.about}: {sentence}"}
             status.refusals.append(each.model_copy(update=more))
+
+
+def problems(
+    refused: Iterable[RefusedStatus], since_s: float
+) -> Iterator[tuple[str, dict[str, object]]]:
+    """Yield refusals of features as heartbeats have them, by the LSL name of the raw stream.
+
+    Parameters
+    ----------
+    since_s
+        LSL time in seconds; what happened last before it is left out, unless it lasts.
+    """
+    for each in refused:
+        lasts = each.what in _LASTING
+        if each.now if lasts else each.last_s >= since_s:
+            sentence = f"live features of {each.sentence}"
+            yield each.about, {"what": sentence, **({} if lasts else {"last": each.last_s})}
 
 
 def _names(device: DeviceStatus) -> dict[str, str]:

@@ -9,14 +9,16 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import AsyncGenerator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from biosensor_common import naming
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.device_states import identity_of
 from biosensor_gateway.agent.feed_frames import FrameKind, dropped_frame, frame
 from biosensor_gateway.agent.sample_frames import samples_frame
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -36,12 +38,15 @@ class Feed:
         self._readers: set[ReaderQueue] = set()
         self._noted: list[tuple[DeviceIdentity, str, ArrayLike, Sequence[float]]] = []
         self._noted_samples = 0
+        # For new readers: of a stream that tells changes the newest sample may be hours old.
+        self._newest: dict[tuple[DeviceIdentity, str], tuple[ArrayLike, Sequence[float]]] = {}
         self._status: Mapping[str, Any] | None = None
 
     def watch(self, sink: DeviceSink) -> None:
         """Begin to send a device's samples."""
 
         def note(data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+            self._newest[sink.identity, data_name] = samples, stamps
             # Frames are made later, because the device's next packet waits for this call.
             if self._readers:
                 self._noted.append((sink.identity, data_name, samples, stamps))
@@ -54,6 +59,8 @@ class Feed:
     def send_status(self, status: Mapping[str, Any]) -> None:
         """Send the agent's status."""
         self._status = status
+        present = {identity_of(each) for each in status.get("devices", ())}
+        self._newest = {key: each for key, each in self._newest.items() if key[0] in present}
         if self._readers:
             self._make_frames()
             message = _status_frame(status)
@@ -75,6 +82,8 @@ class Feed:
         # A new reader need not wait up to a second for the next status.
         if self._status is not None:
             reader.put(_status_frame(self._status), 0)
+        for message in self._newest_frames():
+            reader.put(message, 0)
         self._readers.add(reader)
         try:
             while True:
@@ -83,6 +92,14 @@ class Feed:
                 await asyncio.sleep(FLUSH_S)
         finally:
             self._readers.discard(reader)
+
+    def _newest_frames(self) -> Iterator[bytes]:
+        devices = () if self._status is None else self._status.get("devices", ())
+        shown = {identity_of(each) for each in devices if not each["paused"]}
+        for (identity, data_name), (samples, stamps) in self._newest.items():
+            if identity in shown:
+                source = naming.source_id(identity, data_name)
+                yield samples_frame(source, stamps[-1:], np.asarray(samples)[-1:])
 
     def _make_frames(self) -> None:
         for identity, data_name, samples, stamps in self._noted:

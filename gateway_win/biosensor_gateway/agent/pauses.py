@@ -17,7 +17,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control_server import Command
-from biosensor_gateway.agent.selection import chosen, device_name
+from biosensor_gateway.agent.selection import chosen, device_name, unique_names
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 
@@ -144,8 +144,13 @@ class PauseCommands:
         """Pause all devices to which a stored pause applies; called again for new devices."""
         for pause in self._pauses:
             for identity, sink in self._sinks.items():
-                if pause.holds_for(identity) and not sink.is_paused:
+                if self._holds_for(pause, identity) and not sink.is_paused:
                     self._hold(sink, pause)
+
+    def _holds_for(self, pause: Pause, identity: DeviceIdentity) -> bool:
+        """Whether a pause applies to a device; one of a device that is here to that one alone."""
+        is_exact = pause.identity == identity
+        return is_exact or (pause.identity not in self._sinks and pause.holds_for(identity))
 
     @property
     def _sinks(self) -> dict[DeviceIdentity, DeviceSink]:
@@ -158,8 +163,13 @@ class PauseCommands:
             sensor=sink.identity.sensor,
             unit=sink.identity.unit,
             since=pause.since.isoformat(timespec="seconds"),
-            resume_with=f"biosensor-gateway resume {device_name(sink.identity)}",
+            resume_with=f"biosensor-gateway resume {self._callable(sink.identity)}",
         )
+
+    def _callable(self, identity: DeviceIdentity) -> str:
+        known = list(self._sinks)
+        name = unique_names(known)[known.index(identity)]
+        return f'"{name}"' if " " in name else name
 
     async def _pause(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         sink = self._sink(arguments)
@@ -173,7 +183,7 @@ class PauseCommands:
         sink = self._sink(arguments)
         changed = sink.is_paused
         sink.resume()
-        self._pauses = [each for each in self._pauses if not each.holds_for(sink.identity)]
+        self._pauses = [each for each in self._pauses if not self._holds_for(each, sink.identity)]
         return await self._outcome(sink, changed=changed)
 
     def _sink(self, arguments: Mapping[str, Any]) -> DeviceSink:

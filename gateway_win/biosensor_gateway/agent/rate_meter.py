@@ -7,13 +7,30 @@ from collections import deque
 RATE_OVER_S = 10.0
 """Interval over which a rate is measured, by the samples' stamps."""
 STALE_AFTER_S = 5.0
-"""Age of the newest sample after which there is no rate; some devices send in lumps of seconds."""
+"""Age of the newest sample after which there is no rate; some devices send in lumps of seconds.
+
+It is longer for slow streams, see `stale_after_s`."""
+
+
+_SLOW_PERIODS = 3
+
+
+def stale_after_s(nominal_hz: float) -> float:
+    """Return the age in seconds at which the newest sample of a regular stream is outdated."""
+    return max(STALE_AFTER_S, _SLOW_PERIODS / nominal_hz) if nominal_hz > 0 else STALE_AFTER_S
 
 
 class RateMeter:
-    """Measures the rate of one stream by the stamps of its samples."""
+    """Measures the rate of one stream by the stamps of its samples.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    nominal_hz
+        Nominal rate; 0 if there is none.
+    """
+
+    def __init__(self, nominal_hz: float = 0.0) -> None:
+        self._stale_after_s = stale_after_s(nominal_hz)
         self._seen: deque[tuple[int, float]] = deque()
 
     def note(self, pushed: int, last_stamp: float) -> None:
@@ -29,7 +46,7 @@ class RateMeter:
     def rate_hz(self, now: float) -> float | None:
         """Return the rate at an LSL time; None while no samples are received."""
         self._forget(now)
-        if not self._seen or now - self._seen[-1][1] > STALE_AFTER_S:
+        if not self._seen or now - self._seen[-1][1] > self._stale_after_s:
             self._seen.clear()
             return None
         (first, since), (newest, until) = self._seen[0], self._seen[-1]

@@ -17,9 +17,8 @@ from typing import Any
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
-from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.device_states import CONNECTED
+from biosensor_gateway.agent.device_states import CONNECTED, identity_of
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 
 FRESH_S = 5.0
@@ -157,8 +156,7 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
     excluded
         source_ids and data names to leave out.
     """
-    names = (device["sensor"], device["unit"], device["participant"], device["label"])
-    identity = DeviceIdentity(*names)
+    identity = identity_of(device)
     open_streams: Mapping[str, Mapping[str, Any]] = device["streams"]
     steady: list[str] = []
     quality: list[str] = []

@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 from biosensor_common.errors import ConfigError, ConfigReason, did_you_mean
 from biosensor_common.spec import DeviceIdentity
 
 
 def device_name(identity: DeviceIdentity) -> str:
-    """Return the unique name of an agent's device, ``sensor/unit``."""
+    """Return the name of a device, ``sensor/unit``.
+
+    It is unique among the devices of the settings, but not among virtual ones.
+    """
     return f"{identity.sensor}/{identity.unit}"
+
+
+def unique_names(devices: Sequence[DeviceIdentity]) -> list[str]:
+    """Return each device's ``sensor/unit``, or what `described` returns where several have it."""
+    counts = Counter(map(device_name, devices))
+    return [
+        described(each) if counts[device_name(each)] > 1 else device_name(each) for each in devices
+    ]
+
+
+def holders(name: str, devices: Iterable[DeviceIdentity]) -> tuple[DeviceIdentity, ...]:
+    """Return the devices that one of `unique_names` stands for.
+
+    They are several if the program that wrote it did not distinguish them.
+    """
+    known = tuple(devices)
+    exact = tuple(each for each in known if described(each) == name)
+    return exact or tuple(each for each in known if device_name(each) == name)
 
 
 def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:

@@ -124,7 +124,7 @@ class LiveTable:
             return None
         main = max(sending, key=lambda source: sending[source]["nominal_hz"])
         each = sending[main]
-        meter = self._meters.setdefault(main, RateMeter())
+        meter = self._meters.setdefault(main, RateMeter(each["nominal_hz"]))
         meter.note(each["pushed"], each["last_stamp"])
         return meter.rate_hz(now)
 

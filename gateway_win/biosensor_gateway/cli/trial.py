@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.quantities import waits_for_receivers
-from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control import stop_agent
+from biosensor_gateway.agent.device_states import identity_of
 from biosensor_gateway.agent.readiness import wait_until_ready
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.agent.status_file import running_status
@@ -251,8 +251,7 @@ def expected_streams(
         Length of the recording.
     """
     for device in status["devices"]:
-        parts = (device["sensor"], device["unit"], device["participant"], device["label"])
-        identity = DeviceIdentity(*parts)
+        identity = identity_of(device)
         empty = unfilled_streams(devices[identity.sensor], seconds)
         states = {each.data_name for each in declaration(identity.sensor).streams if each.is_state}
         own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]

@@ -208,13 +208,17 @@ class Viewer:
         *,
         is_sending: bool,
     ) -> StreamView:
-        meter = self._meters.setdefault(source, RateMeter())
+        meter = self._meters.setdefault(source, RateMeter(counted.nominal_hz))
         meter.note(counted.pushed, counted.last_stamp)
         rate_hz = meter.rate_hz(now)
         newest = self._history.newest(source)
-        age_s = max(0.0, now - newest[0]) if newest else None
-        is_regular, is_signal = counted.nominal_hz > 0, stream.content_type not in TYPES_OF_DEVICE
-        is_fresh = is_sending and is_of_now(age_s, is_regular=is_regular, is_signal=is_signal)
+        # What the agent sent before this program received it has no values here.
+        sent_s = counted.last_stamp if counted.pushed else None
+        newest_s = newest[0] if newest else sent_s
+        age_s = None if newest_s is None else max(0.0, now - newest_s)
+        nominal_hz, is_signal = counted.nominal_hz, stream.content_type not in TYPES_OF_DEVICE
+        is_regular = nominal_hz > 0
+        is_fresh = is_sending and is_of_now(age_s, nominal_hz=nominal_hz, is_signal=is_signal)
         return StreamView(
             **dict(counted),
             source_id=source,

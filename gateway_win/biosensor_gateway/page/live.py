@@ -17,7 +17,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
+from biosensor_gateway.agent.rate_meter import stale_after_s
 from biosensor_gateway.page.static_files import LIVE
 
 KEPT_S = 60.0
@@ -25,22 +25,22 @@ HOLDS_S = 30.0
 """How long a value of an irregular stream about the body, such as a heart rate, is current."""
 
 
-def is_of_now(age_s: float | None, *, is_regular: bool, is_signal: bool) -> bool:
+def is_of_now(age_s: float | None, *, nominal_hz: float, is_signal: bool) -> bool:
     """Whether the newest sample of a stream is current.
 
     Parameters
     ----------
     age_s
         Of the sample; None if there is none.
-    is_regular
-        Whether the stream has a nominal rate.
+    nominal_hz
+        Nominal rate of the stream; 0 for irregular ones.
     is_signal
         Whether it is about the body. A value about the device itself is current until it changes.
     """
     if age_s is None:
         return False
-    if is_regular:
-        return age_s < STALE_AFTER_S
+    if nominal_hz > 0:
+        return age_s < stale_after_s(nominal_hz)
     return not is_signal or age_s < HOLDS_S
 
 

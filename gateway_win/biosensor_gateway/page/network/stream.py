@@ -146,7 +146,7 @@ class Received:
         self.values: NDArray[np.float64] = np.empty(0)
         self.raw = b""
         self.placer = Placer(is_ours=is_ours)
-        self.meter = RateMeter()
+        self.meter = RateMeter(core.rate)
         self._is_text = core.format is ChannelFormat.STRING
         self._rate = core.rate
         self._last_stamp: float | None = None

@@ -14,7 +14,7 @@ from biosensor_common import naming
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat, ChannelRole
 from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import CoreFields, StreamHeader
-from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
+from biosensor_gateway.agent.rate_meter import stale_after_s
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.downsampling import DRAWN_CHANNELS, chosen
 from biosensor_gateway.page.live import is_of_now
@@ -36,7 +36,6 @@ from biosensor_gateway.page.network.stream_list import (
 )
 from biosensor_gateway.streaming.counters import GATEWAY
 
-_SLOW_PERIODS = 3
 _BYTES = {
     ChannelFormat.INT8: 1,
     ChannelFormat.INT16: 2,
@@ -175,7 +174,7 @@ def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
     silent_s = receiver.age_s if heard_s is None else now - heard_s
     if not core.rate:
         return SeenState.WAITING, silent_s
-    if silent_s > max(STALE_AFTER_S, _SLOW_PERIODS / core.rate):
+    if silent_s > stale_after_s(core.rate):
         return SeenState.SILENT, silent_s
     return (SeenState.OPENING if heard_s is None else SeenState.STREAMING), silent_s
 
@@ -187,7 +186,7 @@ def _is_over(stream: NetworkStream, now: float) -> bool:
     if derived is not None:
         return age_s is None or age_s > derived.holds_s
     is_signal = core.content_type not in TYPES_OF_DEVICE
-    return not core.rate and not is_of_now(age_s, is_regular=False, is_signal=is_signal)
+    return not core.rate and not is_of_now(age_s, nominal_hz=0.0, is_signal=is_signal)
 
 
 def _forget_values_of_silent(

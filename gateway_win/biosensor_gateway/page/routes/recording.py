@@ -13,7 +13,8 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.device_states import Absence, absences, clock_time
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.device_states import Absence, absences, clock_time, identity_of
 from biosensor_gateway.page.models import (
     Choice,
     Outcome,
@@ -372,7 +373,7 @@ class Story:
         self._file = begun.file if begun else None
         self._started: float | None = None
         self._warnings = [] if begun is None else [*begun.left_out]
-        self._away: dict[str, Absence] = {}
+        self._away: dict[DeviceIdentity, Absence] = {}
         self._over: list[str] = []
         self.remarks: list[str] = []
         if begun:
@@ -393,7 +394,7 @@ class Story:
         """Note which sensors are away, and which have come back since the last look."""
         self._file, self._started = standing.file, standing.started
         now = {each.device: each for each in absences(devices)}
-        here = {f"{each['sensor']}/{each['unit']}" for each in devices}
+        here = {identity_of(each) for each in devices}
         for device, before in self._away.items():
             if device in here and device not in now:
                 self._over = [*self._over[1 - _MOST_TOLD_OF :], _was_away(before, time.time())]

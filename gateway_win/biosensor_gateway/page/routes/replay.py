@@ -296,7 +296,7 @@ class Replayed:
     def show(self, streams: Sequence[PlayedStream]) -> None:
         """Set the streams that are played."""
         self._streams = streams
-        self._meters = {each.source_id: RateMeter() for each in streams}
+        self._meters = {each.source_id: RateMeter(each.nominal_hz) for each in streams}
         self._counts = dict.fromkeys(self._meters, 0)
 
     def take(self, samples: Samples) -> None:
@@ -375,7 +375,7 @@ class Replayed:
         newest = self._traces.history.newest(stream.source_id)
         age_s = max(0.0, now - newest[0]) if newest else None
         is_regular, is_signal = stream.nominal_hz > 0, stream.content_type not in TYPES_OF_DEVICE
-        is_fresh = is_of_now(age_s, is_regular=is_regular, is_signal=is_signal)
+        is_fresh = is_of_now(age_s, nominal_hz=stream.nominal_hz, is_signal=is_signal)
         meter = self._meters[stream.source_id]
         return ReplayedStreamView(
             source_id=stream.source_id,

@@ -12,7 +12,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.device_states import Absence, absences, is_sending, names
+from biosensor_gateway.agent.device_states import Absence, absences, identity_of, is_sending, names
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn, compare
@@ -121,13 +121,13 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
     return tuple(_of_status(device, away) for device in status["devices"])
 
 
-def _of_status(device: Mapping[str, Any], away: Mapping[str, str]) -> ExpectedDevice:
-    identity = (device["sensor"], device["unit"], device["participant"], device["label"])
+def _of_status(device: Mapping[str, Any], away: Mapping[DeviceIdentity, str]) -> ExpectedDevice:
+    identity = identity_of(device)
     why = " - ".join(part for part in (device["state"], device["error"]) if part)
     own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
     data_names = [each.data_name for each in declared_streams(device["sensor"], own)]
-    expected = _expected(DeviceIdentity(*identity), data_names, why)
-    return replace(expected, away=away.get(f"{device['sensor']}/{device['unit']}", ""))
+    expected = _expected(identity, data_names, why)
+    return replace(expected, away=away.get(identity, ""))
 
 
 def _expected(identity: DeviceIdentity, data_names: Iterable[str], why: str) -> ExpectedDevice:

@@ -7,8 +7,10 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+from biosensor_common.naming import AGENT
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS
+from biosensor_gateway.agent.selection import device_name, holders
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import Recording
@@ -54,11 +56,10 @@ def _is_beside(stream: Measured, events: Measured) -> bool:
 
 
 def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
-    headers = [each.stream.header for each in own]
-    recorded = {f"{each.sensor}/{each.unit}" for h in headers if (each := h.identity)}
-    is_counted = any(each.is_counters for each in headers)
+    recorded = _recorded(own)
+    is_counted = any(each.stream.header.is_counters for each in own)
     for device, states in _states(events.stream.texts).items():
-        if device in recorded:
+        if holders(device, recorded):
             continue
         if not CONNECTED & states.keys():
             how = ", ".join(STATE_WORDS.get(each, each) for each in states)
@@ -71,7 +72,7 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
 
 
 def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
-    recorded = {each.stream.header.identity for each in own}
+    recorded = _recorded(own)
     ended: dict[DeviceIdentity, float] = {}
     for event in _events(events.stream.texts):
         identity = _identity(event)
@@ -81,9 +82,8 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
             # A device added again under the same name is recorded again.
             ended.pop(identity, None)
     for identity, at in ended.items():
-        who = f" of {identity.participant}" if identity.participant else ""
         text = (
-            f"{identity.sensor}/{identity.unit}{who} was removed or renamed in the settings at "
+            f"{_named(identity)} was removed or renamed in the settings at "
             f"{extent.since_begin(at, events):.1f} s, and nothing of it was recorded since"
         )
         yield Finding(Level.ERROR, "removed", "", text)
@@ -93,14 +93,12 @@ def _away(
     own: Sequence[Measured], events: Measured, extent: Extent, without: Collection[str]
 ) -> Iterator[Finding]:
     """Report when each recorded device was paused or not connected."""
-    for device, spells in _spells(events.stream.texts).items():
-        streams = [each for each in own if _device(each) == device]
-        if not streams or not spells:
-            continue
+    for device, spells in _spells(events.stream.texts, _recorded(own)).items():
+        streams = [each for each in own if each.stream.header.identity == device]
         said = ", ".join(_spell(each, events, extent) for each in spells[:_MOST_SPELLS])
         more = len(spells) - _MOST_SPELLS
         said += f" and {more} more times" if more > 0 else ""
-        named = _named(own, device)
+        named = _named(device)
         # A battery level may have been measured before the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
@@ -127,8 +125,7 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             )
             more = f" and {times - _MOST_SPELLS} times more" if times > _MOST_SPELLS else ""
             text = (
-                f"the stamps of {_named(own, device)} jumped {said}{more}: those just before were "
-                "wrong"
+                f"the stamps of {_named(device)} jumped {said}{more}: those just before were wrong"
             )
             yield Finding(Level.WARNING, "clock-jumped", "", text)
 
@@ -144,7 +141,7 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             at = extent.since_begin(_time(longest), events)
             times = "once" if len(spans) == 1 else f"{len(spans)} times"
             text = (
-                f"{_named(own, device)} was connected and sent nothing {times}, for {streams} "
+                f"{_named(device)} was connected and sent nothing {times}, for {streams} "
                 f"{_number(longest, 'seconds'):.1f} s until {at:.1f} s: data that came afterwards "
                 "was delayed, or is counted as lost"
             )
@@ -152,20 +149,25 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
 
 
 def _refused(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
-    """Say of each recorded device what it refused, and what of it was left out."""
-    of_device: dict[str, list[str]] = {_device(each): [] for each in own}
+    """Say of each recorded device, and of the agent, what was refused or left out."""
+    recorded = _recorded(own)
+    sentences: dict[str, list[str]] = {_named(each): [] for each in recorded}
     for event in _events(events.stream.texts):
-        for device, sentence, last_s in _problems(event):
+        for name, sentence, last_s in _problems(event):
             # What has passed is told of for some seconds.
-            if device in of_device and extent.since_begin(last_s, events) >= 0:
-                of_device[device].append(sentence)
-    for device, sentences in of_device.items():
-        for sentence in newest_of_each_kind(sentences):
-            yield Finding(Level.WARNING, "refused", "", f"{_named(own, device)}: {sentence}")
+            if extent.since_begin(last_s, events) >= 0:
+                whose = [AGENT] if name == AGENT else map(_named, holders(name, recorded))
+                for each in whose:
+                    sentences.setdefault(each, []).append(sentence)
+    for whose, told in sentences.items():
+        # What is of no device names its stream.
+        about = "" if whose == AGENT else f"{whose}: "
+        for sentence in newest_of_each_kind(told):
+            yield Finding(Level.WARNING, "refused", "", about + sentence)
 
 
 def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
-    """Yield the problems in a heartbeat: device, sentence, and LSL time of the last occurrence."""
+    """Yield the problems in a heartbeat: name, sentence, and LSL time of the last occurrence."""
     of_all: object = event.get("problems")
     if event.get("event") != EventKind.HEARTBEAT or not isinstance(of_all, dict):
         return
@@ -180,12 +182,12 @@ def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
 
 def _of_recorded(
     own: Sequence[Measured], events: Measured, kind: EventKind
-) -> Mapping[str, list[Mapping[str, Any]]]:
-    """Return the events of one kind for the recorded devices, by ``sensor/unit``."""
-    recorded = {_device(each) for each in own}
-    found: dict[str, list[Mapping[str, Any]]] = {}
+) -> Mapping[DeviceIdentity, list[Mapping[str, Any]]]:
+    """Return the events of one kind for the recorded devices."""
+    recorded = _recorded(own)
+    found: dict[DeviceIdentity, list[Mapping[str, Any]]] = {}
     for event in _events(events.stream.texts):
-        device = f"{event.get('sensor')}/{event.get('unit')}"
+        device = _identity(event)
         if event.get("event") == kind and device in recorded:
             found.setdefault(device, []).append(event)
     return found
@@ -196,15 +198,15 @@ def _number(event: Mapping[str, Any], name: str) -> float:
     return float(value) if isinstance(value, int | float) else 0.0
 
 
-def _named(own: Sequence[Measured], device: str) -> str:
-    """Return the ``sensor/unit`` of a recorded device, with its participant if known."""
-    person = next(each.stream.header.identity for each in own if _device(each) == device)
-    return f"{device} of {person.participant}" if person and person.participant else device
+def _named(device: DeviceIdentity) -> str:
+    """Return the ``sensor/unit`` of a device, with its participant if known."""
+    name = device_name(device)
+    return f"{name} of {device.participant}" if device.participant else name
 
 
-def _device(stream: Measured) -> str:
-    identity = stream.stream.header.identity
-    return f"{identity.sensor}/{identity.unit}" if identity else ""
+def _recorded(own: Sequence[Measured]) -> tuple[DeviceIdentity, ...]:
+    found = (each.stream.header.identity for each in own)
+    return tuple(dict.fromkeys(each for each in found if each is not None))
 
 
 class _Spell(NamedTuple):
@@ -215,12 +217,15 @@ class _Spell(NamedTuple):
     until: float | None
 
 
-def _spells(texts: Sequence[str]) -> Mapping[str, list[_Spell]]:
-    """Return the times in which each device did not send, by ``sensor/unit``."""
-    now: dict[str, tuple[str, float | None]] = {}
-    found: dict[str, list[_Spell]] = {}
+def _spells(
+    texts: Sequence[str], recorded: Sequence[DeviceIdentity]
+) -> Mapping[DeviceIdentity, list[_Spell]]:
+    """Return the times in which each recorded device did not send."""
+    now: dict[DeviceIdentity, tuple[str, float | None]] = {}
+    found: dict[DeviceIdentity, list[_Spell]] = {}
     for event in _events(texts):
-        for device, how in _ways(event, {name: each for name, (each, _) in now.items()}):
+        before_it = {device: how for device, (how, _) in now.items()}
+        for device, how in _ways(event, before_it, recorded):
             before, since = now.get(device, ("", None))
             if device in now and how == before:
                 continue
@@ -234,15 +239,22 @@ def _spells(texts: Sequence[str]) -> Mapping[str, list[_Spell]]:
     return found
 
 
-def _ways(event: Mapping[str, Any], before: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Yield how each device in an event is absent; an empty text if it is not."""
+def _ways(
+    event: Mapping[str, Any],
+    before: Mapping[DeviceIdentity, str],
+    recorded: Sequence[DeviceIdentity],
+) -> Iterator[tuple[DeviceIdentity, str]]:
+    """Yield how each recorded device in an event is absent; an empty text if it is not."""
     kind, devices = event.get("event"), event.get("devices")
     if kind == EventKind.HEARTBEAT and isinstance(devices, dict):
-        for device, state in cast("dict[str, object]", devices).items():
+        for name, state in cast("dict[str, object]", devices).items():
             is_here = str(state) in CONNECTED
-            yield device, "" if is_here else _PAUSED if state == _PAUSED else _NOT_CONNECTED
+            how = "" if is_here else _PAUSED if state == _PAUSED else _NOT_CONNECTED
+            yield from ((device, how) for device in holders(name, recorded))
         return
-    device = f"{event.get('sensor')}/{event.get('unit')}"
+    device = _identity(event)
+    if device not in recorded:
+        return
     if kind == EventKind.PAUSED:
         yield device, _PAUSED
     elif kind == EventKind.RESUMED:
@@ -263,7 +275,7 @@ def _spell(spell: _Spell, events: Measured, extent: Extent) -> str:
 
 
 def _states(texts: Sequence[str]) -> Mapping[str, dict[str, None]]:
-    """Return the states of each device by ``sensor/unit``, in the order of the heartbeats."""
+    """Return the states of each device by its name, in the order of the heartbeats."""
     found: dict[str, dict[str, None]] = {}
     for event in _events(texts):
         devices: object = event.get("devices")

@@ -25,8 +25,11 @@ Besides these:
 ``heartbeat``       ``agent_started``: LSL time; ``devices``: state of each by
                     ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``;
                     ``problems``, where there are any, by ``sensor/unit``: what is wrong with
-                    what a device sends, each with a sentence, ``what``, and ``last``, the LSL
-                    time of what has passed; ``clock``, as above
+                    what a device sends or with its live features, each with a sentence,
+                    ``what``, and ``last``, the LSL time of what has passed; under ``gateway``
+                    what is wrong with the markers, and with live features of other streams;
+                    ``clock``, as above. Where several people wear a virtual device of one
+                    kind, ``sensor/unit (participant)`` stands for ``sensor/unit``
 ``connected``       ``connection``: its number since the agent's start; ``firmware_version``
                     where it is known
 ``disconnected``    ``reason``: ``lost``, ``silent``, ``absent``, ``garbage``, ``no_reply``,

@@ -33,9 +33,9 @@ class Announcer:
     heartbeat_s
         Period in seconds; 0 for none.
     states
-        Tells the state of every device by ``sensor/unit``, for the heartbeat.
+        Tells the state of every device by its name, for the heartbeat.
     problems
-        Tells what is wrong with what devices send, by ``sensor/unit``, for the heartbeat.
+        Tells what is wrong with what devices send, by name, for the heartbeat.
     start
         What there is to say of the agent's start, in each heartbeat, too.
     clock
