@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Collection, Mapping, Sequence
 from itertools import accumulate
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,8 @@ from biosensor_gateway.recording.xdf.counters import (
 )
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.pace import Cuts, find_pace
+from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import judge
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.xdf import xdf_file as made
 from tests.xdf.checking import check, codes, text_of
@@ -161,6 +165,70 @@ def test_cuts_do_not_depend_on_blocks_nor_on_sections(name: str) -> None:
         cuts.end()
         assert tuple(cuts.numbers) == find_pace(stamps, NOMINAL_HZ).cuts
         assert [each.at for each in cuts.holes] == cuts.numbers
+
+
+SEVERAL = {
+    **{name: HARMLESS[name] for name in ("exact", "delayed bursts", "overlaps", "a fast clock")},
+    **{name: without(*LOSSES[name]) for name in ("many holes", "three bursts")},
+    "set back": measured() - 100.0 * (np.arange(COUNT) > 5000),
+    "garbage at the end": np.append(measured(), 8e5),
+    "a stray and a bad stamp": np.where(
+        np.isin(np.arange(COUNT), (3900, 9000)), [[3e5], [np.nan]], measured()
+    )[np.arange(COUNT) // 5000 % 2, np.arange(COUNT)],
+}
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_a_long_stream_is_judged_in_sections_as_in_one(name: str) -> None:
+    stamps = SEVERAL[name]
+    cuts = Cuts(NOMINAL_HZ, section=4096)
+    for block in np.array_split(stamps, 50):
+        cuts.take(block)
+    cuts.end()
+    whole, found = find_pace(stamps, NOMINAL_HZ), cuts.pace
+    assert found is not None
+    assert found.period_s == pytest.approx(whole.period_s, rel=5e-5)
+    assert [each.at for each in found.holes] == [each.at for each in whole.holes]
+    assert [each.after_s for each in found.holes] == [stamps[each.at - 1] for each in whole.holes]
+    told = (found.turns, found.odd_steps, found.stray, found.ends_astray, found.burst)
+    assert told == (whole.turns, whole.odd_steps, whole.stray, whole.ends_astray, whole.burst)
+
+
+def _peak(count: int, path: Path) -> int:
+    """Return how many bytes a check needs of a stream with so many delayed samples."""
+    stamps = measured(count) + delays(count) / 10
+    rows = np.zeros(count, np.dtype([("size", "u1"), ("stamp", "<f8"), ("value", "<f4")]))
+    rows["size"], rows["stamp"] = 8, stamps
+    with path.open("wb") as file:
+        file.write(made.xdf(made.stream_header(1, "a", kind="ECG", rate=NOMINAL_HZ)))
+        for part in np.array_split(rows, count // 5000):
+            number = b"\x01\0\0\0\x04" + len(part).to_bytes(4, "little")
+            file.write(made.chunk(3, number + part.tobytes()))
+        file.write(made.footer(1, count))
+    tracemalloc.start()
+    report = judge(read_recording(path))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert text_of(report, "overlaps", "a").endswith("; 129.8 Hz; nothing seems lost")
+    return peak
+
+
+def test_a_long_stream_needs_no_more_memory_than_a_short_one(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    assert _peak(1_200_000, path) < 1.1 * _peak(300_000, path)
+
+
+def test_without_room_for_a_temporary_file_stamps_stay_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(**_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
+    path = tmp_path / "study.xdf"
+    _peak(300_000, path)
+    (stream,) = read_recording(path).streams
+    assert stream.stamps == pytest.approx(measured(300_000) + delays(300_000) / 10)
 
 
 def _file(stamps: Array) -> bytes:

@@ -5,25 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
-import numpy as np
-
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.xdf.measuring import may_have_rate
-from biosensor_gateway.recording.xdf.pace import SECTION, rate_of
+from biosensor_gateway.recording.xdf.measuring import first_of, may_have_rate
+from biosensor_gateway.recording.xdf.pace import rate_of
 
 
 def estimated_rate(stream: Stream) -> float | None:
     """Return the rate of a stream whose header names none; None if its samples do not tell one."""
     if not may_have_rate(stream.header):
         return None
-    parts: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
-    count = 0
-    for samples in stream.blocks():
-        parts.append(samples.stamps)
-        count += len(samples)
-        if count >= SECTION:
-            break
-    return rate_of(np.concatenate(parts)) if parts else None
+    return rate_of(first_of(samples.stamps for samples in stream.blocks()))
 
 
 def with_rates(

@@ -23,7 +23,7 @@ from biosensor_gateway.recording.xdf.container import (
     RecordingReason,
 )
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import clock_error, order_error
+from biosensor_gateway.recording.xdf.measuring import Course, clock_error, order_error
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
@@ -261,20 +261,16 @@ class Stream:
     @cached_property
     def clock_error(self) -> str:
         """Why its timestamps are not on an LSL clock, as in `xdf check`; empty if they are."""
-        stamps = self._some_stamps()
-        if not len(stamps):
-            return ""
-        return clock_error(self.header, self.clock_offsets, stamps, self.sample_count)
+        return clock_error(self.header, self.clock_offsets, self._course, self.sample_count)
 
     @cached_property
     def order_error(self) -> str:
         """Why its stamps do not tell when a sample was measured; empty if they do."""
-        stamps = self._some_stamps()
-        return order_error(self.header, stamps, self.sample_count) if len(stamps) else ""
+        return order_error(self.header, self._course, self.sample_count)
 
-    def _some_stamps(self) -> NDArray[np.float64]:
-        stamps = self._indexed.end_stamps().ravel()
-        return stamps[np.isfinite(stamps)]
+    @cached_property
+    def _course(self) -> Course:
+        return Course.of([self._indexed.end_stamps().ravel()])
 
     def _is_outside(self, place: Place, begin_s: float, end_s: float) -> bool:
         # In an irregular stream, timestamps may lie outside the chunk's first and last one.

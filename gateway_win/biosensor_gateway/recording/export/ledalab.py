@@ -220,8 +220,14 @@ def _behind_holes(chosen: Chosen, stream: Stream) -> NDArray[np.float64] | None:
     cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header, section(chosen))
     if cuts is None:
         return None
-    times = np.concatenate([each.times for each in batches(chosen, stream)] or [np.empty(0)])
-    return times[[each.at for each in cuts.holes]]
+    places = np.array([each.at for each in cuts.holes], np.int64)
+    found: list[NDArray[np.float64]] = []
+    done = 0
+    for samples in batches(chosen, stream):
+        is_here = (places >= done) & (places < done + len(samples))
+        found.append(samples.times[places[is_here] - done])
+        done += len(samples)
+    return np.concatenate([np.empty(0), *found])
 
 
 def _late(

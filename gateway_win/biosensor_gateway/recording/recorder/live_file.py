@@ -274,7 +274,7 @@ class _StreamReader:
             self.longest_gap_s = max((each.length_s for each in self._cuts.holes), default=0.0)
             return  # nothing is dropped: the steps between runs are gaps as well
         run = np.concatenate(([self._last_stamp], stamps))
-        gaps = find_gaps(run[np.isfinite(run)], self.header)
+        gaps = find_gaps([run], self.header)
         self.gaps += gaps.count
         self.longest_gap_s = max(self.longest_gap_s, *(each.length_s for each in gaps.listed), 0.0)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, repeat
 from typing import Any, NamedTuple, cast
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.refusal import LATELY_S
+from biosensor_gateway.recording.xdf.measuring import Course
 
 # When the recorder stops it loses the samples of the last 0.5 s, and some devices send their
 # samples a second or two late.
@@ -109,7 +110,9 @@ def _entries(text: str) -> dict[str, Reading]:
 
 
 def compare(
-    readings: Sequence[Reading], stamps: NDArray[np.float64], end: float
+    readings: Sequence[Reading],
+    stamps: NDArray[np.float64] | Callable[[], Iterable[NDArray[np.float64]]],
+    end: float,
 ) -> RecordedCounters:
     """Compare the readings of one stream with its timestamps.
 
@@ -120,19 +123,25 @@ def compare(
     ----------
     readings
         In the order of the file, at least one.
-    stamps : ndarray, shape (n_samples,)
-        All timestamps of the stream on its own clock.
+    stamps : ndarray, shape (n_samples,), or callable
+        All timestamps of the stream on its own clock, or what gives them in parts.
     end
         When the last reading was taken, on the same clock; samples of the last `TAIL_S` may be
         missing from the file.
     """
-    ordered = np.sort(stamps[np.isfinite(stamps)])
+    parts = stamps if callable(stamps) else lambda: [stamps]
     runs = _runs(readings)
-    parts = [_compare_run(run, ordered, end - TAIL_S) for run in runs]
+    # Without recorded samples, the comparison starts at the first reading.
+    course = Course.of(parts())
+    first, last = (course.first, course.last) if course.count else (-math.inf, -math.inf)
+    ends = [_ends(run, first, last, end - TAIL_S) for run in runs]
+    told = [each.last_stamp for pair in ends if pair is not None for each in pair]
+    up_to = _up_to(np.array(told), parts())
+    compared = [_compare_run(pair, up_to) for pair in ends if pair is not None]
     return RecordedCounters(
-        pushed=sum(part.pushed for part in parts),
-        held=sum(part.held for part in parts),
-        lost=sum(part.lost for part in parts),
+        pushed=sum(pushed for pushed, _ in compared),
+        held=sum(held for _, held in compared),
+        lost=sum(run[-1].lost - run[0].lost for run in runs),
         restarts=len(runs) - 1,
         is_off=readings[-1].is_off,
     )
@@ -171,12 +180,10 @@ def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:
     return runs
 
 
-def _compare_run(
-    run: Sequence[Reading], stamps: NDArray[np.float64], tail_begin: float
-) -> RecordedCounters:
-    lost = run[-1].lost - run[0].lost
-    # Without recorded samples, the comparison starts at the first reading.
-    first, last = (stamps[0], stamps[-1]) if len(stamps) else (-np.inf, -np.inf)
+def _ends(
+    run: Sequence[Reading], first: float, last: float, tail_begin: float
+) -> tuple[Reading, Reading] | None:
+    """Return the readings between which a run is compared; None if there are none."""
     reached = [reading for reading in run if reading.last_stamp >= first - _SAME_STAMP_S]
     # Some devices report a beat up to six seconds late, so samples counted in the tail may be
     # older than the tail.
@@ -184,19 +191,30 @@ def _compare_run(
         if not (reached[-1].last_stamp > tail_begin or reached[-1].told_at > tail_begin):
             break
         reached.pop()
-    if not reached:
-        return RecordedCounters(0, 0, lost)
-    begin, end = reached[0], reached[-1]
+    return (reached[0], reached[-1]) if reached else None
+
+
+def _compare_run(
+    ends: tuple[Reading, Reading], up_to: Mapping[float, tuple[int, int]]
+) -> tuple[int, int]:
+    """Return how many samples were pushed and are held between two readings."""
+    begin, end = ends
     pushed = end.pushed - begin.pushed
-    begin_least, begin_most = _up_to(begin, stamps)
-    end_least, end_most = _up_to(end, stamps)
-    held = max(end_least - begin_most, min(pushed, end_most - begin_least))
-    return RecordedCounters(pushed, held, lost)
+    begin_least, begin_most = up_to[begin.last_stamp]
+    end_least, end_most = up_to[end.last_stamp]
+    return pushed, max(end_least - begin_most, min(pushed, end_most - begin_least))
 
 
-def _up_to(reading: Reading, stamps: NDArray[np.float64]) -> tuple[int, int]:
-    """Return the minimum and maximum number of the file's samples pushed before a reading."""
+def _up_to(
+    told: NDArray[np.float64], parts: Iterable[NDArray[np.float64]]
+) -> Mapping[float, tuple[int, int]]:
+    """Return the minimum and maximum number of the file's samples pushed before readings."""
     # Simultaneous events share a timestamp, and a reading may be taken between them.
-    around = np.array([-_SAME_STAMP_S, _SAME_STAMP_S]) + reading.last_stamp
-    earlier, most = np.searchsorted(stamps, around, side="right").tolist()
-    return min(earlier + 1, most), most
+    around = told[:, np.newaxis] + np.array([-_SAME_STAMP_S, _SAME_STAMP_S])
+    counts = np.zeros(around.shape, np.int64)
+    for stamps in parts:
+        counts += np.searchsorted(np.sort(stamps[np.isfinite(stamps)]), around, side="right")
+    return {
+        float(stamp): (min(int(earlier) + 1, int(most)), int(most))
+        for stamp, (earlier, most) in zip(told, counts, strict=True)
+    }

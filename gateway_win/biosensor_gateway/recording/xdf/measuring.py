@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +19,8 @@ from biosensor_gateway.recording.xdf.pace import (
     STEP_BACK_S,
     Cuts,
     Pace,
-    find_pace,
     rate_of,
+    section_of,
 )
 from biosensor_gateway.recording.xdf.recording import RecordedStream
 from biosensor_gateway.recording.xdf.sender_clock import Offset, is_reading, runs_of
@@ -29,6 +29,8 @@ from biosensor_gateway.recording.xdf.sender_clock import Offset, is_reading, run
 GAP_PERIODS = 1.5
 # Other programs often use the time at which they push, so their timestamps jitter.
 FOREIGN_JITTER_S = 0.1
+FIRST = 1 << 18
+"""The first samples of a stream, by which its rate is found if its header names none."""
 # A badly damaged stream may have very many gaps.
 MOST_GAPS_LISTED = 100
 # A timestamp further off is not on its computer's LSL clock.
@@ -145,47 +147,113 @@ def measure(stream: RecordedStream) -> Figures:
 
 
 def _measure(stream: RecordedStream) -> Figures:
-    stamps = stream.stamps
-    finite = own = stamps[np.isfinite(stamps)]
+    own = Course.of(stream.stamps_in_blocks())
     offsets = stream.clock_offsets
     clock = summarise_offsets(offsets)
-    if clock.resets:
-        # In its own timestamps, a clock restart would look like a gap or a step back.
-        stamps = stream.times()
-        finite = stamps[np.isfinite(stamps)]
-    count = max(1, stream.sample_count)
-    pace = None
+    # In its own timestamps, a clock restart would look like a gap or a step back.
+    blocks = stream.times_in_blocks if clock.resets else stream.stamps_in_blocks
     header = stream.header
-    found_hz = rate_of(stamps) if may_have_rate(header) else None
+    found_hz = rate_of(first_of(blocks())) if may_have_rate(header) else None
     if found_hz is not None:
         header = replace(header, rate=found_hz)
-    is_ordered = not (len(own) and order_error(header, own, len(own)))
-    if header.is_regular and not is_exact(header) and len(finite) > 1 and is_ordered:
-        pace = find_pace(stamps, header.rate)
-        gaps = _gaps_of(pace, stamps)
-        finite = np.delete(stamps, pace.stray)
-        finite = finite[np.isfinite(finite)]
-        rate_between_gaps_hz: float | None = 1.0 / pace.period_s
+    is_ordered = not order_error(header, own, own.count)
+    stray: Sequence[int] = ()
+    pace = None
+    if header.is_regular and not is_exact(header) and is_ordered:
+        cuts = cuts_of(blocks(), header)
+        pace = None if cuts is None else cuts.pace
+        stray = () if pace is None else pace.stray
+    course = Course.of(_without(blocks(), stray))
+    gaps, rate_between_gaps_hz, backward_steps = Gaps(), None, 0
+    if pace is not None:
+        gaps, rate_between_gaps_hz = _gaps_of(pace), 1.0 / pace.period_s
         backward_steps = pace.odd_steps_back
-    else:
-        gaps = find_gaps(finite, header) if is_ordered else Gaps()
-        rate_between_gaps_hz = _rate_between_gaps(finite, gaps, header) if is_ordered else None
-        backward_steps = int(np.count_nonzero(finite[1:] < finite[:-1])) if is_ordered else 0
-    first, last = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
+    elif is_ordered:
+        gaps = find_gaps(blocks(), header)
+        rate_between_gaps_hz = _rate_between_gaps(course, gaps, header)
+        backward_steps = course.back
+    held = stream.sample_count
     return Figures(
-        first=first,
-        last=last,
+        first=course.first if course.count else None,
+        last=course.last if course.count else None,
         backward_steps=backward_steps,
-        bad_stamps=len(stamps) - int(np.isfinite(stamps).sum()),
-        rate_hz=_rate(finite),
+        bad_stamps=held - course.count - len(stray),
+        rate_hz=_rate(course),
         rate_between_gaps_hz=rate_between_gaps_hz,
         gaps=gaps,
         offsets=clock,
-        nan_shares=tuple(float(share) for share in stream.nan_counts / count),
-        clock_error=clock_error(header, offsets, own, len(own)) if len(own) else "",
+        nan_shares=tuple(float(share) for share in stream.nan_counts / max(1, held)),
+        clock_error=clock_error(header, offsets, own, own.count),
         pace=pace,
         found_hz=found_hz,
     )
+
+
+def first_of(blocks: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return as many timestamps as are enough to tell a rate."""
+    parts: list[NDArray[np.float64]] = []
+    count = 0
+    for stamps in blocks:
+        parts.append(stamps)
+        count += len(stamps)
+        if count >= FIRST:
+            break
+    return np.concatenate([np.empty(0), *parts])
+
+
+def _without(
+    blocks: Iterable[NDArray[np.float64]], stray: Sequence[int]
+) -> Iterator[NDArray[np.float64]]:
+    places = np.array(stray, np.int64)
+    done = 0
+    for stamps in blocks:
+        here = places[(places >= done) & (places < done + len(stamps))] - done
+        done += len(stamps)
+        yield np.delete(stamps, here) if len(here) else stamps
+
+
+@dataclass(slots=True)
+class Course:
+    """In which order timestamps come; only those that are finite.
+
+    Attributes
+    ----------
+    first, last
+        The earliest and the latest.
+    back, ahead, far_back
+        Numbers of steps back, forward, and back by more than `STEP_BACK_S`.
+    """
+
+    count: int = 0
+    first: float = math.inf
+    last: float = -math.inf
+    back: int = 0
+    ahead: int = 0
+    far_back: int = 0
+
+    @classmethod
+    def of(cls, blocks: Iterable[NDArray[np.float64]]) -> Course:
+        """Return that of timestamps in blocks, in the order of the file."""
+        course = cls()
+        for stamps in _following(blocks):
+            steps = np.diff(stamps)
+            course.count += len(steps) if course.count else len(stamps)
+            course.first = min(course.first, float(stamps.min()))
+            course.last = max(course.last, float(stamps.max()))
+            course.back += int(np.count_nonzero(steps < 0))
+            course.ahead += int(np.count_nonzero(steps > 0))
+            course.far_back += int(np.count_nonzero(steps < -STEP_BACK_S))
+        return course
+
+
+def _following(blocks: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+    """Yield the finite timestamps of each block, with the last one before it."""
+    before = np.empty(0)
+    for block in blocks:
+        finite = block[np.isfinite(block)]
+        if len(finite):
+            yield np.concatenate([before, finite])
+            before = finite[-1:]
 
 
 def may_have_rate(header: RecordedHeader) -> bool:
@@ -210,9 +278,9 @@ def cuts_of(
     Parameters
     ----------
     blocks
-        Finite times of its samples in s; only read if the timestamps are inexact.
+        Times of its samples in s; only read if the timestamps are inexact.
     section
-        Number of samples analysed together.
+        Largest number of samples analysed together.
 
     Returns
     -------
@@ -221,23 +289,28 @@ def cuts_of(
     """
     if is_exact(header):
         return None
-    cuts = Cuts(header.rate, section)
+    cuts = Cuts(header.rate, min(section, section_of(header.rate)))
     for times in blocks:
         cuts.take(times)
     cuts.end()
     return cuts
 
 
-def _gaps_of(pace: Pace, stamps: NDArray[np.float64]) -> Gaps:
-    longest = sorted(pace.holes, key=lambda each: -each.length_s)[:MOST_GAPS_LISTED]
+def _gaps_of(pace: Pace) -> Gaps:
+    holes = [Gap(each.after_s, each.length_s, each.lost) for each in pace.holes]
+    return _listed(Gaps(), np.array([each.length_s for each in holes]), holes)
+
+
+def _listed(gaps: Gaps, lengths_s: NDArray[np.float64], more: Sequence[Gap]) -> Gaps:
+    """Return the gaps with more of them, which come after all others."""
+    listed = [*gaps.listed, *more]
+    lengths_s = np.concatenate([[each.length_s for each in gaps.listed], lengths_s])
+    longest: list[int] = sorted(np.argsort(-lengths_s, kind="stable")[:MOST_GAPS_LISTED].tolist())
     return Gaps(
-        len(pace.holes),
-        sum(each.lost for each in pace.holes),
-        sum(each.length_s for each in pace.holes),
-        tuple(
-            Gap(float(stamps[each.at - 1]), each.length_s, each.lost)
-            for each in sorted(longest, key=lambda each: each.at)
-        ),
+        gaps.count + len(more),
+        gaps.lost + sum(each.lost for each in more),
+        gaps.total_s + sum(each.length_s for each in more),
+        tuple(listed[at] for at in longest),
     )
 
 
@@ -252,39 +325,38 @@ def longest_step_s(header: RecordedHeader) -> float:
     return max(GAP_PERIODS / header.rate, 0.0 if is_exact(header) else FOREIGN_JITTER_S)
 
 
-def find_gaps(stamps: NDArray[np.float64], header: RecordedHeader) -> Gaps:
+def find_gaps(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Gaps:
     """Find the gaps of a regular stream.
 
     Parameters
     ----------
-    stamps : ndarray, shape (n_samples,)
-        Finite, in the order of the file.
+    blocks
+        Timestamps in the order of the file.
     """
-    steps = np.diff(stamps)
-    places = np.flatnonzero(steps > longest_step_s(header))
-    if not len(places):
-        return Gaps()
-    lengths = steps[places]
-    lost = np.rint(np.minimum(lengths * header.rate, MOST_LOST)).astype(np.int64) - 1
-    longest = np.sort(np.argsort(-lengths, kind="stable")[:MOST_GAPS_LISTED])
-    listed = [
-        Gap(float(stamps[places[at]]), float(lengths[at]), int(lost[at])) for at in longest.tolist()
-    ]
-    return Gaps(len(places), int(lost.sum()), float(lengths.sum()), tuple(listed))
+    gaps = Gaps()
+    if not header.is_regular:
+        return gaps
+    for stamps in _following(blocks):
+        steps = np.diff(stamps)
+        places = np.flatnonzero(steps > longest_step_s(header))
+        lengths = steps[places]
+        lost = np.rint(np.minimum(lengths * header.rate, MOST_LOST)).astype(np.int64) - 1
+        told = zip(stamps[places].tolist(), lengths.tolist(), lost.tolist(), strict=True)
+        if len(places):
+            gaps = _listed(gaps, lengths, [Gap(*each) for each in told])
+    return gaps
 
 
-def _rate(stamps: NDArray[np.float64]) -> float | None:
-    span = float(stamps.max() - stamps.min()) if len(stamps) else 0.0
-    return (len(stamps) - 1) / span if span > 0 else None
+def _rate(course: Course) -> float | None:
+    span_s = course.last - course.first if course.count else 0.0
+    return (course.count - 1) / span_s if span_s > 0 else None
 
 
-def _rate_between_gaps(
-    stamps: NDArray[np.float64], gaps: Gaps, header: RecordedHeader
-) -> float | None:
-    if not header.is_regular or len(stamps) < 2:
+def _rate_between_gaps(course: Course, gaps: Gaps, header: RecordedHeader) -> float | None:
+    if not header.is_regular or course.count < 2:
         return None
-    time_s = float(stamps.max() - stamps.min()) - gaps.total_s
-    steps = len(stamps) - 1 - gaps.count
+    time_s = course.last - course.first - gaps.total_s
+    steps = course.count - 1 - gaps.count
     return steps / time_s if time_s > 0 and steps > 0 else None
 
 
@@ -325,7 +397,7 @@ def _drift_and_scatter(run: Sequence[Offset]) -> tuple[float, float] | None:
 def clock_error(
     header: RecordedHeader,
     offsets: Sequence[tuple[float, float]],
-    stamps: NDArray[np.float64],
+    course: Course,
     sample_count: int,
 ) -> str:
     """Return why timestamps are not on the LSL clock; empty if they are.
@@ -335,14 +407,15 @@ def clock_error(
 
     Parameters
     ----------
-    stamps : ndarray of float64, shape (n,)
-        Finite, in the order of the file; those of first and last sample of each chunk are enough.
+    course
+        Of its timestamps; those of first and last sample of each chunk are enough.
     sample_count
         Of the stream.
     """
-    if why := order_error(header, stamps, sample_count):
+    why = order_error(header, course, sample_count)
+    if why or not course.count:
         return why
-    first, last = float(stamps.min()), float(stamps.max())
+    first, last = course.first, course.last
     unix = " (they are unix time)" if _UNIX_S[0] < first < _UNIX_S[1] else ""
     # For an outlet that has just closed, LabRecorder writes a clock time of 0.
     times = [time for time, _ in offsets if time and is_reading(time)]
@@ -362,24 +435,23 @@ def clock_error(
     return ""
 
 
-def order_error(header: RecordedHeader, stamps: NDArray[np.float64], sample_count: int) -> str:
+def order_error(header: RecordedHeader, course: Course, sample_count: int) -> str:
     """Say why stamps of a regular stream do not tell when a sample was measured; empty if they do.
 
     Parameters
     ----------
-    stamps, sample_count
+    course, sample_count
         See `clock_error`.
     """
     if not header.is_regular or sample_count < max(FEWEST, header.rate):
         return ""
-    steps = np.diff(stamps)
-    back, ahead = int(np.count_nonzero(steps < 0)), int(np.count_nonzero(steps > 0))
-    if not back and not ahead:
-        return "its stamps are all the same" if len(steps) else ""
-    if back > ahead:
+    steps = course.count - 1
+    if not course.back and not course.ahead:
+        return "its stamps are all the same" if steps > 0 else ""
+    if course.back > course.ahead:
         return "its stamps decrease from sample to sample"
     # Those of a clock that was set step back now and then, those of no clock all the time.
-    if np.count_nonzero(steps < -STEP_BACK_S) > max(3, len(steps) / 8):
+    if course.far_back > max(3, steps / 8):
         return "its stamps are in no order"
     return ""
 

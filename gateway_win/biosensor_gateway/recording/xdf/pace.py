@@ -8,7 +8,8 @@ where that line jumps forward permanently, by more than it moves elsewhere.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -37,6 +38,8 @@ _AT_ONCE, _NOT_BY_CHANCE = 0.1, 0.3
 # A header's rate that deviates by a larger fraction is wrong.
 _NOMINAL_HOLDS = 0.05
 SECTION = 1 << 20
+# Sections have this length, so that clocks do not drift within one, but at least so many samples.
+_SECTION_S, _LEAST_SECTION = 600.0, 1 << 16
 # Moves beyond 4 times the 95th percentile are not by chance, even in a million moves.
 _USUAL, _UNUSUAL = 95, 4
 
@@ -53,11 +56,14 @@ class Hole:
         Time between the samples on either side, according to the line.
     lost
         Estimated number of lost samples.
+    after_s
+        Timestamp of the last sample before it.
     """
 
     at: int
     length_s: float
     lost: int
+    after_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +87,9 @@ class Pace:
     turns
         Indexes of the samples at which timestamps step back by more than `STEP_BACK_S`, or the
         line drops permanently.
-    odd_steps_back
-        How often a timestamp steps back by more than bursts and jitter explain.
+    odd_steps
+        Indexes of the samples at which a timestamp steps back by more than bursts and jitter
+        explain.
     stray
         Indexes of outliers: samples with timestamps far from those before and after.
     """
@@ -94,10 +101,17 @@ class Pace:
     overlap_s: float
     holes: tuple[Hole, ...]
     turns: tuple[int, ...]
-    odd_steps_back: int
+    odd_steps: tuple[int, ...]
     stray: tuple[int, ...]
     ends_astray: bool = False
     """Whether the last sample is an outlier by more than `NO_PAUSE_S`."""
+    window: int = FEWEST
+    """Number of samples needed to see the line."""
+
+    @property
+    def odd_steps_back(self) -> int:
+        """How often a timestamp steps back by more than bursts and jitter explain."""
+        return len(self.odd_steps)
 
     @property
     def cuts(self) -> tuple[int, ...]:
@@ -115,9 +129,9 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     nominal_hz
         Nominal rate in the header; above 0.
     """
+    given = stamps
     is_number = np.isfinite(stamps)
     is_stray = is_number & _stray(_filled(stamps, is_number), 1.0 / nominal_hz)
-    last = float(stamps[-1])
     stamps = _filled(stamps, is_number & ~is_stray)
     steps = np.diff(stamps)
     turns = (np.flatnonzero(steps < -STEP_BACK_S) + 1).tolist()
@@ -136,26 +150,37 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     bounds = [0, *turns, len(stamps)]
     most_s = max(period_s / 2, _UNUSUAL * moves_s)
     holes = [
-        Hole(begin + at, jump_s + period_s, round(min(jump_s / period_s, MOST_LOST)))
+        Hole(
+            begin + at,
+            jump_s + period_s,
+            round(min(jump_s / period_s, MOST_LOST)),
+            float(given[begin + at - 1]),
+        )
         for begin, rest in zip(bounds, rests, strict=False)
         for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
     ]
     cuts = sorted({0, *(each.at for each in holes), *turns, len(stamps)})
-    runs = [stamps[begin:end] for begin, end in pairwise(cuts)]
-    back = -steps[steps < 0]
-    usual = back[back <= max(period_s, _UNUSUAL * spread_s)]
+    lines = [_Line.through(stamps, *ends, period_s, window) for ends in pairwise(cuts)]
+    usual_s = max(period_s, _UNUSUAL * spread_s)
+    usual = -steps[(steps < 0) & (-steps <= usual_s)]
     return Pace(
-        _slope_s(runs, period_s, window),
+        _slope_s(lines, period_s),
         _burst(steps, period_s),
         spread_s,
         moves_s,
         float(usual.max()) if len(usual) else 0.0,
         tuple(holes),
         tuple(turns),
-        len(back) - len(usual),
+        tuple((np.flatnonzero(steps < -usual_s) + 1).tolist()),
         tuple(np.flatnonzero(is_stray).tolist()),
-        bool(is_stray[-1]) and abs(last - stamps[-1]) > NO_PAUSE_S,
+        bool(is_stray[-1]) and abs(float(given[-1]) - stamps[-1]) > NO_PAUSE_S,
+        window,
     )
+
+
+def section_of(rate_hz: float) -> int:
+    """Return how many samples of a stream are analysed together, at most `SECTION`."""
+    return int(min(max(_SECTION_S * rate_hz, _LEAST_SECTION), SECTION))
 
 
 def rate_of(stamps: Array) -> float | None:
@@ -210,38 +235,49 @@ class Cuts:
         Indexes of the samples at which a run begins, except the first run, as found so far.
     holes, stray
         As found so far; see `Pace`.
-    period_s
-        Sample period, from the longest section; nominal before there is one.
+    pace
+        Of all sections so far; None before there is one.
     """
 
     def __init__(self, nominal_hz: float, section: int = SECTION) -> None:
         self._nominal_hz, self._section = nominal_hz, section
-        self.period_s = 1.0 / nominal_hz
+        self.pace: Pace | None = None
         self.numbers: list[int] = []
         self.holes: list[Hole] = []
         self.stray: list[int] = []
+        self._odd_steps: list[int] = []
+        # By the number of the run.
+        self._lines: dict[int, _Line] = {}
         self._blocks: list[Array] = []
-        self._begin = self._held = self._longest = 0
+        self._begin = self._held = self._settled = 0
+
+    @property
+    def period_s(self) -> float:
+        """Sample period; nominal before there is a section."""
+        return 1.0 / self._nominal_hz if self.pace is None else self.pace.period_s
 
     def take(self, times: Array) -> None:
-        """Add the finite times of the next samples, shape (n_samples,)."""
+        """Add the times of the next samples, shape (n_samples,)."""
         self._blocks.append(times)
         self._held += len(times)
         if self._held >= self._section:
             # Near the end of a section too few samples follow to detect a jump, so half is kept.
-            kept = self._look()[-self._section // 2 :]
+            section = np.concatenate(self._blocks)
+            self._look(section, len(section) - self._section // 4)
+            kept = section[-self._section // 2 :].copy()
             self._begin += self._held - len(kept)
             self._blocks, self._held = [kept], len(kept)
 
     def end(self) -> None:
         """Analyse the remaining samples; none follow."""
         if self._held:
-            self._look()
+            section = np.concatenate(self._blocks)
+            self._look(section, len(section))
 
-    def _look(self) -> Array:
-        section = np.concatenate(self._blocks)
-        if len(section) < 2:
-            return section
+    def _look(self, section: Array, settled: int) -> None:
+        """Analyse a section, of which no later one tells more before index `settled`."""
+        if np.count_nonzero(np.isfinite(section)) < 2:
+            return
         pace = find_pace(section, self._nominal_hz)
         # Samples near the border are analysed twice.
         last = self.numbers[-1] if self.numbers else 0
@@ -251,9 +287,40 @@ class Cuts:
         ]
         last = self.stray[-1] if self.stray else -1
         self.stray += [each for at in pace.stray if (each := self._begin + at) > last]
-        if len(section) > self._longest:
-            self._longest, self.period_s = len(section), pace.period_s
-        return section
+        self._settle(section, pace, settled)
+        self.pace = pace if not self._begin else self._joined(pace)
+
+    def _settle(self, section: Array, pace: Pace, settled: int) -> None:
+        begin, end = max(0, self._settled - self._begin), settled
+        self._odd_steps += [self._begin + at for at in pace.odd_steps if begin <= at < end]
+        is_good = np.isfinite(section)
+        is_good[list(pace.stray)] = False
+        stamps = _filled(section, is_good)
+        cuts = [at for each in self.numbers if begin < (at := each - self._begin) < end]
+        for first, behind in pairwise([begin, *cuts, end]):
+            line = _Line.through(stamps, first, behind, pace.period_s, pace.window)
+            line = replace(line, number=self._begin + line.number)
+            run = bisect_right(self.numbers, self._begin + first)
+            known = self._lines.get(run)
+            self._lines[run] = line if known is None else known.joined(line)
+        self._settled = self._begin + end
+
+    def _joined(self, last: Pace) -> Pace:
+        earlier = last if self.pace is None else self.pace
+        gaps = {each.at for each in self.holes}
+        return Pace(
+            _slope_s(self._lines.values(), last.period_s),
+            earlier.burst,
+            max(earlier.spread_s, last.spread_s),
+            max(earlier.moves_s, last.moves_s),
+            max(earlier.overlap_s, last.overlap_s),
+            tuple(self.holes),
+            tuple(each for each in self.numbers if each not in gaps),
+            tuple(self._odd_steps),
+            tuple(self.stray),
+            last.ends_astray,
+            last.window,
+        )
 
 
 def _filled(stamps: Array, is_good: NDArray[np.bool_]) -> Array:
@@ -414,19 +481,62 @@ def _lowest(values: Array, window: int) -> Array:
     return found
 
 
-def _slope_s(runs: list[Array], usual_s: float, window: int) -> float:
-    """Return the common slope through the earliest timestamps of all runs, by least squares."""
-    products = squares = 0.0
-    for run in runs:
-        number = np.arange(len(run), dtype=np.float64)
-        rest = run - usual_s * number
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A line through the earliest timestamps of a run, as sums for least squares.
+
+    Attributes
+    ----------
+    count
+        Number of timestamps that it goes through.
+    number, stamp_s
+        Their mean index and mean timestamp.
+    products, squares
+        Sums of (index - mean) * (timestamp - mean) and of (index - mean) ** 2.
+    """
+
+    count: int
+    number: float
+    stamp_s: float
+    products: float
+    squares: float
+
+    @classmethod
+    def through(cls, stamps: Array, begin: int, end: int, usual_s: float, window: int) -> _Line:
+        """Return the line through the timestamps of a run from index `begin` to `end`."""
+        number = np.arange(end - begin, dtype=np.float64)
+        rest = stamps[begin:end] - usual_s * number
         lowest = _lowest(rest, window)
-        earlier = np.roll(lowest, min(window, len(run)) - 1)
+        earlier = np.roll(lowest, min(window, len(rest)) - 1)
         is_early = rest - np.minimum(lowest, earlier) <= usual_s
         number, rest = number[is_early], rest[is_early]
-        number -= number.mean()
-        products += float(number @ (rest - rest.mean()))
-        squares += float(number @ number)
+        middle, rest_s = float(number.mean()), float(rest.mean())
+        number -= middle
+        squares = float(number @ number)
+        products = float(number @ (rest - rest_s)) + usual_s * squares
+        return cls(len(number), begin + middle, rest_s + usual_s * middle, products, squares)
+
+    def joined(self, other: _Line) -> _Line:
+        """Return the line through the timestamps of both."""
+        count = self.count + other.count
+        part = other.count / count
+        number, stamp_s = other.number - self.number, other.stamp_s - self.stamp_s
+        weight = self.count * part
+        return _Line(
+            count,
+            self.number + number * part,
+            self.stamp_s + stamp_s * part,
+            self.products + other.products + weight * number * stamp_s,
+            self.squares + other.squares + weight * number * number,
+        )
+
+
+def _slope_s(lines: Iterable[_Line], usual_s: float) -> float:
+    """Return the common slope of the lines of all runs."""
+    products = squares = 0.0
+    for line in lines:
+        products += line.products - usual_s * line.squares
+        squares += line.squares
     slope_s = usual_s + products / squares if squares else usual_s
     return slope_s if slope_s > 0 else usual_s
 

@@ -1,20 +1,24 @@
 """Reads a recording: everything about its streams except their values.
 
-The file is read once, chunk by chunk. Only the timestamps (8 bytes per sample) and the samples of
-the agent's counters and events are kept in memory; values are only checked for NaN.
+The file is read once, chunk by chunk. The samples of the agent's counters and events are kept in
+memory, and the timestamps (8 bytes per sample) in a temporary file if there are many; values are
+only checked for NaN.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+import sys
+import tempfile
+import weakref
 from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import BinaryIO, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +46,8 @@ from biosensor_gateway.recording.xdf.samples import decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 _CLOCK_OFFSET = struct.Struct("<dd")
+# Numbers of timestamps of one stream.
+_MOST_IN_MEMORY = _BLOCK = 1 << 16
 
 
 class TakesChunks(Protocol):
@@ -195,6 +201,56 @@ def _clock_offset(content: memoryview) -> tuple[float, float]:
     return taken_at, offset
 
 
+class _Stamps:
+    """Timestamps in the order of the file; all but the last ones are in a temporary file."""
+
+    def __init__(self) -> None:
+        self._newest = array("d")
+        self._earlier: BinaryIO | None = None
+        self._stored = 0
+        self._most = _MOST_IN_MEMORY
+        self.last = 0.0
+
+    def __len__(self) -> int:
+        return self._stored + len(self._newest)
+
+    def add(self, stamps: NDArray[np.float64]) -> None:
+        if not len(stamps):
+            return
+        self.last = float(stamps[-1])
+        self._newest.frombytes(stamps.tobytes())
+        if len(self._newest) >= self._most:
+            self._store()
+
+    def _store(self) -> None:
+        try:
+            if self._earlier is None:
+                self._earlier = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - kept open
+                weakref.finalize(self, self._earlier.close)
+            self._earlier.seek(self._stored * self._newest.itemsize)
+            is_stored = self._earlier.write(self._newest) == memoryview(self._newest).nbytes
+        except OSError:
+            is_stored = False
+        if not is_stored:
+            # Without room on the disk, the rest stays in memory.
+            self._most = sys.maxsize
+            return
+        self._stored += len(self._newest)
+        self._newest = array("d")
+
+    def read(self, begin: int, end: int) -> NDArray[np.float64]:
+        """Return the timestamps from index `begin` to `end`."""
+        parts: list[NDArray[np.float64]] = []
+        if begin < self._stored and self._earlier is not None:
+            self._earlier.seek(begin * self._newest.itemsize)
+            size = (min(end, self._stored) - begin) * self._newest.itemsize
+            parts.append(np.frombuffer(self._earlier.read(size), np.float64))
+        if end > self._stored:
+            newest = self._newest[max(0, begin - self._stored) : end - self._stored]
+            parts.append(np.frombuffer(newest, np.float64))
+        return np.concatenate([np.empty(0), *parts])
+
+
 @dataclass(slots=True)
 class RecordedStream:
     """One stream of a recording.
@@ -220,27 +276,28 @@ class RecordedStream:
     footer: Footer | None = None
     texts: list[str] = field(default_factory=list[str])
     guessed_texts: int = 0
-    _stamps: array[float] = field(default_factory=lambda: array("d"))
+    _stamps: _Stamps = field(default_factory=_Stamps)
     # Number of samples before each clock offset, which assigns samples to clock runs.
     _before_offsets: array[int] = field(default_factory=lambda: array("q"))
 
     @property
     def stamps(self) -> NDArray[np.float64]:
-        """LSL time of every sample on the stream's own clock, in the order of the file.
+        """LSL time of every sample on the stream's own clock, in the order of the file."""
+        return self._stamps.read(0, self.sample_count)
 
-        This is a view, so no samples can be added while it is in use.
-        """
-        return np.frombuffer(self._stamps, np.float64) if self._stamps else np.empty(0)
+    def stamps_in_blocks(self) -> Iterator[NDArray[np.float64]]:
+        """Yield `stamps` in parts, so that only one is in memory."""
+        for begin in range(0, self.sample_count, _BLOCK):
+            yield self._stamps.read(begin, min(begin + _BLOCK, self.sample_count))
 
-    def times(self) -> NDArray[np.float64]:
-        """Return the recorder's LSL time of every sample, in s."""
+    def times_in_blocks(self) -> Iterator[NDArray[np.float64]]:
+        """Yield the recorder's LSL time of every sample in parts, in s."""
         clock = SenderClock(self.clock_offsets)
         bounds = [0, *self._before_offsets, self.sample_count]
-        parts = [
-            clock.to_recorder(self.stamps[begin:end], number)
-            for number, (begin, end) in enumerate(pairwise(bounds))
-        ]
-        return np.concatenate(parts)
+        for number, (first, last) in enumerate(pairwise(bounds)):
+            for begin in range(first, last, _BLOCK):
+                stamps = self._stamps.read(begin, min(begin + _BLOCK, last))
+                yield clock.to_recorder(stamps, number)
 
     @property
     def sample_count(self) -> int:
@@ -260,9 +317,8 @@ class RecordedStream:
         ChunkError
             If they cannot be decoded; none of them is added then.
         """
-        last_stamp = self._stamps[-1] if self._stamps else 0.0
-        block = decode(chunk.body, self.header, last_stamp)
-        self._stamps.frombytes(block.stamps.tobytes())
+        block = decode(chunk.body, self.header, self._stamps.last)
+        self._stamps.add(block.stamps)
         self.nan_counts += block.nan_counts
         self.guessed_texts += block.guessed
         header = self.header

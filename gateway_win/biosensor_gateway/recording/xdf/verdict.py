@@ -277,7 +277,7 @@ def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> M
     end = counters.figures.last
     if end is None:
         return stream
-    return replace(stream, counters=compare(run, stream.stream.stamps, end))
+    return replace(stream, counters=compare(run, stream.stream.stamps_in_blocks, end))
 
 
 def _refused(stream: Measured, run: Sequence[Reading]) -> Iterator[Finding]:

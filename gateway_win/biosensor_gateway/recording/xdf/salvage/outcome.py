@@ -24,7 +24,7 @@ from biosensor_gateway.recording.xdf.container import (
     open_recording,
     read_frame,
 )
-from biosensor_gateway.recording.xdf.measuring import clock_error
+from biosensor_gateway.recording.xdf.measuring import Course, clock_error
 from biosensor_gateway.recording.xdf.salvage.survey import (
     Break,
     KeptStream,
@@ -151,7 +151,7 @@ def _is_on_lsl_clock(stream: KeptStream) -> bool:
     return (
         bool(stream.sample_count)
         and bool(np.isfinite(ends).all())
-        and not clock_error(stream.header, stream.clock_offsets, ends, 0)
+        and not clock_error(stream.header, stream.clock_offsets, Course.of([ends]), 0)
     )
 
 
