@@ -28,6 +28,7 @@ from tests.recording_export.bids_shapes import SHAPES
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, UNIX_NS, ecg_values, study
 from tests.xdf import xdf_file as made
+from tests.xdf.test_judging import acc, paused_recording
 
 # Tables of comma-separated values: every sample once, and as it was.
 
@@ -324,3 +325,10 @@ def test_integers_of_64_bits_lose_nothing() -> None:
     assert rows_of_numbers(np.array([1.0]), values) == (
         b"1.0,9223372036854775807,-9223372036854775808\n"
     )
+
+
+def test_a_pause_is_told_where_gaps_are(exported: Exporting) -> None:
+    outcome = exported(paused_recording(*acc(1000, 1005), *acc(1009, 1020)), "csv")
+    told = "polar_h10/A1 of P01 was paused from 5.0 s to 8.0 s: what is missing then was not sent"
+    (readme,) = outcome.written[0].path.rglob("README.txt")
+    assert told in " ".join(readme.read_text().split())

@@ -24,6 +24,8 @@ from biosensor_gateway.features.sources import judge as judge_source
 from biosensor_gateway.recording.xdf.counters import Reading, refusals
 from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
 from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.printing import as_text
+from biosensor_gateway.recording.xdf.verdict import verdict
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.outlets import Outlet
@@ -31,7 +33,7 @@ from lsl_to_ros.reports.clock_pairs import EVENTS
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, only, text_of
 from tests.xdf.own_streams import own_header
-from tests.xdf.test_participants import heartbeat, judged, strap
+from tests.xdf.test_participants import AGENT, heartbeat, judged, strap
 
 # What is said of files in which one thing is wrong.
 
@@ -345,6 +347,45 @@ def test_from_when_to_when(kinds: tuple[str, str], said: str) -> None:
     events: list[object] = [heartbeat(**STREAMING), *changes]
     report = judged("P01", strap("P01"), events=events)
     assert text_of(report, "away") == f"polar_h10/A1 of P01 was {said}"
+
+
+def paused_recording(*stamps: float) -> bytes:
+    """Return a recording of a strap's acceleration, which was paused from 5 to 8 s."""
+    changes = [event("paused", 1005.0), event("resumed", 1008.0)]
+    texts = [[json.dumps(each)] for each in (heartbeat(**STREAMING), *changes)]
+    return x.xdf(
+        own_header(1, strap("P01"), "acc"),
+        x.samples(1, "float32", [[0.0, 0.0, 0.0]] * len(stamps), [*stamps]),
+        x.offsets(1, (1005, 1010, 1015)),
+        x.footer(1, len(stamps)),
+        own_header(9, AGENT, "events"),
+        x.samples(9, "string", texts, [1001.0 + k for k in range(len(texts))]),
+        x.offsets(9, (1005, 1010, 1015)),
+        x.footer(9, len(texts)),
+    )
+
+
+def acc(begin: float, end: float) -> list[float]:
+    return (begin + np.arange(round((end - begin) * 50)) / 50).tolist()
+
+
+def test_a_gap_in_a_pause_is_no_loss() -> None:
+    report = check(paused_recording(*acc(1000, 1005), *acc(1009, 1020)))
+    name = "P01-polar_h10-A1-acc"
+    assert ("gaps", name) not in codes(report)
+    assert text_of(report, "paused", name) == "1 pause of 4.02 s together; nothing of it is lost"
+    assert "lost)" not in as_text(report)
+    (judged_stream,) = (each for each in verdict(report).streams if each.name == name)
+    assert judged_stream.gaps == 0
+
+
+def test_a_gap_beside_a_pause_is_a_loss_all_the_same() -> None:
+    report = check(paused_recording(*acc(1000, 1002), *acc(1002.5, 1005), *acc(1009, 1020)))
+    text = text_of(report, "gaps", "P01-polar_h10-A1-acc")
+    assert text.startswith("1 gap of 0.52 s together, about 25 samples lost")
+    # Longer than the pause by more than its edges.
+    report = check(paused_recording(*acc(1000, 1002), *acc(1012, 1020)))
+    assert ("gaps", "P01-polar_h10-A1-acc") in codes(report)
 
 
 def test_of_one_that_comes_and_goes_the_rest_is_counted() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import shutil
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -11,6 +12,7 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
 from biosensor_gateway.recording.contents.rates import with_rates
@@ -39,6 +41,7 @@ from biosensor_gateway.recording.participants import (
     participant_of,
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.event_rules import pauses_told
 from biosensor_gateway.system.new_file import new_place
 
 Watch = Callable[[str, float], Progress]
@@ -101,6 +104,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         or a target cannot be written. Targets that were complete by then stay.
     """
     with open_contents(path) as contents:
+        recorded = {each.header.source_id: each.header.identity for each in contents.streams}
         participant = participant_of(path) if task.whose is Whose.NAME else ""
         for each in contents.streams if participant else ():
             each.take_wearer(participant)
@@ -115,7 +119,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
             participant,
             task.times,
             task.is_wide,
-            notes := tuple(_clock_notes(chosen, task)),
+            notes := (*_clock_notes(chosen, task), *_pause_notes(chosen, recorded)),
         )
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
@@ -214,6 +218,26 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
                 f"{each.header.name}: {each.clock_error}, so its time relative to the "
                 "other streams is unknown"
             )
+
+
+def _pause_notes(chosen: Chosen, recorded: Mapping[str, DeviceIdentity | None]) -> Iterator[str]:
+    """Yield a note about each sensor that was paused, whose gaps are told as missing samples.
+
+    Parameters
+    ----------
+    recorded
+        By source_id, with the participants as events have them.
+    """
+    contents = chosen.contents
+    found = (recorded.get(each.header.source_id) for each in chosen.streams)
+    devices = tuple(dict.fromkeys(each for each in found if each is not None))
+    for each in contents.streams:
+        if each.header.is_events:
+            blocks = list(each.blocks(-math.inf, math.inf))
+            texts = [str(text) for block in blocks for (text,) in block.values]
+            if texts:
+                ahead_s = float(blocks[0].times[0] - blocks[0].stamps[0])
+                yield from pauses_told(texts, devices, contents.begin_s - ahead_s)
 
 
 def _targets(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.naming import AGENT
@@ -13,6 +14,7 @@ from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS
 from biosensor_gateway.agent.selection import device_name, holders
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.measuring import Gap, Gaps
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.streaming.events import EventKind
@@ -20,6 +22,8 @@ from biosensor_gateway.streaming.events import EventKind
 _PAUSED, _NOT_CONNECTED = "paused", "not connected"
 _LINK = {EventKind.CONNECTED: "", EventKind.DISCONNECTED: _NOT_CONNECTED}
 _MOST_SPELLS = 3
+_EDGE_S = 3.0
+"""A device's last packet before a pause comes a while later, and after it 1 s is left out."""
 
 
 def tells_devices(recording: Recording) -> bool:
@@ -48,6 +52,65 @@ def judge_devices(
         yield from _jumped(own, events, extent)
         yield from _silent(own, events, extent)
         yield from _refused(own, events, extent)
+
+
+def without_pauses(streams: Sequence[Measured]) -> list[Measured]:
+    """Take those gaps out of each stream's gaps in which its device was paused."""
+    pauses: dict[str, list[_Spell]] = {}
+    for events in streams:
+        if events.stream.header.is_events:
+            own = [each for each in streams if _is_beside(each, events)]
+            spells = _spells(events.stream.texts, _recorded(own))
+            for each in own:
+                identity = each.stream.header.identity
+                of_one = spells.get(identity, []) if identity else []
+                paused = [spell for spell in of_one if spell.how == _PAUSED]
+                pauses.setdefault(each.stream.header.source_id, []).extend(paused)
+    return [_without(each, pauses.get(each.stream.header.source_id, ())) for each in streams]
+
+
+def _without(measured: Measured, pauses: Sequence[_Spell]) -> Measured:
+    figures = measured.figures
+    gaps = figures.gaps
+    paused = tuple(gap for gap in gaps.listed if any(_is_within(gap, each) for each in pauses))
+    # After a restart of the clock, gaps are on another clock than events.
+    if not paused or figures.offsets.resets:
+        return measured
+    told = Gaps(len(paused), 0, sum(gap.length_s for gap in paused), paused)
+    rest = Gaps(
+        gaps.count - told.count,
+        gaps.lost - sum(gap.lost for gap in paused),
+        gaps.total_s - told.total_s,
+        tuple(gap for gap in gaps.listed if gap not in paused),
+    )
+    return replace(measured, figures=replace(figures, gaps=rest, pauses=told))
+
+
+def _is_within(gap: Gap, pause: _Spell) -> bool:
+    """Whether nothing is missing in a gap besides what was not sent in a pause."""
+    begin, end = gap.after, gap.after + gap.length_s
+    since = begin if pause.since is None else max(begin, pause.since)
+    until = end if pause.until is None else min(end, pause.until)
+    return until > since and gap.length_s - (until - since) <= _EDGE_S
+
+
+def pauses_told(
+    texts: Sequence[str], recorded: Sequence[DeviceIdentity], begin_s: float
+) -> Iterator[str]:
+    """Yield a sentence for each recorded device that was paused.
+
+    Parameters
+    ----------
+    texts
+        Events of an agent, in the order of the file.
+    begin_s
+        Begin of the recording on the agent's clock, in seconds.
+    """
+    for device, spells in _spells(texts, recorded).items():
+        paused = [each for each in spells if each.how == _PAUSED]
+        if paused:
+            said = _spells_text(paused, lambda at: at - begin_s)
+            yield f"{_named(device)} was {said}: what is missing then was not sent, and is not lost"
 
 
 def _is_beside(stream: Measured, events: Measured) -> bool:
@@ -95,9 +158,7 @@ def _away(
     """Report when each recorded device was paused or not connected."""
     for device, spells in _spells(events.stream.texts, _recorded(own)).items():
         streams = [each for each in own if each.stream.header.identity == device]
-        said = ", ".join(_spell(each, events, extent) for each in spells[:_MOST_SPELLS])
-        more = len(spells) - _MOST_SPELLS
-        said += f" and {more} more times" if more > 0 else ""
+        said = _spells_text(spells, lambda at: extent.since_begin(at, events))
         named = _named(device)
         # A battery level may have been measured before the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
@@ -263,9 +324,15 @@ def _ways(
         yield device, _LINK[EventKind(kind)]
 
 
-def _spell(spell: _Spell, events: Measured, extent: Extent) -> str:
+def _spells_text(spells: Sequence[_Spell], since_begin: Callable[[float], float]) -> str:
+    said = ", ".join(_spell(each, since_begin) for each in spells[:_MOST_SPELLS])
+    more = len(spells) - _MOST_SPELLS
+    return said + (f" and {more} more times" if more > 0 else "")
+
+
+def _spell(spell: _Spell, since_begin: Callable[[float], float]) -> str:
     def at(time: float) -> str:
-        return f"{max(0.0, extent.since_begin(time, events)):.1f} s"
+        return f"{max(0.0, since_begin(time)):.1f} s"
 
     if spell.since is None and spell.until is None:
         return f"{spell.how} the whole time"

@@ -227,6 +227,11 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Leave the gaps out of the analysis. Wear the sensor on the side facing the receiver,"
         " and keep other radios away.",
     ),
+    "paused": Explanation(
+        "Pauses",
+        "Its sensor was paused, as after a withdrawal, so that nothing was sent; nothing is lost.",
+        "Leave that time out of the analysis of this sensor.",
+    ),
     "smeared-gaps": Explanation(
         "Gaps that loaders smooth out",
         "The header does not say that samples may be missing, so pyxdf and MATLAB's loader "

@@ -118,6 +118,8 @@ class Figures:
         exact.
     found_hz
         Rate of a stream whose header names none, if its samples are evenly spaced.
+    pauses
+        Gaps in which the device was paused, see `event_rules.without_pauses`; not among `gaps`.
     """
 
     first: float | None
@@ -132,6 +134,7 @@ class Figures:
     clock_error: str
     pace: Pace | None = None
     found_hz: float | None = None
+    pauses: Gaps = Gaps()
 
     @property
     def span_s(self) -> float:

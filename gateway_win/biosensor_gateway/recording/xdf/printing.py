@@ -164,6 +164,13 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
         ]
         more = ", ..." if figures.gaps.count > len(shown) else ""
         yield f"    gaps (samples lost): {', '.join(shown)}{more}"
+    if figures.pauses.count:
+        paused = [
+            f"{gap.length_s:.3g} s at {report.extent.since_begin(gap.after, measured):.1f} s"
+            for gap in figures.pauses.listed[:_GAPS_SHOWN]
+        ]
+        more = ", ..." if figures.pauses.count > len(paused) else ""
+        yield f"    paused: {', '.join(paused)}{more}"
     gappy = [
         f"{printable(label)} {share:.1%}"
         for label, share in zip(header.labels, figures.nan_shares, strict=True)

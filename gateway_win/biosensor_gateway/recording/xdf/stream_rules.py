@@ -141,6 +141,10 @@ def _bursts(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
 
 def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     header, gaps = measured.stream.header, measured.figures.gaps
+    if pauses := measured.figures.pauses.count:
+        times = "1 pause" if pauses == 1 else f"{pauses} pauses"
+        text = f"{times} of {measured.figures.pauses.total_s:.3g} s together; nothing of it is lost"
+        yield Level.NOTE, "paused", text
     if not gaps.count:
         return
     worst = max(gaps.listed, key=lambda gap: gap.length_s)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings, refusals
-from biosensor_gateway.recording.xdf.event_rules import judge_devices
+from biosensor_gateway.recording.xdf.event_rules import judge_devices, without_pauses
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import (
     About,
@@ -42,7 +42,7 @@ def judge(
 ) -> Report:
     """Measure every stream of a recording and report what is wrong; see `verdict.check`."""
     streams = [Measured(stream, measure(stream)) for stream in recording.streams]
-    streams, findings = compare_with_agent(streams)
+    streams, findings = compare_with_agent(without_pauses(streams))
     length = extent(streams)
     findings = [
         *_damaged(recording),

@@ -151,7 +151,7 @@ function App() {
         : html`<${Cards} live=${live.current} devices=${devices} onOpen=${setOpen} />`}
     </main>
     <footer class="small">
-      ${status?.settings_file && html`Settings: ${status.settings_file}`}
+      ${status?.settings_file && (status.virtual ? html`Virtual sensors; those of the settings are not used: ${status.settings_file}` : html`Settings: ${status.settings_file}`)}
       ${status && !status.virtual && !capture && html`<button class="plain" onClick=${() => choose(undefined)}>Help us: capture a device</button>`}
     </footer>
     ${question && html`<${Question} question=${question} />`}
