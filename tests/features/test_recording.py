@@ -138,11 +138,21 @@ def _loaded(path: str) -> list[Any]:
     return list(loaded[0])
 
 
-def _stream(number: int, kind: str, values: signals.Array, rate: float, unit: str) -> bytes:
+def _stream(
+    number: int,
+    kind: str,
+    values: signals.Array,
+    rate: float,
+    unit: str,
+    name: str = "",
+    **header: Any,
+) -> bytes:
     stamps: list[float] = (BEGIN_S + np.arange(len(values)) / rate).tolist()
     rows = values[:, np.newaxis].tolist()
     parts = [
-        made.stream_header(number, f"amp {kind}", kind=kind, rate=rate, desc=_described(unit)),
+        made.stream_header(
+            number, name or f"amp {kind}", kind=kind, rate=rate, desc=_described(unit), **header
+        ),
         made.offsets(number, stamps[::500], OFFSET_S),
     ]
     parts += [
@@ -161,6 +171,20 @@ def recording(tmp_path: Path) -> Path:
         + _stream(3, "Respiration", signals.breath(20, 60), 20, "N")
     )
     return path
+
+
+def test_a_stream_whose_features_another_one_gives_is_named(tmp_path: Path) -> None:
+    path, one = tmp_path / "strap.xdf", {"name": "strap", "source_id": "s1"}
+    ecg, pulse = signals.ecg(130, 40)[0], signals.pulse(64, 40)[0]
+    path.write_bytes(
+        made.xdf(_stream(1, "ECG", ecg, 130, "mV", **one), _stream(2, "PPG", pulse, 64, "", **one))
+    )
+    result = CliRunner().invoke(_COMMAND, [str(path), "--json"])
+    (sentence,) = json.loads(result.output)["refused"]
+    assert sentence == (
+        "no beats, hr_live, hr_live_quality, hr_state, hrv_live of stream 'strap' of type PPG: "
+        "stream 'strap' of type ECG has the source_id 's1' and gives them"
+    )
 
 
 def test_a_recording_gives_what_comes_live_to_the_last_bit(recording: Path) -> None:

@@ -269,7 +269,7 @@ class Outlet:
         unit: str = "microvolts",
         kind: str = "ECG",
     ) -> None:
-        self._uid, self._source_id = uid, source_id
+        self._uid, self._source_id, self._kind = uid, source_id, kind
         info = pylsl.StreamInfo("strap", kind, 1, 130.0, "float32", source_id)
         channel = info.desc().append_child("channels").append_child("channel")
         channel.append_child_value("label", "ECG")
@@ -284,6 +284,9 @@ class Outlet:
 
     def source_id(self) -> str:
         return self._source_id
+
+    def type(self) -> str:
+        return self._kind
 
     def name(self) -> str:
         return "strap"
@@ -460,6 +463,26 @@ def test_what_a_stream_leaves_is_computed_of_another_one_of_its_device(watched: 
     assert {each.source_id for each in watched.told.sources} == {"ppg"}
     data_names = {each.stream.data_name for each in watched.told.sources[-1].features}
     assert {"beats", "hr_live"} <= data_names
+
+
+def test_streams_of_other_types_may_have_one_source_id(watched: Watched) -> None:
+    ecg, pulse, breath = (
+        Outlet(FIRST),
+        Outlet(SECOND, kind="PPG"),
+        Outlet("uid-3", kind="Respiration"),
+    )
+    ecg.sends = breath.sends = True
+    for _ in range(3):
+        watched.see(ecg, pulse, breath, seconds=DUPLICATE_S)
+    of = {each.header.content_type: each.features for each in watched.told.sources}
+    names = {kind: {each.stream.data_name for each in features} for kind, features in of.items()}
+    assert "hr_live" in names["ECG"]
+    assert "hr_live" not in names.get("PPG", set())
+    assert "br_live" in names["Respiration"]
+    assert (ecg.openings, ecg.closings) == (1, 0)
+    (sentence,) = watched.told.sentences
+    assert "hr_live" in sentence
+    assert "stream 'strap' of type ECG has the source_id 'strap' and gives them" in sentence
 
 
 ECG = raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ecg"), 130)

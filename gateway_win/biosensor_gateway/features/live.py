@@ -26,7 +26,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import READ_TYPES
 from biosensor_gateway.features.runs import Event
-from biosensor_gateway.features.sources import FeatureError, Source, Taken, choose, judge
+from biosensor_gateway.features.sources import FeatureError, Source, Taken, choose, judge, left_out
 from biosensor_gateway.features.witnesses import Witnesses
 
 _OPEN_S = 5.0
@@ -274,6 +274,7 @@ class Live:
         self._waiting: list[_Seen] = []
         # Streams with features that a better stream of their device provides now.
         self._spare: dict[str, _Seen] = {}
+        self._told_spare: set[str] = set()
         self._taken: Taken = set()
         self._stages: dict[str, _Stage] = {}
         # When the first sample of each device came.
@@ -388,6 +389,14 @@ class Live:
             source = replace(source, features=(*known.source.features, *source.features))
         self._spare[info.uid()] = _Seen(source, info, self._clock())
 
+    def _tell_spare(self, source: Source) -> None:
+        """Say once of another program's stream which other one provides its features."""
+        owners = (each.source for each in self._stages.values() if not each.is_lost)
+        why = left_out(source, source.features, owners)
+        if why and why not in self._told_spare:
+            self._told_spare.add(why)
+            self._refuse(Refusal.NO_FEATURES, about=source.name, why=why)
+
     def _has_rival(self, source: Source) -> bool:
         """Whether another stream of the device could provide some of the features."""
         wanted = {each.stream.data_name for each in source.features}
@@ -460,6 +469,9 @@ class Live:
                 self._spare_for_later(replace(seen.source, features=tuple(left)), seen.info)
             if source is not None:
                 self._start(source, seen.info)
+        for seen in ready:
+            if (spare := self._spare.get(seen.info.uid())) is not None:
+                self._tell_spare(spare.source)
         for stage in self._stages.values():
             stage.has_rival = self._has_rival(stage.source)
 
@@ -473,8 +485,11 @@ class Live:
 
 
 def _key(info: pylsl.StreamInfo) -> str:
-    """Return a key of a stream that survives restarts, if it has a source_id."""
-    return info.source_id() or info.uid()
+    """Return a key of a stream that survives restarts, if it has a source_id.
+
+    Some programs give all streams of a device one source_id.
+    """
+    return f"{info.type()} {info.source_id()}" if info.source_id() else info.uid()
 
 
 def _description(info: pylsl.StreamInfo) -> str:

@@ -23,6 +23,7 @@ from biosensor_gateway.features.sources import (
     Taken,
     choose,
     judge,
+    left_out,
 )
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import open_contents
@@ -135,15 +136,11 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
     empty = [each for each in found if not by_header[id(each.header)].sample_count]
     taken: Taken = set()
     chosen = [*choose(full, taken), *choose(empty, taken)]
-    kept = {id(each.header) for each in chosen}
-    owners = {(each.identity, each.header.content_type): each for each in chosen}
+    kept = {id(each.header): each.features for each in chosen}
     for each in found:
-        other = owners.get((each.identity, each.header.content_type))
-        if id(each.header) not in kept and other is not None and other.header.foreign:
-            refused.append(
-                f"stream {each.name!r}: left out, for stream {other.name!r} has its source_id "
-                f"{each.source_id!r}, too, and nothing tells their features apart"
-            )
+        left = [one for one in each.features if one not in kept.get(id(each.header), ())]
+        if why := left_out(each, left, chosen):
+            refused.append(why)
     return [(by_header[id(each.header)], each) for each in chosen], refused
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, unique
 
@@ -302,6 +302,32 @@ def choose(sources: Iterable[Source], taken: Taken) -> list[Source]:
         if left or not source.features:
             chosen.append(replace(source, features=left))
     return chosen
+
+
+def left_out(source: Source, features: Sequence[Feature], owners: Iterable[Source]) -> str:
+    """Say why another program's stream does not provide features; empty if it need not be said.
+
+    The header of such a stream does not tell of which device it is, so streams with one name and
+    source_id are taken for those of one device.
+
+    Parameters
+    ----------
+    features
+        Those that it does not provide.
+    owners
+        The streams of which features are computed.
+    """
+    names = {each.stream.data_name for each in features}
+    for owner in owners:
+        theirs = {each.stream.data_name for each in owner.features}
+        is_of_device = owner.identity == source.identity and owner.header is not source.header
+        if source.header.foreign and is_of_device and (shared := sorted(names & theirs)):
+            return (
+                f"no {', '.join(shared)} of stream {source.name!r} of type "
+                f"{source.header.content_type}: stream {owner.name!r} of type "
+                f"{owner.header.content_type} has the source_id {owner.source_id!r} and gives them"
+            )
+    return ""
 
 
 def _rank(source: Source) -> tuple[int, str, str]:
