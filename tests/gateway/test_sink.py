@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 
+import numpy as np
 import pylsl
 import pytest
 from structlog.testing import capture_logs
@@ -12,7 +13,7 @@ from structlog.testing import capture_logs
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.streaming.sink import WAITED_S, Arrivals, DeviceSink
 
 ECG_PERIOD_S = 0.004
 DEVICE_S = 8.2e8
@@ -162,3 +163,27 @@ def test_a_stamp_from_the_future_is_refused_and_holds_nothing_back(sink: DeviceS
     counted = counters(sink, "ecg")
     assert (counted.refused, counted.pushed) == (1, 2)
     assert counted.last_stamp == pytest.approx(now + ECG_PERIOD_S)
+
+
+@pytest.mark.parametrize("held_s", [1.5, 2.5, 7.2])
+def test_all_that_waited_together_is_told_and_the_rest_is_less_than_a_period_late(
+    held_s: float,
+) -> None:
+    """A strap without device times sends a heart rate each second; the link holds them at first."""
+    for phase_s in np.arange(0.05, 1.0, 0.1):
+        told: list[int] = []
+        arrivals = Arrivals(lambda _name, count, _seconds, told=told: told.append(count))
+        arrivals.note("hr", 0.0, 1)
+        errors_s: list[float] = []
+        for number in range(20):
+            measured_s = 100.0 - held_s + phase_s + number
+            arrival_s = max(100.0 + 0.01 * number, measured_s)
+            assert not arrivals.waited_s(arrival_s)
+            arrivals.note("hr", arrival_s, 1)
+            errors_s.append(arrival_s - measured_s)
+        late = sum(error_s > WAITED_S for error_s in errors_s)
+        if errors_s[1] > 0.0:
+            assert late <= sum(told) <= held_s + 2
+        else:
+            # One that waited alone: nothing tells so, and the next one came in time.
+            assert max(errors_s) < 1.0

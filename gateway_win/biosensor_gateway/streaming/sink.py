@@ -423,7 +423,8 @@ class Arrivals:
     """Finds samples that are stamped by their arrival although they had waited.
 
     On a link that keeps its order, packets that the device stamps tell how late those around them
-    are. Without any, samples of one stream that arrive together are as late as they are many.
+    are. Without any, samples of one stream that arrive together are as late as they are many; one
+    that has waited alone is not found, and is late by less than the time between two.
 
     Parameters
     ----------
@@ -444,7 +445,7 @@ class Arrivals:
         self._late_s, self._observed_s = late_s if late_s > WAITED_S else 0.0, arrival_s
         noted, self._noted = self._noted, {}
         for data_name, (noted_s, count) in noted.items():
-            if self._late_s and arrival_s - noted_s <= TOGETHER_S:
+            if count and self._late_s and arrival_s - noted_s <= TOGETHER_S:
                 self._tell(data_name, count, late_s)
 
     def waited_s(self, arrival_s: float) -> float:
@@ -458,10 +459,11 @@ class Arrivals:
             self._tell(data_name, count, waited_s)
             return  # nothing is dropped: it was emitted, and is reported
         noted_s, earlier = self._noted.get(data_name, (-math.inf, 0))
-        self._noted[data_name] = arrival_s, count
         if arrival_s - noted_s <= TOGETHER_S:
-            # They were measured since something came before.
-            self._tell(data_name, earlier, arrival_s - self._before_s)
+            # They were measured since something came before, the last one up to a period ago.
+            self._tell(data_name, earlier + count, arrival_s - self._before_s)
+            count = 0
+        self._noted[data_name] = arrival_s, count
 
     def _follow(self, arrival_s: float) -> None:
         if self._newest_s is None or arrival_s - self._newest_s > TOGETHER_S:
