@@ -32,7 +32,7 @@ from tests.faults.expectations import numeric_streams
 from tests.faults.matching import match
 from tests.faults.recorder import Recorded
 from tests.page.conftest import DEADLINE_S, Programs, Server
-from tests.page.test_web_markers_guard import is_ready, is_right, zero_of
+from tests.page.test_web_experiments import is_ready, is_right, zero_of
 from tests.page.web_lab import Site, free_port
 from tests.rigs.lab_client import LabProcess, Samples, settings_toml
 from tests.rigs.priority import before_others
