@@ -25,7 +25,7 @@ from biosensor_gateway.recording.xdf.counters import Reading, refusals
 from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.printing import as_text
-from biosensor_gateway.recording.xdf.verdict import verdict
+from biosensor_gateway.recording.xdf.verdict import Colour, verdict
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.outlets import Outlet
@@ -347,6 +347,21 @@ def test_from_when_to_when(kinds: tuple[str, str], said: str) -> None:
     events: list[object] = [heartbeat(**STREAMING), *changes]
     report = judged("P01", strap("P01"), events=events)
     assert text_of(report, "away") == f"polar_h10/A1 of P01 was {said}"
+
+
+@pytest.mark.parametrize(("started", "is_other"), [(1007.5, False), (950.0, True)])
+def test_another_agent_is_told_from_one_that_was_started_again(
+    started: float, is_other: bool
+) -> None:
+    """As LabRecorder did when an agent was killed and one of another session had its names."""
+    first = heartbeat(**STREAMING) | {"agent_started": 900.0, "lsl_time": 1006.0}
+    second = first | {"agent_started": started, "lsl_time": 1009.0}
+    report = judged("P01", strap("P01"), events=[first, first, second, second])
+    found = [each for each in report.findings if each.code == "another-agent"]
+    assert [each.level for each in found] == [Level.ERROR] * is_other
+    if is_other:
+        assert found[0].text.startswith("from 9.0 s on it is of another agent")
+        assert verdict(report).colour is Colour.RED
 
 
 def paused_recording(*stamps: float) -> bytes:

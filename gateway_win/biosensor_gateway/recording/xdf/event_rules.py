@@ -46,6 +46,7 @@ def judge_devices(
         if not events.stream.header.is_events:
             continue
         own = [each for each in streams if _is_beside(each, events)]
+        yield from _another_agent(events, extent)
         yield from _left_out(own, events)
         yield from _removed(own, events, extent)
         yield from _away(own, events, extent, without)
@@ -116,6 +117,28 @@ def pauses_told(
 def _is_beside(stream: Measured, events: Measured) -> bool:
     header = stream.stream.header
     return header.is_of_agent and header.hostname == events.stream.header.hostname
+
+
+def _another_agent(events: Measured, extent: Extent) -> Iterator[Finding]:
+    """Report that the recorder went on with the stream of another agent.
+
+    One that is started again after a crash has begun after the last heartbeat before it.
+    """
+    before_s, started_s = -math.inf, 0.0
+    for event in _events(events.stream.texts):
+        if event.get("event") != EventKind.HEARTBEAT:
+            continue
+        now_s, started_before_s = _time(event), started_s
+        started_s = _number(event, "agent_started")
+        if 0.0 < started_s < before_s and started_s != started_before_s:
+            text = (
+                f"from {extent.since_begin(now_s, events):.1f} s on it is of another agent, which "
+                "runs at the same time with the same source_id, as in another LSL session: data "
+                "from then on may be another person's"
+            )
+            yield Finding(Level.ERROR, "another-agent", events.name, text)
+            return
+        before_s = now_s
 
 
 def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:

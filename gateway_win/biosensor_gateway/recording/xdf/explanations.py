@@ -139,6 +139,13 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "From then on its streams had other names, which the recorder did not know.",
         "Use the data before that time; only change settings between recordings.",
     ),
+    "another-agent": Explanation(
+        "The recorder went on with another agent",
+        "LabRecorder finds a stream that ended again by its source_id alone, also in another LSL "
+        "session.",
+        "Use the data before that time only. Give each room its own participant names; the "
+        "`doctor` command says where another session has the same source_id.",
+    ),
     "away": Explanation(
         "A sensor was disconnected for a while",
         "It was paused or not connected, and nothing was measured during that time.",
