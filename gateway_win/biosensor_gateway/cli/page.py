@@ -37,6 +37,29 @@ def _checked_minutes(minutes: float) -> float:
     return minutes
 
 
+EndAfterOption = Annotated[
+    float,
+    typer.Option(
+        metavar="MINUTES",
+        callback=_checked_minutes,
+        help="End after so many minutes without a window, an agent and a recording.",
+        show_default="never",
+    ),
+]
+ShareOption = Annotated[
+    bool,
+    typer.Option("--share", help="Other computers may look on, over TLS; they change nothing."),
+]
+LslOption = Annotated[
+    bool,
+    typer.Option(
+        "--lsl",
+        help="Show the LSL streams that arrive at this computer, ours and other programs', "
+        "without an agent: for the robot's computer.",
+    ),
+]
+
+
 def page(
     settings: SettingsOption = None,
     browser: Annotated[
@@ -46,30 +69,12 @@ def page(
         bool,
         typer.Option("--window", help="Open it in a separate window, if there is Edge or Chrome."),
     ] = False,
-    end_after: Annotated[
-        float,
-        typer.Option(
-            metavar="MINUTES",
-            callback=_checked_minutes,
-            help="End after so many minutes without a window, an agent and a recording.",
-            show_default="never",
-        ),
-    ] = math.inf,
-    share: Annotated[
-        bool,
-        typer.Option("--share", help="Other computers may look on, over TLS; they change nothing."),
-    ] = False,
+    end_after: EndAfterOption = math.inf,
+    share: ShareOption = False,
     share_port: Annotated[
         int, typer.Option(min=0, max=65535, help="TCP port for them; 0 for any that is free.")
     ] = SHARE_PORT,
-    lsl: Annotated[
-        bool,
-        typer.Option(
-            "--lsl",
-            help="Show the LSL streams that arrive at this computer, ours and other programs', "
-            "without an agent: for the robot's computer.",
-        ),
-    ] = False,
+    lsl: LslOption = False,
     end: Annotated[
         bool, typer.Option("--end", help="End the page that runs; the agent goes on.")
     ] = False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -37,6 +37,7 @@ from biosensor_gateway.recording.recorder.result import By, Started, Status, Sto
 from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import Devices, look
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system.cloud_folders import usual_recordings_folder
 
@@ -243,6 +244,62 @@ FileOption = Annotated[
 ]
 
 
+NewFileOption = Annotated[
+    Path | None,
+    typer.Option(help="Record to this file (LabRecorder's window makes it lower-case)."),
+]
+FolderOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Record below this folder; it is watched to see the file grow. Without it and "
+        "without a window, the page's folder is used: 'Biosensor recordings' in your documents."
+    ),
+]
+RecorderFolderOption = Annotated[
+    str, typer.Option(help="That folder's path on LabRecorder's computer, if it differs.")
+]
+ParticipantOption = Annotated[
+    str | None, typer.Option(help="Give the file a BIDS name: the participant's pseudonym.")
+]
+SessionOption = Annotated[str | None, typer.Option(help="BIDS session, else S001.")]
+TaskOption = Annotated[str | None, typer.Option(help="BIDS task, else Default.")]
+RunOption = Annotated[
+    int | None, typer.Option(min=1, max=MAX_RUN, help="BIDS run, else the first.")
+]
+AcquisitionOption = Annotated[str | None, typer.Option(help="BIDS acquisition, else none.")]
+ModalityOption = Annotated[str | None, typer.Option(help="BIDS modality, else beh.")]
+AllStreamsOption = Annotated[
+    bool, typer.Option("--all", help="Do not warn of other programs' streams.")
+]
+OnlyOursOption = Annotated[
+    bool,
+    typer.Option(
+        "--only-ours", help="Leave out other programs' streams; LabRecorder's window cannot."
+    ),
+]
+AllowMissingOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-missing", help="Start although streams are missing, or sensors do not stream."
+    ),
+]
+OtherParticipantsOption = Annotated[
+    bool,
+    typer.Option(
+        "--other-participants", help="Start although others than PARTICIPANT wear the sensors."
+    ),
+]
+TimeoutOption = Annotated[
+    float, typer.Option(min=1, help="How many seconds the file may take to grow.")
+]
+HereOption = Annotated[
+    bool, typer.Option("--here", help="Record without LabRecorder's window in any case.")
+]
+WindowOption = Annotated[
+    bool, typer.Option("--window", help="Record with LabRecorder's window in any case.")
+]
+
+
 @app.callback()
 def _group() -> None:
     """Start, watch and stop recordings."""
@@ -250,60 +307,22 @@ def _group() -> None:
 
 @app.command("start")
 def start(
-    file: Annotated[
-        Path | None,
-        typer.Option(help="Record to this file (LabRecorder's window makes it lower-case)."),
-    ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            help="Record below this folder; it is watched to see the file grow. Without it and "
-            "without a window, the page's folder is used: 'Biosensor recordings' in your documents."
-        ),
-    ] = None,
-    recorder_folder: Annotated[
-        str, typer.Option(help="That folder's path on LabRecorder's computer, if it differs.")
-    ] = "",
-    participant: Annotated[
-        str | None, typer.Option(help="Give the file a BIDS name: the participant's pseudonym.")
-    ] = None,
-    session: Annotated[str | None, typer.Option(help="BIDS session, else S001.")] = None,
-    task: Annotated[str | None, typer.Option(help="BIDS task, else Default.")] = None,
-    run: Annotated[
-        int | None, typer.Option(min=1, max=MAX_RUN, help="BIDS run, else the first.")
-    ] = None,
-    acquisition: Annotated[str | None, typer.Option(help="BIDS acquisition, else none.")] = None,
-    modality: Annotated[str | None, typer.Option(help="BIDS modality, else beh.")] = None,
-    all_streams: Annotated[
-        bool, typer.Option("--all", help="Do not warn of other programs' streams.")
-    ] = False,
-    only_ours: Annotated[
-        bool,
-        typer.Option(
-            "--only-ours", help="Leave out other programs' streams; LabRecorder's window cannot."
-        ),
-    ] = False,
-    allow_missing: Annotated[
-        bool,
-        typer.Option(
-            "--allow-missing", help="Start although streams are missing, or sensors do not stream."
-        ),
-    ] = False,
-    other_participants: Annotated[
-        bool,
-        typer.Option(
-            "--other-participants", help="Start although others than PARTICIPANT wear the sensors."
-        ),
-    ] = False,
-    timeout: Annotated[
-        float, typer.Option(min=1, help="How many seconds the file may take to grow.")
-    ] = GROWTH_S,
-    here: Annotated[
-        bool, typer.Option("--here", help="Record without LabRecorder's window in any case.")
-    ] = False,
-    window: Annotated[
-        bool, typer.Option("--window", help="Record with LabRecorder's window in any case.")
-    ] = False,
+    file: NewFileOption = None,
+    folder: FolderOption = None,
+    recorder_folder: RecorderFolderOption = "",
+    participant: ParticipantOption = None,
+    session: SessionOption = None,
+    task: TaskOption = None,
+    run: RunOption = None,
+    acquisition: AcquisitionOption = None,
+    modality: ModalityOption = None,
+    all_streams: AllStreamsOption = False,
+    only_ours: OnlyOursOption = False,
+    allow_missing: AllowMissingOption = False,
+    other_participants: OtherParticipantsOption = False,
+    timeout: TimeoutOption = GROWTH_S,
+    here: HereOption = False,
+    window: WindowOption = False,
     host: HostOption = None,
     port: PortOption = None,
     settings: SettingsOption = None,
@@ -326,9 +345,7 @@ def start(
     if here and (window or host or port):
         raise typer.BadParameter("--here excludes --window, --host and --port")
     labels = _labels(
-        participant,
-        {"session": session, "task": task, "acquisition": acquisition, "modality": modality},
-        run,
+        participant, run, session=session, task=task, acquisition=acquisition, modality=modality
     )
     request = RecordingRequest(
         folder,
@@ -345,20 +362,8 @@ def start(
     )
     loaded = settings_or_defaults(settings)
     is_here = here or not (window or host or port or has_window(LOCAL_HOST, DEFAULT_PORT))
-
-    if is_here and file is None and folder is None:
-        request = replace(request, folder=usual_recordings_folder())
-
-    def begin(request: RecordingRequest) -> Started:
-        streams = partial(look, loaded, state_folder())
-        if is_here:
-            return LocalRecorder(state_folder()).start(request, streams, loaded.lsl.overrides)
-        return _window(host, port).start(request, streams)
-
-    try:
-        started = begin(request)
-    except SensorsAwayError as error:
-        started = begin(without_sensors(request, error))
+    recorder = LocalRecorder(state_folder()) if is_here else _window(host, port)
+    started = _begin(recorder, request, loaded)
     warn(started.warnings, silent=as_json)
     typer.echo(as_json_text(started) if as_json else start_text(started))
 
@@ -367,9 +372,23 @@ def _window(host: str | None, port: int | None) -> LabRecorder:
     return LabRecorder(host or LOCAL_HOST, port or DEFAULT_PORT, state_folder())
 
 
-def _labels(
-    participant: str | None, others: Mapping[str, str | None], run: int | None
-) -> BidsLabels | None:
+def _begin(
+    recorder: LocalRecorder | LabRecorder, request: RecordingRequest, settings: GatewaySettings
+) -> Started:
+    streams = partial(look, settings, state_folder())
+    if isinstance(recorder, LocalRecorder):
+        if request.file is None and request.folder is None:
+            request = replace(request, folder=usual_recordings_folder())
+        start = partial(recorder.start, lsl=settings.lsl.overrides)
+    else:
+        start = recorder.start
+    try:
+        return start(request, streams)
+    except SensorsAwayError as error:
+        return start(without_sensors(request, error), streams)
+
+
+def _labels(participant: str | None, run: int | None, **others: str | None) -> BidsLabels | None:
     given = {name: value for name, value in others.items() if value is not None}
     if participant is None:
         if given or run is not None:

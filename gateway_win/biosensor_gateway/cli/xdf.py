@@ -48,68 +48,80 @@ from biosensor_gateway.settings.places import settings_path
 app = typer.Typer(no_args_is_help=True)
 
 
+FilesArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...",
+        help="The recordings, or folders of recordings.",
+        show_default=False,
+    ),
+]
+FormatsOption = Annotated[
+    list[str],
+    typer.Option("--to", metavar="FORMAT", help=f"{', '.join(FORMATS)} (repeatable)."),
+]
+ClockOption = Annotated[
+    exporter.Clock, typer.Option(help="LSL time, or Unix time if the recording contains it.")
+]
+TimesOption = Annotated[
+    exporter.Times,
+    typer.Option(
+        help="Of streams with a rate: as recorded, or on a straight line between two gaps, "
+        "where a gap is an event and ends no file."
+    ),
+]
+WideOption = Annotated[
+    bool,
+    typer.Option("--wide", help="For csv; also one table for each rate, streams side by side."),
+]
+RatesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="HZ",
+        help="For edf, kubios and bids: the rate of streams whose headers name none, if you "
+        "know it; also NAME=HZ, of one of them (repeatable).",
+        show_default=False,
+    ),
+]
+TaskOption = Annotated[
+    str, typer.Option(help="For bids; else from the recording's name, or study.")
+]
+SessionOption = Annotated[str, typer.Option(help="For bids; else from the recording's name.")]
+WhoseOption = Annotated[
+    Whose | None,
+    typer.Option(
+        help="Which one is right if the recording's name says another participant than its "
+        "sensors.",
+        show_default=False,
+    ),
+]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PLACE",
+        help="Folder or new file to write, instead of beside the recording; with --to bids, "
+        "also an existing data set, to which recordings are added.",
+        show_default=False,
+    ),
+]
+
+
 def export_recording(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="The recordings, or folders of recordings.",
-            show_default=False,
-        ),
-    ],
-    to: Annotated[
-        list[str],
-        typer.Option("--to", metavar="FORMAT", help=f"{', '.join(FORMATS)} (repeatable)."),
-    ],
+    files: FilesArgument,
+    to: FormatsOption,
     streams: StreamsOption = None,
     participant: ParticipantOption = "",
     without: WithoutOption = "",
     begin: FromOption = "",
     end: UntilOption = "",
-    clock: Annotated[
-        exporter.Clock, typer.Option(help="LSL time, or Unix time if the recording contains it.")
-    ] = exporter.Clock.LSL,
-    times: Annotated[
-        exporter.Times,
-        typer.Option(
-            help="Of streams with a rate: as recorded, or on a straight line between two gaps, "
-            "where a gap is an event and ends no file."
-        ),
-    ] = exporter.Times.RECORDED,
-    wide: Annotated[
-        bool,
-        typer.Option("--wide", help="For csv; also one table for each rate, streams side by side."),
-    ] = False,
-    rate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="HZ",
-            help="For edf, kubios and bids: the rate of streams whose headers name none, if you "
-            "know it; also NAME=HZ, of one of them (repeatable).",
-            show_default=False,
-        ),
-    ] = None,
-    task: Annotated[
-        str, typer.Option(help="For bids; else from the recording's name, or study.")
-    ] = "",
-    session: Annotated[str, typer.Option(help="For bids; else from the recording's name.")] = "",
-    whose: Annotated[
-        Whose | None,
-        typer.Option(
-            help="Which one is right if the recording's name says another participant than its "
-            "sensors.",
-            show_default=False,
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PLACE",
-            help="Folder or new file to write, instead of beside the recording; with --to bids, "
-            "also an existing data set, to which recordings are added.",
-            show_default=False,
-        ),
-    ] = None,
+    clock: ClockOption = exporter.Clock.LSL,
+    times: TimesOption = exporter.Times.RECORDED,
+    wide: WideOption = False,
+    rate: RatesOption = None,
+    task: TaskOption = "",
+    session: SessionOption = "",
+    whose: WhoseOption = None,
+    output: OutputOption = None,
     print_json: JsonOption = False,
 ) -> None:
     """Write a recording in other formats; exit code 1 if not all of it could be written.
@@ -122,14 +134,7 @@ def export_recording(
     and --output, several recordings are added to one data set, which may exist; recordings that
     were added before are not written again.
     """
-    for each in to:
-        if each not in FORMATS:
-            hint = did_you_mean(each, FORMATS)
-            message = f"there is no format {each!r}{hint}; there is {', '.join(FORMATS)}"
-            raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    if wide and not {"csv", "csv.gz"} & {*to}:
-        message = "--wide is of --to csv and --to csv.gz; other formats have no such tables"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    _refuse_wrong_formats(to, wide=wide)
     wish = Wish(streams or (), begin, end, participant, without)
     # Brings what writes a data set.
     from biosensor_gateway.recording.export.bids.study import is_dataset
@@ -148,13 +153,7 @@ def export_recording(
         rates=_rates(rate or ()),
     )
     if len(files) == 1 and not files[0].is_dir() and not (output and is_dataset(output)):
-        with wrong_recording(), _bars() as watch:
-            outcome = export(files[0], wanted, watch)
-        if print_json:
-            typer.echo(printing.as_json(outcome))
-        else:
-            _say_outcome(outcome)
-        is_certain = outcome.is_certain
+        is_certain = _export_one(files[0], wanted, print_json=print_json)
     else:
         recordings, left_out = recordings_in(files)
         for each in left_out:
@@ -162,6 +161,17 @@ def export_recording(
         is_certain = _export_all(recordings, wanted, print_json=print_json)
     if not is_certain:
         raise typer.Exit(1)
+
+
+def _refuse_wrong_formats(names: Sequence[str], *, wide: bool) -> None:
+    for name in names:
+        if name not in FORMATS:
+            hint = did_you_mean(name, FORMATS)
+            message = f"there is no format {name!r}{hint}; there is {', '.join(FORMATS)}"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    if wide and not {"csv", "csv.gz"} & {*names}:
+        message = "--wide is of --to csv and --to csv.gz; other formats have no such tables"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
 def _rates(typed: Sequence[str]) -> dict[str, float]:
@@ -179,6 +189,16 @@ def _rates(typed: Sequence[str]) -> dict[str, float]:
         found[name or "*"] = rate_hz
     # What is of one stream comes before what is of all.
     return dict(sorted(found.items(), key=lambda each: each[0] == "*"))
+
+
+def _export_one(recording: Path, task: Task, *, print_json: bool) -> bool:
+    with wrong_recording(), _bars() as watch:
+        outcome = export(recording, task, watch)
+    if print_json:
+        typer.echo(printing.as_json(outcome))
+    else:
+        _say_outcome(outcome)
+    return outcome.is_certain
 
 
 def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -135,16 +135,7 @@ def open_outputs(
         publisher = opened(f"{topic.data}_stamped", stamped_class(header.message_type))
         stamped = EventWriter if header.message_type.is_text else SamplesWriter
         outputs.timed.append(stamped(publisher, context))
-    for standard in standard_messages(header, context.frame_id):
-        try:
-            publisher = opened(standard.data, STANDARD_CLASSES[standard.type_name])
-        except TopicTypeError:
-            # Another stream of the device already has that name.
-            name = f"{topic.base}/{standard.data}"
-            context.refusals.refuse(Refusal.NO_STANDARD_TOPIC, topic=name)
-            continue
-        context.refusals.over(Refusal.NO_STANDARD_TOPIC)
-        outputs.timed.append(StandardMessageWriter(publisher, standard, context.stamping))
+    outputs.timed += _standard_writers(context, opened)
     if header.chunk:
         kind = chunk_type(header.message_type)
         # The chunk's name differs from the data name only where a declaration says so.
@@ -153,6 +144,21 @@ def open_outputs(
         columns = first.columns if first else len(header.labels)
         outputs.chunk = ChunkWriter(publisher, kind, columns)
     return outputs
+
+
+def _standard_writers(
+    context: StreamContext, opened: Callable[[str, type], TopicPublisher]
+) -> Iterator[Writer]:
+    for standard in standard_messages(context.header, context.frame_id):
+        try:
+            publisher = opened(standard.data, STANDARD_CLASSES[standard.type_name])
+        except TopicTypeError:
+            # Another stream of the device already has that name.
+            name = f"{context.topic.base}/{standard.data}"
+            context.refusals.refuse(Refusal.NO_STANDARD_TOPIC, topic=name)
+            continue
+        context.refusals.over(Refusal.NO_STANDARD_TOPIC)
+        yield StandardMessageWriter(publisher, standard, context.stamping)
 
 
 def _raw_writer(publisher: TopicPublisher, context: StreamContext) -> Writer:
