@@ -23,10 +23,10 @@ from rosbags.rosbag2 import Reader
 
 from biosensor_common.errors import GatewayError
 from biosensor_common.naming import source_id
+from biosensor_common.quantities import queue_depth
 from biosensor_common.ros.fields import bulk_of, fields_of, has_header
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_common.spec import DeviceIdentity
-from biosensor_common.topic_shape import queue_depth
 from biosensor_gateway.recording.bag import types
 from biosensor_gateway.recording.bag.importing import import_bag
 from biosensor_gateway.recording.bag.types import Topic

@@ -17,6 +17,13 @@ from hypothesis import strategies as st
 
 from biosensor_common import liblsl
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError
+from biosensor_common.lsl.api_file import (
+    LslOverrides,
+    config_places,
+    effective_config,
+    home_config_file,
+    user_config_file,
+)
 from biosensor_common.lsl.inlet import MOST_BUFFERED, buffer_length
 from biosensor_common.lsl.network import matches_query
 from biosensor_common.lsl.predicates import (
@@ -30,13 +37,6 @@ from biosensor_common.lsl.predicates import (
     has,
     none_of,
     of_user,
-)
-from biosensor_common.lsl_config import (
-    LslOverrides,
-    config_places,
-    effective_config,
-    home_config_file,
-    user_config_file,
 )
 from biosensor_gateway.features.outputs import feature_streams
 from lsl_to_ros.lsl.inlets import FROM_ROS

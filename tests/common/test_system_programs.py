@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.system_programs import full_path, output_of
+from biosensor_common.child import full_path, output_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PRODUCT = ("common", "gateway_win", "ros_side/lsl_to_ros/lsl_to_ros")
@@ -100,7 +100,7 @@ def test_nothing_of_the_product_is_started_by_its_name_or_from_the_current_folde
     found: list[str] = []
     for path, node in sources():
         if isinstance(node, ast.Call) and by_name(node):
-            found.append(f"{path}:{node.lineno}: ask biosensor_common.system_programs")
+            found.append(f"{path}:{node.lineno}: ask biosensor_common.child")
         if isinstance(node, ast.List | ast.Tuple) and in_current_folder(node):
             found.append(f"{path}:{node.lineno}: start Python with -P -m")
     assert not found

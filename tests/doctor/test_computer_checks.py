@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from biosensor_common import system_programs
+from biosensor_common import child
 from biosensor_common.doctor import computer, firewall, network, windows_firewall
 from biosensor_common.doctor.check import Finding, Level
 from biosensor_common.doctor.network import Interface
@@ -51,10 +51,10 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 def test_programs_that_are_not_there_or_hang(
     install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert system_programs.output_of("no-such-program") is None
+    assert child.output_of("no-such-program") is None
     install("slow", "exec sleep 60")
-    monkeypatch.setattr(system_programs, "TIME_LIMIT_S", 0.2)
-    assert system_programs.succeeds("slow") is None
+    monkeypatch.setattr(child, "TIME_LIMIT_S", 0.2)
+    assert child.succeeds("slow") is None
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_a_computer_whose_sleep_is_masked_stays_awake(
     def output_of(name: str, *_: str) -> str | None:
         return answers.get(name)
 
-    monkeypatch.setattr(system_programs, "output_of", output_of)
+    monkeypatch.setattr(child, "output_of", output_of)
     monkeypatch.setattr(sys, "platform", "linux")
     found = [each.what for each in power.power(context)]
     assert any("this computer goes to sleep" in each for each in found) is goes
@@ -146,7 +146,7 @@ def test_a_computer_that_knows_no_batteries_is_judged(
         return None
 
     monkeypatch.setattr(psutil, "sensors_battery", sensors_battery)
-    monkeypatch.setattr(system_programs, "output_of", output_of)
+    monkeypatch.setattr(child, "output_of", output_of)
     assert not any("battery" in each.what for each in power.power(context))
 
 

@@ -67,7 +67,7 @@ FAULTS: dict[str, Fault] = {
         "_is_token",
         always(True),
     ),
-    "counters": ("biosensor_common.ros.texts", "_finite", instead(float)),
+    "counters": ("biosensor_common.ros.messages", "_finite", instead(float)),
     "features": ("biosensor_gateway.features.quality", "_scaled", instead(any_share)),
     "lsl_config": ("biosensor_gateway.cli.config.LslFile", "adapt", always(None)),
     "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),

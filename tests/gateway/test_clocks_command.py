@@ -18,7 +18,7 @@ import pylsl
 import pytest
 
 from biosensor_common.device_clock import ClockState, DeviceClock
-from biosensor_common.ros.texts import read_counters
+from biosensor_common.ros.messages import read_counters
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import snapshot

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.lsl_config import LslOverrides, effective_config
+from biosensor_common.lsl.api_file import LslOverrides, effective_config
 from biosensor_gateway.cli.config import LslFile, Ports, changes
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from biosensor_common.errors import (
     CredentialReason,
     SpecError,
 )
-from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import (
     DeviceSettings,

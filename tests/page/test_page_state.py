@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError
-from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import Samples

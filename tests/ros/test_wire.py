@@ -20,10 +20,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Empty, Header, MultiArrayDimension, MultiArrayLayout, String
 
 from biosensor_common.device_clock import ClockState
-from biosensor_common.quantities import MessageType
-from biosensor_common.ros import numbers
-from biosensor_common.ros.texts import clock_of, counters_message, raw_text, read_counters, text_of
-from biosensor_common.topic_shape import chunk_type
+from biosensor_common.quantities import MessageType, chunk_type
+from biosensor_common.ros import messages
+from biosensor_common.ros.messages import (
+    clock_of,
+    counters_message,
+    raw_text,
+    read_counters,
+    text_of,
+)
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.topics.outputs import CLASSES
 
@@ -135,7 +140,7 @@ def test_each_sample_is_the_message_that_ros_makes_of_it(pair: Pair, data: st.Da
     channels = data.draw(st.integers(1, 40)) if pair.message.is_array else 1
     shape = (data.draw(st.integers(0, 12)), channels)
     samples: NDArray[Any] = data.draw(arrays.arrays(pair.samples, shape, elements=elements(pair)))
-    encoded = numbers.RawNumbers(pair.message, channels).encode(samples)
+    encoded = messages.RawNumbers(pair.message, channels).encode(samples)
     assert len(encoded) == len(samples)
     for message, sample in zip(encoded, samples.tolist(), strict=True):
         assert_same(message, pair.message, typed(pair.message, sample, channels=channels))
@@ -144,7 +149,7 @@ def test_each_sample_is_the_message_that_ros_makes_of_it(pair: Pair, data: st.Da
 @pairs
 def test_extremes(pair: Pair) -> None:
     samples = np.array(extremes(pair), pair.samples)[:, np.newaxis]
-    encoded = numbers.RawNumbers(pair.message, 1).encode(samples)
+    encoded = messages.RawNumbers(pair.message, 1).encode(samples)
     for message, sample in zip(encoded, samples.tolist(), strict=True):
         assert_same(message, pair.message, typed(pair.message, sample, channels=1))
 
@@ -153,7 +158,7 @@ def test_extremes(pair: Pair) -> None:
 def test_many_at_once_are_what_each_is_alone(pair: Pair) -> None:
     channels = 3 if pair.message.is_array else 1
     samples = np.resize(np.array(extremes(pair), pair.samples), (300, channels))
-    encode = numbers.RawNumbers(pair.message, channels).encode
+    encode = messages.RawNumbers(pair.message, channels).encode
     singly = [message for at in range(300) for message in encode(samples[at : at + 1])]
     assert encode(samples) == singly
 
@@ -161,7 +166,7 @@ def test_many_at_once_are_what_each_is_alone(pair: Pair) -> None:
 @pytest.mark.parametrize("kind", [MessageType.FLOAT32, MessageType.FLOAT32_MULTI_ARRAY])
 def test_a_float_too_large_for_its_message_is_infinite(kind: MessageType) -> None:
     samples = np.array([[1e300], [-1e300], [0.1]])
-    encoded = numbers.RawNumbers(kind, 1).encode(samples)
+    encoded = messages.RawNumbers(kind, 1).encode(samples)
     for message, value in zip(encoded, [math.inf, -math.inf, 0.1], strict=True):
         assert_same(message, kind, typed(kind, [value], channels=1))
 
@@ -173,7 +178,7 @@ def test_samples_that_lie_apart_in_memory_are_no_different(kind: MessageType) ->
     transposed = np.arange(12, dtype=np.int32).reshape(channels, -1).T
     for samples in (every_second, transposed):
         assert not samples.flags.c_contiguous or channels == 1
-        encoded = numbers.RawNumbers(kind, channels).encode(samples)
+        encoded = messages.RawNumbers(kind, channels).encode(samples)
         for message, sample in zip(encoded, samples.tolist(), strict=True):
             assert_same(message, kind, typed(kind, sample, channels=channels))
 
@@ -181,11 +186,11 @@ def test_samples_that_lie_apart_in_memory_are_no_different(kind: MessageType) ->
 @pytest.mark.parametrize("kind", sorted(TYPECODES))
 @pytest.mark.parametrize("channels", [1, 3, 8])
 def test_the_layout_of_chunks_of_every_length(kind: MessageType, channels: int) -> None:
-    dtype = numbers.wire_dtype(kind)
+    dtype = messages.wire_dtype(kind)
     # Downwards and up again: more lengths than heads are kept.
     for length in [*range(1000, 0, -1), 1, 500, 1000]:
         values = np.arange(length * channels, dtype=dtype)
-        encoded = numbers.chunk_message(kind, values.tobytes(), channels)
+        encoded = messages.chunk_message(kind, values.tobytes(), channels)
         message = deserialize_message(encoded, CLASSES[kind])
         assert [(dim.label, dim.size, dim.stride) for dim in message.layout.dim] == [
             ("samples", length, length * channels),
@@ -205,8 +210,8 @@ def test_the_layout_of_chunks_of_every_length(kind: MessageType, channels: int) 
 def test_a_chunk_is_the_message_that_ros_makes_of_it(
     kind: MessageType, length: int, channels: int, data: st.DataObject
 ) -> None:
-    values = data.draw(arrays.arrays(numbers.wire_dtype(kind), length * channels))
-    encoded = numbers.chunk_message(kind, values.tobytes(), channels)
+    values = data.draw(arrays.arrays(messages.wire_dtype(kind), length * channels))
+    encoded = messages.chunk_message(kind, values.tobytes(), channels)
     assert_same(encoded, kind, typed(kind, values.tolist(), samples=length, channels=channels))
 
 
@@ -214,10 +219,10 @@ def test_every_message_of_numbers_has_a_wire_type_and_no_other_has() -> None:
     for kind in MessageType:
         if kind.is_text:
             with pytest.raises(KeyError):
-                numbers.wire_dtype(kind)
+                messages.wire_dtype(kind)
         else:
             assert kind in NUMBERS
-            assert numbers.wire_dtype(kind).kind in "fiu"
+            assert messages.wire_dtype(kind).kind in "fiu"
 
 
 # Messages by their names, and those of text.

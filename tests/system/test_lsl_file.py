@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, cast
 import pytest
 import pyxdf
 
-from biosensor_common.lsl_config import home_config_file
+from biosensor_common.lsl.api_file import home_config_file
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 from tests.rigs.hosts.lan import NETWORK, Host, Lan
 from tests.rigs.hosts.programs import Program
@@ -61,7 +61,7 @@ _FIREWALL = """table inet firewall {{
 _RESOLVE = """
 import time
 import pylsl
-from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
 
 print(configure_lsl(LslOverrides()))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.errors import ConfigError
-from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
+from biosensor_common.lsl.api_file import LslOverrides, effective_config, user_config_file
 
 AGENT, NODE = "agent", "node"
 

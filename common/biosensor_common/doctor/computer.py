@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
-from biosensor_common import liblsl, system_programs
+from biosensor_common import child, liblsl
 from biosensor_common import process_limits as files
 from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
 
@@ -170,10 +170,8 @@ def clock(_context: Context) -> Iterator[Finding]:
     LSL's clock does not depend on it; file dates, the log and ROS stamps do.
     """
     if sys.platform == "linux":
-        said = system_programs.output_of(
-            "timedatectl", "show", "-p", "NTP", "-p", "NTPSynchronized"
-        )
-        tracked = system_programs.output_of("chronyc", "-n", "-c", "tracking")
+        said = child.output_of("timedatectl", "show", "-p", "NTP", "-p", "NTPSynchronized")
+        tracked = child.output_of("chronyc", "-n", "-c", "tracking")
         yield from judge_clock(_running_programs(), said or "", tracking(tracked or ""))
     elif sys.platform == "win32":
         yield _windows()
@@ -271,7 +269,7 @@ def _running_programs() -> set[str]:
 
 
 def _windows() -> Finding:
-    said = system_programs.output_of("sc", "query", _WINDOWS_SERVICE) or ""
+    said = child.output_of("sc", "query", _WINDOWS_SERVICE) or ""
     # Words of the output are translated; its numbers and constants are the same in every language.
     if "4  RUNNING" in said:
         return ok("the Windows time service runs")

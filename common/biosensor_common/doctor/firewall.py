@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from biosensor_common import system_programs
+from biosensor_common import child
 from biosensor_common.doctor.check import Context, Finding, note, ok
 from biosensor_common.lsl import api_file
 from biosensor_common.lsl.api_file import Ports
@@ -129,7 +129,7 @@ def active_firewalls() -> tuple[str, ...]:
     """Return which of `BY_FIREWALL` are active here, according to systemd."""
     if sys.platform != "linux":
         return ()
-    ask = system_programs.succeeds
+    ask = child.succeeds
     return tuple(name for name in BY_FIREWALL if ask("systemctl", "is-active", name))
 
 

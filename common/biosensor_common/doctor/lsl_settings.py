@@ -10,8 +10,14 @@ from pathlib import Path
 from biosensor_common.doctor.check import Context, Finding, error, note, ok, warning
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl import api_file
-from biosensor_common.lsl.api_file import LSL_PORT_RANGE, LslApiFile
-from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_SESSION, config_places, is_there
+from biosensor_common.lsl.api_file import (
+    DEFAULT_PORT_RANGE,
+    LSL_PORT_RANGE,
+    LSL_SESSION,
+    LslApiFile,
+    config_places,
+    is_there,
+)
 
 _SAME_SESSION = "LSL programs see only streams of their own session."
 

@@ -14,8 +14,7 @@ from biosensor_common.doctor.check import Context, Finding, Guide, error, note, 
 from biosensor_common.doctor.probe import probe_command
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl import api_file
-from biosensor_common.lsl.api_file import LOOPBACK, LslApiFile, Ports
-from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
+from biosensor_common.lsl.api_file import DEFAULT_PORT_RANGE, LOOPBACK, LslApiFile, Ports
 
 LSL_GROUP = "239.255.172.215"
 """The group of LSL's scope "site"."""

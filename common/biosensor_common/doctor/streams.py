@@ -12,9 +12,8 @@ from biosensor_common.doctor.check import Context, Finding, Guide, error, note, 
 from biosensor_common.doctor.firewall import opening
 from biosensor_common.doctor.probe import Probe, SurveyedStream
 from biosensor_common.lsl import api_file
-from biosensor_common.lsl.api_file import LOOPBACK, LSL_PORT_RANGE, PEERS
+from biosensor_common.lsl.api_file import LOOPBACK, LSL_BASE_PORT, LSL_PORT_RANGE, PEERS
 from biosensor_common.lsl.sender_clocks import LIMIT_S
-from biosensor_common.lsl_config import LSL_BASE_PORT
 
 OWN_SEARCH_S = 4.0
 _LIMIT_S = 12.0

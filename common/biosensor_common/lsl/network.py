@@ -19,8 +19,8 @@ import pylsl
 from pylsl.lib import lib
 
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.api_file import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl.predicates import EVERYTHING, any_of, of_user
-from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.stream_header import StreamHeader
 
 LOOK_EVERY_S = 0.1

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_CHANNELS
-from biosensor_common.ros.fields import NAMES, Field, FieldKind
-from biosensor_common.ros.quantities import NOTHING_KNOWN, channel_type
+from biosensor_common.ros.fields import NAMES, NOTHING_KNOWN, Field, FieldKind, channel_type
 
 RosMessage = Any
 """An object with its fields as attributes, from rclpy or a bag reader."""

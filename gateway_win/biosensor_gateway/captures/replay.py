@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.supervisor import Supervisor

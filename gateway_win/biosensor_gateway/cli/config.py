@@ -25,6 +25,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
+from biosensor_common.child import full_path
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl.api_file import (
     LOOPBACK,
@@ -34,9 +35,10 @@ from biosensor_common.lsl.api_file import (
     Line,
     LslApiFile,
     Ports,
+    config_places,
+    home_config_file,
+    user_config_file,
 )
-from biosensor_common.lsl_config import config_places, home_config_file, user_config_file
-from biosensor_common.system_programs import full_path
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.devices.registry import settings_models
@@ -306,7 +308,7 @@ def _warnings(path: Path) -> list[str]:
 
 
 if sys.platform == "win32":
-    from biosensor_common.system_programs import windows_folder
+    from biosensor_common.child import windows_folder
 
 
 def open_in_editor(path: Path) -> None:

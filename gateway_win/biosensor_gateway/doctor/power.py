@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from uuid import UUID
 
-from biosensor_common import system_programs
+from biosensor_common import child
 from biosensor_common.doctor.check import Finding, note, ok, warning
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.doctor.devices import by_bluetooth_le
@@ -85,10 +85,10 @@ def _sleep(keep_awake: bool) -> Iterator[Finding]:
 
 
 def _linux_sleep() -> str | None:
-    masked = system_programs.output_of("systemctl", "is-enabled", "sleep.target")
+    masked = child.output_of("systemctl", "is-enabled", "sleep.target")
     if masked is not None and masked.strip() == "masked":
         return None
-    desktop = system_programs.output_of("gsettings", "get", _GNOME, _GNOME_KEY)
+    desktop = child.output_of("gsettings", "get", _GNOME, _GNOME_KEY)
     if desktop is not None and "suspend" in desktop:
         return "when nobody uses it (the desktop's setting for mains)"
     return None

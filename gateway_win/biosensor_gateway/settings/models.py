@@ -14,7 +14,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LslOverrides
+from biosensor_common.lsl.api_file import DEFAULT_PORT_RANGE, LslOverrides
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.settings.names import MAX_LENGTH
 

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from biosensor_common.system_programs import full_path
+from biosensor_common.child import full_path
 
 _SHOWN_AFTER_S = 2.0
 """A browser that cannot show a window, for example without a screen, has ended by then."""

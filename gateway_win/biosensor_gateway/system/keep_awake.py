@@ -35,7 +35,7 @@ from typing import Protocol
 import structlog
 
 from biosensor_common import child
-from biosensor_common.system_programs import full_path
+from biosensor_common.child import full_path
 
 
 class ProgramInhibitor:

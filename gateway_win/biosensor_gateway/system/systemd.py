@@ -8,8 +8,8 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from biosensor_common.child import full_path
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_common.system_programs import full_path
 from biosensor_gateway.system import state_file
 from biosensor_gateway.system.child import own_command
 

@@ -9,9 +9,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.lsl.sender_clocks import SenderClocks
-from biosensor_common.lsl_config import LslOverrides
 from lsl_to_ros import program
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery

@@ -16,7 +16,7 @@ from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal, Refusals
-from biosensor_common.ros.texts import clock_of, read_counters
+from biosensor_common.ros.messages import clock_of, read_counters
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.limited_log import LimitedLog

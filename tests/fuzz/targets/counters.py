@@ -11,7 +11,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message, serialize_message
 
-from biosensor_common.ros.texts import CLOCK_FACTS, counters_message, read_counters
+from biosensor_common.ros.messages import CLOCK_FACTS, counters_message, read_counters
 from tests.fuzz.contract import ensure
 
 # At its first use it imports what warns.

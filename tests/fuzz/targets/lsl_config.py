@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl import api_file
-from biosensor_common.lsl_config import LslOverrides, effective_config
+from biosensor_common.lsl.api_file import LslOverrides, effective_config
 from biosensor_gateway.cli.config import LslFile, Ports, changes
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written

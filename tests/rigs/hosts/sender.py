@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import pylsl
 
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet

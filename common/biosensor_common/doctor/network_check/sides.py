@@ -41,7 +41,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_BASE_PORT
+from biosensor_common.lsl.api_file import DEFAULT_PORT_RANGE, LSL_BASE_PORT
 
 ANSWER_PORT = LSL_BASE_PORT + DEFAULT_PORT_RANGE - 1
 """Default port of the answering side: the last of LSL's ports, so that no other rule is needed."""

@@ -14,12 +14,12 @@ import pylsl
 import structlog
 from pylsl import local_clock
 
+from biosensor_common.lsl.api_file import LSL_BASE_PORT, LSL_DISCOVERY_PORT
 from biosensor_common.lsl.header import header_or_foreign
 from biosensor_common.lsl.inlet import Connection, fetch_description
 from biosensor_common.lsl.network import Network, configure_lsl, numbered
 from biosensor_common.lsl.predicates import EVERYTHING, Predicate
 from biosensor_common.lsl.sender_clocks import SenderClocks
-from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.downsampling import chosen, key_of, measured_rate, window

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import psutil
 
+from biosensor_common.lsl.api_file import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl.predicates import EVERYTHING
-from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.program import (
     PROGRAM_NAME,

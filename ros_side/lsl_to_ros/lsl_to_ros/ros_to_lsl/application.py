@@ -24,8 +24,8 @@ from std_msgs.msg import Header
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros_clock import NS_PER_S, measure_clock_pair
 from lsl_to_ros import program

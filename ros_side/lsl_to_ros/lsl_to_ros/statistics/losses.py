@@ -312,7 +312,7 @@ class NodeCounters:
     delays
         Delays since the last report.
     clock
-        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.ros.texts`; only one
+        State of the device's clock, by `biosensor_common.ros.messages.CLOCK_FACTS`; only one
         stream per device has it.
     """
 

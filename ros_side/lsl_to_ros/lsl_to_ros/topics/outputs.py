@@ -20,10 +20,9 @@ from std_msgs.msg import (
     UInt16,
 )
 
-from biosensor_common.quantities import MessageType
+from biosensor_common.quantities import MessageType, chunk_type
 from biosensor_common.refusal import Refusal
 from biosensor_common.ros.standard_messages import standard_messages
-from biosensor_common.topic_shape import chunk_type
 from lsl_to_ros.topics.bridge import Outputs
 from lsl_to_ros.topics.originals import (
     FurtherWriter,

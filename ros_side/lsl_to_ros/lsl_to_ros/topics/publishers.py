@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from biosensor_common.topic_shape import piece_messages, queue_depth
+from biosensor_common.quantities import piece_messages, queue_depth
 from lsl_to_ros.parameters.node import QOS_OVERRIDES
 from lsl_to_ros.topics.pacing import Lane, Pacer
 

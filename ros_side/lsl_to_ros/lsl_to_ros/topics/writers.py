@@ -13,10 +13,16 @@ from biosensor_common.lsl.inlet import Block, Stamps
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusal, Refusals
-from biosensor_common.ros import numbers
-from biosensor_common.ros.numbers import RawNumbers, StampedNumbers
+from biosensor_common.ros import messages
+from biosensor_common.ros.messages import (
+    RawNumbers,
+    StampedNumbers,
+    StampedTexts,
+    counters_message,
+    raw_text,
+    text_of,
+)
 from biosensor_common.ros.standard_messages import StandardMessage
-from biosensor_common.ros.texts import StampedTexts, counters_message, raw_text, text_of
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.statistics.losses import Lost
 from lsl_to_ros.statistics.ros_time import Stamping
@@ -207,14 +213,14 @@ class ChunkWriter:
         self.publisher = publisher
         self._type = message_type
         self._channels = channels
-        self._dtype = numbers.wire_dtype(message_type)
+        self._dtype = messages.wire_dtype(message_type)
         self._chunker = Chunker(channels * self._dtype.itemsize)
 
     def add(self, samples: NDArray[Any], length: int) -> None:
         """Add samples of shape [samples, channels]; publish the chunks that they fill."""
-        for chunk in self._chunker.add(numbers.to_bytes(samples, self._dtype), length):
+        for chunk in self._chunker.add(messages.to_bytes(samples, self._dtype), length):
             if self.publisher.is_wanted:
-                self.publisher.publish(numbers.chunk_message(self._type, chunk, self._channels))
+                self.publisher.publish(messages.chunk_message(self._type, chunk, self._channels))
 
     def discard(self) -> int:
         """Discard the partial chunk; return its number of samples."""

@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from biosensor_common.naming import TopicName, resolve_topics
-from biosensor_common.quantities import MessageType
+from biosensor_common.quantities import MessageType, queue_depth
 from biosensor_common.ros.cdr import ENCAPSULATION, text
-from biosensor_common.ros.numbers import RawNumbers, StampedNumbers
-from biosensor_common.ros.standard_messages import (
-    StandardMessage,
-    standard_messages,
-)
-from biosensor_common.ros.texts import (
+from biosensor_common.ros.messages import (
+    RawNumbers,
+    StampedNumbers,
     StampedTexts,
     counters_message,
     raw_text,
     text_of,
 )
+from biosensor_common.ros.standard_messages import (
+    StandardMessage,
+    standard_messages,
+)
 from biosensor_common.ros_clock import MAX_TIME_S, NS_PER_S
-from biosensor_common.topic_shape import queue_depth
 from biosensor_gateway.recording.bag.headers import (
     TOPIC,
     RecordedClock,
