@@ -25,9 +25,9 @@ from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.settings.places import cloud_of, recordings_folder, warnings_of
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
-from biosensor_gateway.system.cloud_folders import cloud_of, recordings_folder, warnings_of
 from biosensor_gateway.system.new_file import new_file, new_place
 
 # A file is there whole or not at all, and never in the place of another.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.system import systemd
+from biosensor_gateway.cli import service
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -33,19 +33,19 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.system
 def test_systemd_understands_the_unit(tmp_path: Path) -> None:
-    path = tmp_path / systemd.UNIT
-    path.write_text(systemd.unit_text(["run", "--settings", ODD]))
+    path = tmp_path / service.UNIT
+    path.write_text(service.unit_text(["run", "--settings", ODD]))
     command = ["systemd-analyze", "verify", "--user", "--man=no", str(path)]
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
-    said = [line for line in done.stderr.splitlines() if systemd.UNIT in line]
+    said = [line for line in done.stderr.splitlines() if service.UNIT in line]
     assert (done.returncode, said) == (0, []), done.stderr
 
 
 def test_each_word_of_the_command_is_escaped() -> None:
     (line,) = [
         line
-        for line in systemd.unit_text(["run", "--settings", ODD]).splitlines()
+        for line in service.unit_text(["run", "--settings", ODD]).splitlines()
         if line.startswith("ExecStart=")
     ]
     assert line.endswith(r' "run" "--settings" "a b/$$HOME/100%%/\"x\"\\y.toml"')
@@ -58,11 +58,11 @@ def test_without_a_manager_the_unit_is_there_and_one_sentence_says_what_to_do(
     if shutil.which("systemctl") is None:
         pytest.skip("no systemctl on this computer")
     outcome = run("service", "install", "--settings", "my.toml")
-    unit = config / "systemd" / "user" / systemd.UNIT
+    unit = config / "systemd" / "user" / service.UNIT
     assert outcome.code == 1
     assert outcome.err.count("\n") == 1
     assert str(unit) in outcome.err
-    assert f"systemctl --user enable --now {systemd.UNIT}" in outcome.err
+    assert f"systemctl --user enable --now {service.UNIT}" in outcome.err
     assert f'"--settings" "{Path("my.toml").resolve()}"' in unit.read_text()
     outcome = run("service", "remove")
     assert outcome.err.count("\n") == 1

@@ -27,7 +27,7 @@ from biosensor_gateway.page.network.source import NetworkSource, Reader
 from biosensor_gateway.page.network.stream import Placer
 from biosensor_gateway.page.network.stream_list import MAX_INLETS, StreamList
 from biosensor_gateway.page.network.view import Viewer, entry_of, readable
-from biosensor_gateway.page.network_page import interface
+from biosensor_gateway.page.pages import network_interface
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.ros.test_namesakes import Info
 
@@ -332,7 +332,7 @@ def test_the_streams_are_answered_as_json() -> None:
         "query_string": b"",
         "headers": [],
     }
-    app: Any = interface(cast("NetworkSource", Source()))
+    app: Any = network_interface(cast("NetworkSource", Source()))
     asyncio.run(app(scope, receive, send))
     assert sent[0]["status"] == 200
     told = json.loads(b"".join(each.get("body", b"") for each in sent))

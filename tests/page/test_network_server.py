@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
-from biosensor_gateway.page.network_page import NetworkPage
+from biosensor_gateway.page.pages import NetworkPage
 from biosensor_gateway.system.browser import WayIn
 
 pytestmark = pytest.mark.nightly

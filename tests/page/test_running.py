@@ -120,9 +120,9 @@ def test_it_is_ended_by_a_command_and_its_windows_say_so(
 # A page with a thread that never comes back, as one that waits in liblsl; it may take a second.
 NEVER_ENDS = """
 import threading
-from biosensor_gateway.page import agent_page
+from biosensor_gateway.page import pages
 from biosensor_gateway.cli import main
-agent_page.ENDS_WITHIN_S = 1.0
+pages.ENDS_WITHIN_S = 1.0
 threading.Thread(target=threading.Event().wait).start()
 main()
 """

@@ -17,8 +17,7 @@ import pylsl
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.page.experiments.server import MARKERS
-from biosensor_gateway.page.experiments.token import experiment_token
+from biosensor_gateway.page.experiments.server import MARKERS, experiment_token
 from tests.page.conftest import DEADLINE_S, Programs, Server
 
 _POLL_S = 0.02

@@ -14,8 +14,8 @@ from biosensor_common.refusal import Refusal, Refusals
 from lsl_to_ros.ros_to_lsl import bridge, outlets
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.fields import message_class
+from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.reports import node_status
-from lsl_to_ros.ros_to_lsl.topic import Topic
 from tests.refusals.provoked import Shown, fake, provokes
 from tests.ros_to_lsl.test_bridge import Outlet, Sent, TFMessage, transform
 

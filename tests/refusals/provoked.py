@@ -13,8 +13,7 @@ from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.status import RefusedStatus
 from lsl_to_ros.reports.diagnostics import stream_facts, stream_status
 from lsl_to_ros.reports.reporter import Part, concerns_of, node_status
-from lsl_to_ros.statistics.load import LoadFacts
-from lsl_to_ros.statistics.stream_status import StreamStatus
+from lsl_to_ros.statistics.status import LoadFacts, StreamStatus
 from lsl_to_ros.topics.bridge import Bridge
 
 

@@ -26,9 +26,9 @@ from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status
 from lsl_to_ros.reports.reporter import LOW_BATTERY_PERCENT, device_statuses
-from lsl_to_ros.statistics import stream_status as stream_status_module
+from lsl_to_ros.statistics import status as stream_status_module
 from lsl_to_ros.statistics.losses import NodeCounters
-from lsl_to_ros.statistics.stream_status import RATE_WINDOW_S
+from lsl_to_ros.statistics.status import RATE_WINDOW_S
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of

@@ -19,9 +19,15 @@ from lsl_to_ros.live_table import (
     waiting_share,
 )
 from lsl_to_ros.reports.diagnostics import overload
-from lsl_to_ros.statistics import stream_status
-from lsl_to_ros.statistics.load import REPORTS, SHARE_WINDOW_S, Backlog, Load, LoadFacts
-from lsl_to_ros.statistics.stream_status import PublishingRate
+from lsl_to_ros.statistics import status
+from lsl_to_ros.statistics.status import (
+    REPORTS,
+    SHARE_WINDOW_S,
+    Backlog,
+    Load,
+    LoadFacts,
+    PublishingRate,
+)
 
 # What is late on a busy computer is waited for; what is broken is missing.
 
@@ -204,7 +210,7 @@ def test_a_look_in_the_midst_of_a_pull_makes_nothing_older() -> None:
 
 def test_a_topic_is_too_fast_until_it_is_clearly_slower(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s, published = 0.0, 0
-    monkeypatch.setattr(stream_status, "monotonic", lambda: now_s)
+    monkeypatch.setattr(status, "monotonic", lambda: now_s)
     flow = PublishingRate()
     judged: list[bool] = []
     for rate in (3900, 4100, 3100, 2900, 3900):
@@ -222,7 +228,7 @@ def test_a_topic_is_too_fast_until_it_is_clearly_slower(monkeypatch: pytest.Monk
 
 def test_what_was_not_taken_is_told_for_10_s(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 0.0
-    monkeypatch.setattr(stream_status, "monotonic", lambda: now_s)
+    monkeypatch.setattr(status, "monotonic", lambda: now_s)
     flow = PublishingRate()
     grown: list[int] = []
     for second in range(15):

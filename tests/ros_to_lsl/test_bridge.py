@@ -15,12 +15,12 @@ from rosidl_parser import definition
 from lsl_to_ros.ros_to_lsl import bridge, outlets
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class, type_name
+from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.reports import topic_facts, topic_status
 from lsl_to_ros.ros_to_lsl.stamps import Offset, StampSource
-from lsl_to_ros.ros_to_lsl.topic import Topic
 from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.statistics.stream_status import StreamStatus
+from lsl_to_ros.statistics.status import StreamStatus
 from tests.rigs.memory_outlet import MemoryOutlet
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
 

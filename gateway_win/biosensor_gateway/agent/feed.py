@@ -19,8 +19,7 @@ from biosensor_common import naming
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import identity_of
-from biosensor_gateway.agent.feed_frames import FrameKind, dropped_frame, frame
-from biosensor_gateway.agent.sample_frames import samples_frame
+from biosensor_gateway.agent.feed_frames import FrameKind, dropped_frame, frame, samples_frame
 from biosensor_gateway.streaming.sink import DeviceSink
 
 MAX_READERS = 8

@@ -24,16 +24,18 @@ did not read in time.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    # The page starts without numpy, which takes a fifth of a second; see `sample_frames`.
+    # The page starts without numpy, which takes a fifth of a second.
     import numpy as np
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 HEAD = struct.Struct("<IB")
 _COUNT = struct.Struct("<I")
+_SAMPLES = struct.Struct("<HIH")
 
 
 class FrameKind(IntEnum):
@@ -82,3 +84,41 @@ def read_count(content: bytes) -> int:
         return int(_COUNT.unpack(content)[0])
     except struct.error as error:
         raise ValueError(str(error)) from error
+
+
+def samples_frame(source_id: str, stamps: Sequence[float], values: ArrayLike) -> bytes:
+    """Encode samples.
+
+    Parameters
+    ----------
+    stamps : length n
+    values : array_like, shape (n, n_channels), (n,), or empty for text
+    """
+    import numpy as np  # noqa: PLC0415 - see above
+
+    name = source_id.encode()
+    rows: NDArray[Any] = np.asarray(values, dtype="<f4").reshape(len(stamps), -1)
+    head = _SAMPLES.pack(len(name), len(stamps), rows.shape[1])
+    times = np.asarray(stamps, dtype="<f8")
+    return frame(FrameKind.SAMPLES, b"".join((head, name, times.tobytes(), rows.tobytes())))
+
+
+def read_samples(content: bytes) -> Samples:
+    """Decode the content of a ``SAMPLES`` frame.
+
+    Raises
+    ------
+    ValueError
+        If it is not valid.
+    """
+    import numpy as np  # noqa: PLC0415 - see above
+
+    try:
+        n_name, n, channels = _SAMPLES.unpack_from(content)
+        end = _SAMPLES.size + n_name
+        stamps = np.frombuffer(content, "<f8", n, end)
+        values = np.frombuffer(content, "<f4", n * channels, end + stamps.nbytes)
+        name = content[_SAMPLES.size : end].decode()
+    except struct.error as error:
+        raise ValueError(str(error)) from error
+    return Samples(name, stamps, values.reshape(n, channels))

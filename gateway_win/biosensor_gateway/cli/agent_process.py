@@ -27,8 +27,8 @@ from biosensor_gateway.agent.markers import MARKERS
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
+from biosensor_gateway.cli.options import settings_or_defaults
 from biosensor_gateway.cli.output import can_ask
-from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LogSettings, LslSettings

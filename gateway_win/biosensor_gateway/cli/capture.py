@@ -13,9 +13,8 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.app import QuickGroup
-from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.cli.options import JsonOption, SettingsOption, chosen_devices
 from biosensor_gateway.cli.output import ask, can_ask, console, say, table_of_names
-from biosensor_gateway.cli.settings import chosen_devices
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs
 

@@ -39,8 +39,7 @@ from biosensor_common.lsl.api_file import (
     home_config_file,
     user_config_file,
 )
-from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.cli.settings import settings_or_defaults
+from biosensor_gateway.cli.options import SettingsOption, settings_or_defaults
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings import file as settings_file

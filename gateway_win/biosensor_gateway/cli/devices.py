@@ -14,9 +14,8 @@ from rich.table import Table
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import Unit
-from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
+from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption, chosen_devices
 from biosensor_gateway.cli.output import can_ask, console, menu, say, several
-from biosensor_gateway.cli.settings import chosen_devices
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search

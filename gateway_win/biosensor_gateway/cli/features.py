@@ -14,9 +14,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli.options import JsonOption, SettingsOption, wrong_recording
+from biosensor_gateway.cli.options import (
+    JsonOption,
+    SettingsOption,
+    settings_or_defaults,
+    wrong_recording,
+)
 from biosensor_gateway.cli.output import say
-from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.recording.xdf.printing import printable
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import state_folder

@@ -150,7 +150,7 @@ def _serve(
     end_after_s: float,
     share_port: int | None,
 ) -> None:
-    from biosensor_gateway.page.agent_page import AgentPage
+    from biosensor_gateway.page.pages import AgentPage
 
     def ready(way: WayIn) -> None:
         show(way)
@@ -222,7 +222,7 @@ def serve_network(settings: Path, show: Callable[[WayIn], None]) -> None:
     TransportError
         If the page cannot be served.
     """
-    from biosensor_gateway.page.network_page import NetworkPage
+    from biosensor_gateway.page.pages import NetworkPage
 
     def ready(way: WayIn) -> None:
         show(way)

@@ -14,9 +14,8 @@ import typer
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.cli.options import JsonOption, SettingsOption, settings_or_defaults
 from biosensor_gateway.cli.output import can_ask, menu
-from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.recording.recorder.labrecorder import (
     DEFAULT_PORT,
     LOCAL_HOST,
@@ -38,8 +37,7 @@ from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import Devices, look
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
-from biosensor_gateway.settings.places import state_folder
-from biosensor_gateway.system.cloud_folders import usual_recordings_folder
+from biosensor_gateway.settings.places import state_folder, usual_recordings_folder
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

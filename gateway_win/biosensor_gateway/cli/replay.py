@@ -25,10 +25,10 @@ from biosensor_gateway.cli.options import (
     StreamsOption,
     UntilOption,
     WithoutOption,
+    settings_or_defaults,
     wrong_recording,
 )
 from biosensor_gateway.cli.output import say
-from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.recording.replay import FASTEST, SLOWEST
 from biosensor_gateway.settings.models import LslSettings
 

@@ -20,8 +20,8 @@ from biosensor_gateway.agent.device_states import identity_of
 from biosensor_gateway.agent.readiness import wait_until_ready
 from biosensor_gateway.agent.status import DeclaredStream, declared_streams
 from biosensor_gateway.agent.status_file import running_status
+from biosensor_gateway.cli.options import settings_or_defaults
 from biosensor_gateway.cli.output import console, say, table_of_names
-from biosensor_gateway.cli.settings import settings_or_defaults
 from biosensor_gateway.demo.demonstration import (
     CHUNK_LENGTH,
     Programs,

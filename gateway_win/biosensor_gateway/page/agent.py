@@ -21,6 +21,7 @@ from biosensor_gateway.agent.feed_frames import (
     FrameKind,
     Samples,
     read_count,
+    read_samples,
 )
 from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.selection import described, device_name
@@ -40,7 +41,7 @@ from biosensor_gateway.system import state_file
 RETRY_S = 0.25
 _READING = (
     "pylsl",
-    "biosensor_gateway.agent.sample_frames",
+    "numpy",
     "biosensor_gateway.page.downsampling",
 )
 SILENT_AFTER_S = 4.0
@@ -109,8 +110,6 @@ class AgentLink:
         if kind == FrameKind.STATUS:
             self._on_status(AgentStatus.model_validate_json(content))
         elif kind == FrameKind.SAMPLES:
-            from biosensor_gateway.agent.sample_frames import read_samples
-
             self._on_samples(read_samples(content))
         elif kind == FrameKind.DROPPED:
             self._on_dropped(read_count(content))

@@ -1,8 +1,11 @@
-"""The paths of the settings file and of the state folder."""
+"""The paths of the settings file and of the state folder, and the folder of a user's recordings."""
 
 from __future__ import annotations
 
 import os
+import re
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import platformdirs
@@ -26,3 +29,62 @@ def state_folder() -> Path:
     if chosen:
         return Path(chosen).expanduser()
     return platformdirs.user_state_path(APP_NAME, appauthor=False)
+
+
+_ONEDRIVE = ("OneDrive", "OneDriveConsumer", "OneDriveCommercial")
+"""Environment variables with OneDrive's folders, which can have any name."""
+_FOLDERS = (
+    (re.compile(r"OneDrive( - .+)?", re.IGNORECASE), "OneDrive"),
+    (re.compile(r"Dropbox( \(.+\))?", re.IGNORECASE), "Dropbox"),
+    (re.compile(r"Google ?Drive|My Drive|DriveFS", re.IGNORECASE), "Google Drive"),
+    (re.compile(r"iCloud ?Drive|Mobile Documents", re.IGNORECASE), "iCloud"),
+    (re.compile(r"Nextcloud|ownCloud", re.IGNORECASE), "Nextcloud or ownCloud"),
+    (re.compile(r"CloudStorage"), "a cloud service"),
+)
+"""Default names of such folders; on macOS they are all in CloudStorage."""
+_RECORDINGS = "Biosensor recordings"
+_FETCHED_WHEN_OPENED = 0x00040000 | 0x00400000
+"""FILE_ATTRIBUTE_RECALL_ON_OPEN and FILE_ATTRIBUTE_RECALL_ON_DATA_ACCESS of Windows."""
+
+
+def cloud_of(folder: Path, variables: Mapping[str, str] = os.environ) -> str:
+    """Return the name of the service that synchronizes a folder; empty if none is known."""
+    for name in _ONEDRIVE:
+        of_onedrive = variables.get(name)
+        if of_onedrive and folder.is_relative_to(of_onedrive):
+            return "OneDrive"
+    for part in reversed(folder.parts):
+        for pattern, title in _FOLDERS:
+            if pattern.fullmatch(part):
+                return title
+    return "a cloud service" if _is_fetched_when_opened(folder) else ""
+
+
+def warnings_of(folder: Path) -> tuple[str, ...]:
+    """Return the warnings about a folder of recordings."""
+    cloud = cloud_of(folder)
+    sentence = (
+        f"{cloud} copies {folder} to other computers: what is recorded of people leaves this one, "
+        "and the file may be held while it grows. Choose a folder that stays here"
+    )
+    return (sentence,) if cloud else ()
+
+
+def usual_recordings_folder() -> Path:
+    """Return the default folder of this user's recordings."""
+    return recordings_folder(platformdirs.user_documents_path(), Path.home(), _RECORDINGS)
+
+
+def recordings_folder(documents: Path, home: Path, name: str) -> Path:
+    """Return a folder in the documents, or in the home folder if the documents are synchronized."""
+    return (home if cloud_of(documents) else documents) / name
+
+
+def _is_fetched_when_opened(folder: Path) -> bool:
+    if sys.platform != "win32":
+        return False
+    try:
+        return bool(folder.stat().st_file_attributes & _FETCHED_WHEN_OPENED)
+    except OSError:
+        # The folder does not exist until something is recorded.
+        return False

@@ -15,8 +15,7 @@ from biosensor_common.lsl.sender_clocks import SenderClocks
 from lsl_to_ros import program
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery
-from lsl_to_ros.lsl.hosts import Senders
-from lsl_to_ros.lsl.inlets import Pump
+from lsl_to_ros.lsl.inlets import Pump, Senders
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (
     ALIASES,

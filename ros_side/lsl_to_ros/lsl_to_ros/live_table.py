@@ -38,7 +38,7 @@ from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns, shortened
 from lsl_to_ros.reports.reporter import COMPUTER_BUSY
 from lsl_to_ros.ros_environment import ensure_log_folder
-from lsl_to_ros.statistics.stream_status import RateMeter
+from lsl_to_ros.statistics.status import RateMeter
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 from lsl_to_ros.topics.outputs import CLASSES
 

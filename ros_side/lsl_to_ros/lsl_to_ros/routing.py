@@ -24,7 +24,7 @@ from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
 from lsl_to_ros.statistics.losses import NodeCounters, can_estimate_losses
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping
-from lsl_to_ros.statistics.stream_status import StreamStatus
+from lsl_to_ros.statistics.status import StreamStatus
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.originals import BESIDE, ORIGINALS, Alone, Joined, Original, Shape
 from lsl_to_ros.topics.outputs import open_outputs

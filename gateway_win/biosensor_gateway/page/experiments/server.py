@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import secrets
 import socket
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 import structlog
 from fastapi import FastAPI, Request, WebSocket
@@ -12,17 +15,23 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pylsl import local_clock
 
-from biosensor_common.errors import ConfigError, GatewayError, TransportError, TransportReason
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    GatewayError,
+    TransportError,
+    TransportReason,
+)
 from biosensor_gateway.page.auth import MARKERS, ExperimentRules, Guard
 from biosensor_gateway.page.experiments.conversation import Conversation
 from biosensor_gateway.page.experiments.markers import NewMark, Sending, Sent, WebMark
-from biosensor_gateway.page.experiments.token import experiment_token
 from biosensor_gateway.page.models import ExperimentsView, ExperimentView, Problem
 from biosensor_gateway.page.routes.api import misformed
 from biosensor_gateway.page.server import EXPERIMENTS, HOST, listening_at, served_alongside
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.models import WebMarkerSettings
 from biosensor_gateway.streaming.markers import TimedBy, Timing
+from biosensor_gateway.system import state_file
 
 LOOK_S = 1.0
 _FOREIGN_SHOWN = 100
@@ -163,3 +172,54 @@ async def _refused(_request: Request, error: Exception) -> JSONResponse:
         is_flood = error.reason is TransportReason.BUSY
         code, headers = (429 if is_flood else 503), {"Retry-After": "1"}
     return JSONResponse(Problem(problem=str(error)).model_dump(), code, headers)
+
+
+KEPT_IN = "web-markers.json"
+_BYTES = 24
+
+
+def experiment_token(folder: Path) -> str:
+    """Return the stored token, or create one.
+
+    Parameters
+    ----------
+    folder
+        The state folder, where only its user can read it.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if it can neither be read nor written.
+    """
+    try:
+        written: Any = json.loads(state_file.read(folder / KEPT_IN))
+    except FileNotFoundError:
+        return new_experiment_token(folder)
+    except OSError as error:
+        raise _unreadable(folder, error) from error
+    except (ValueError, RecursionError):
+        written = None
+    token = cast("dict[str, Any]", written).get("token") if isinstance(written, dict) else None
+    return token if isinstance(token, str) and token else new_experiment_token(folder)
+
+
+def new_experiment_token(folder: Path) -> str:
+    """Replace the token by a new one.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if it cannot be written.
+    """
+    token = secrets.token_urlsafe(_BYTES)
+    try:
+        text = json.dumps({"token": token})
+        state_file.replace(folder / KEPT_IN, text, private=True, durable=True)
+    except OSError as error:
+        raise _unreadable(folder, error) from error
+    return token
+
+
+def _unreadable(folder: Path, error: OSError) -> ConfigError:
+    message = f"{folder / KEPT_IN}: {error.strerror or error}; web experiments cannot mark"
+    return ConfigError(ConfigReason.UNREADABLE, message)

@@ -28,7 +28,7 @@ from biosensor_gateway.page.routes.search import settings_of
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.system.cloud_folders import usual_recordings_folder
+from biosensor_gateway.settings.places import usual_recordings_folder
 
 
 class NewCapture(BaseModel):

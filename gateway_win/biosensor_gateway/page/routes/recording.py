@@ -43,7 +43,7 @@ from biosensor_gateway.recording.recorder.streams import (
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import Colour
-from biosensor_gateway.system.cloud_folders import usual_recordings_folder, warnings_of
+from biosensor_gateway.settings.places import usual_recordings_folder, warnings_of
 
 
 class NewRecording(BaseModel):

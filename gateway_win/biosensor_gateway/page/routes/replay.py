@@ -21,9 +21,8 @@ from biosensor_common.child import close_input, send
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelRole
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.feed_frames import HEAD, FrameKind, Samples
+from biosensor_gateway.agent.feed_frames import HEAD, FrameKind, Samples, read_samples
 from biosensor_gateway.agent.rate_meter import RateMeter
-from biosensor_gateway.agent.sample_frames import read_samples
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.live import Traces, is_of_now
 from biosensor_gateway.page.models import (

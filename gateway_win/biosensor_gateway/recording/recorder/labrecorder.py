@@ -47,7 +47,7 @@ from biosensor_gateway.recording.recorder.streams import (
     titles,
 )
 from biosensor_gateway.recording.xdf.findings import Finding, Level
-from biosensor_gateway.system.cloud_folders import warnings_of
+from biosensor_gateway.settings.places import warnings_of
 
 LOCAL_HOST, DEFAULT_PORT = "127.0.0.1", 22345
 CONNECT_S = 5.0

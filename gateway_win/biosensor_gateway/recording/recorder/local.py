@@ -56,8 +56,8 @@ from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import check
+from biosensor_gateway.settings.places import warnings_of
 from biosensor_gateway.system import state_file
-from biosensor_gateway.system.cloud_folders import warnings_of
 
 PROGRAM_S = 20.0
 """Time for a program to start, search and open all streams, before the next one is tried."""

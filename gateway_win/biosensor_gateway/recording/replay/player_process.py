@@ -19,8 +19,7 @@ from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.process_limits import end_within
 from biosensor_common.quantities import ChannelFormat, ChannelRole
 from biosensor_gateway.agent.feed import ReaderQueue
-from biosensor_gateway.agent.feed_frames import FrameKind, frame
-from biosensor_gateway.agent.sample_frames import samples_frame
+from biosensor_gateway.agent.feed_frames import FrameKind, frame, samples_frame
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.replay import playback

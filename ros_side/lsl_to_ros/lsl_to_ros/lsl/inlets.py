@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from enum import Enum, unique
+from time import monotonic
 
 import pylsl
 from pylsl import util
@@ -21,6 +22,7 @@ from biosensor_common.lsl.inlet import (
 )
 from biosensor_common.lsl.network import matches_query, numbered
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
+from biosensor_common.quantities import ContentType
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.stream_header import (
     MAX_FIELD_CHARACTERS,
@@ -421,3 +423,62 @@ class Pump:
             for inlet in self._inlets():
                 if inlet.state is InletState.READY:
                     inlet.drain()
+
+
+# Half a second longer than the period of the counters.
+SILENT_AFTER_S = 1.5
+
+Say = Callable[[str], None]
+
+
+class Senders:
+    """Watches the inlets of each computer that has an agent.
+
+    Parameters
+    ----------
+    warn, inform
+        Called with a sentence when a computer falls silent, and when it sends again.
+    """
+
+    def __init__(self, warn: Say, inform: Say) -> None:
+        self._warn, self._inform = warn, inform
+        self._silent: dict[str, float] = {}
+
+    def look(self, inlets: Iterable[Inlet]) -> bool:
+        """Update which computers are silent; return whether that has changed."""
+        now, heard = monotonic(), _last_heard(inlets)
+        silent = {host: at for host, at in heard.items() if now - at > SILENT_AFTER_S}
+        fallen, returned = silent.keys() - self._silent.keys(), self._silent.keys() - silent.keys()
+        for host in sorted(fallen):
+            self._warn(f"{host}: {_sentence(now - silent[host])}")
+        for host in sorted(returned & heard.keys()):
+            self._inform(f"{host}: it is heard again, after {now - self._silent[host]:.1f} s")
+        self._silent = silent
+        return bool(fallen or returned)
+
+    def trouble(self, host: str) -> str:
+        """Return a sentence about a silent computer; empty if it is not silent."""
+        heard_s = self._silent.get(host)
+        return "" if heard_s is None else f"{host}: {_sentence(monotonic() - heard_s)}"
+
+
+def _last_heard(inlets: Iterable[Inlet]) -> dict[str, float]:
+    """Return when samples last came from each computer that has an agent."""
+    heard: dict[str, float] = {}
+    with_agent: set[str] = set()
+    for inlet in inlets:
+        if not inlet.heard_s:
+            continue  # nothing is dropped: nothing came of it yet
+        host = inlet.core.hostname
+        heard[host] = max(heard.get(host, 0.0), inlet.heard_s)
+        if inlet.core.content_type == ContentType.COUNTERS and not _is_foreign(inlet):
+            with_agent.add(host)
+    return {host: at for host, at in heard.items() if host in with_agent}
+
+
+def _is_foreign(inlet: Inlet) -> bool:
+    return inlet.header is None or inlet.header.foreign
+
+
+def _sentence(seconds: float) -> str:
+    return f"nothing has come for {seconds:.1f} s; is its network cut?"

@@ -24,9 +24,8 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from biosensor_common import process_limits
 from biosensor_common.naming import AGENT, TopicName
 from biosensor_common.refusal import Level, Refusal, Refusals, Refused
-from lsl_to_ros.statistics.load import LoadFacts
 from lsl_to_ros.statistics.losses import Delays, NodeCounters, can_estimate_losses
-from lsl_to_ros.statistics.stream_status import RATE_WINDOW_S, StreamStatus
+from lsl_to_ros.statistics.status import RATE_WINDOW_S, LoadFacts, StreamStatus
 from lsl_to_ros.topics.bridge import Bridge
 
 _MOST_NAMED = 5

@@ -18,7 +18,7 @@ from biosensor_common.quantities import ROLES_OF_DEVICE, TYPES_OF_DEVICE, Channe
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.lsl.discovery import Discovery
-from lsl_to_ros.lsl.hosts import Senders
+from lsl_to_ros.lsl.inlets import Senders
 from lsl_to_ros.parameters.node import COMPAT, DIAGNOSTICS_PERIOD, SMARTLAB
 from lsl_to_ros.reports.diagnostics import (
     LEASE_S,
@@ -29,8 +29,8 @@ from lsl_to_ros.reports.diagnostics import (
     stream_status,
 )
 from lsl_to_ros.routing import Route, Routing
-from lsl_to_ros.statistics.load import Load, LoadFacts
 from lsl_to_ros.statistics.ros_time import RosTime
+from lsl_to_ros.statistics.status import Load, LoadFacts
 from lsl_to_ros.topics.bridge import Bridge
 from lsl_to_ros.topics.originals import ORIGINALS
 from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS

@@ -20,8 +20,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from biosensor_common.refusal import Level, Refusals, Refused
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status, words_of
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
+from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.stamps import StampSource
-from lsl_to_ros.ros_to_lsl.topic import Topic
 
 PROGRAM = "ros_to_lsl"
 
