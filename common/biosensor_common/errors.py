@@ -16,8 +16,10 @@ sentence for a person: what, where, what to do.
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 from enum import Enum, unique
+from pathlib import Path
 from typing import Generic, TypeVar
 
 
@@ -147,3 +149,27 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     by_lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1)
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
+
+
+_ERROR_SHARING_VIOLATION = 32
+"""Windows' error of a file that another program has open."""
+_ADVICE = {
+    errno.EACCES: "choose another place, or have yourself allowed to write there",
+    errno.EPERM: "choose another place, or have yourself allowed to write there",
+    errno.EROFS: "choose a place on another disk",
+    errno.ENOSPC: "make room on that disk, or choose a place on another one",
+    errno.EDQUOT: "make room there, or choose a place on another disk",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ENOENT: "make its folder first, or choose another place",
+    errno.ENOTDIR: "choose a place in a folder",
+    errno.EISDIR: "choose the name of a file",
+    errno.EBUSY: "close the program that has it open",
+    errno.ETXTBSY: "close the program that has it open",
+}
+
+
+def cannot_write(path: Path | str, error: OSError) -> str:
+    """Return the sentence for a file that could not be written, and what to do if that is known."""
+    is_open = getattr(error, "winerror", None) == _ERROR_SHARING_VIOLATION
+    advice = _ADVICE.get(errno.EBUSY if is_open else error.errno or 0)
+    return f"cannot write {path}: {error.strerror or error}{f'; {advice}' if advice else ''}"

@@ -176,8 +176,14 @@ def test_a_recording_that_grows_is_left_alone(
 @pytest.mark.parametrize(
     ("mounts", "why"),
     [
-        (("mount --bind {0} {0}", "mount -o remount,ro,bind {0}"), "Read-only file system"),
-        (("mount -t tmpfs -o size=4k tmpfs {0}",), "No space left on device"),
+        (
+            ("mount --bind {0} {0}", "mount -o remount,ro,bind {0}"),
+            "Read-only file system; choose a place on another disk",
+        ),
+        (
+            ("mount -t tmpfs -o size=4k tmpfs {0}",),
+            "No space left on device; make room on that disk, or choose a place on another one",
+        ),
     ],
 )
 def test_a_folder_that_takes_nothing_keeps_nothing(

@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field, TypeAdapter
 from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
+from biosensor_common.errors import cannot_write
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.naming import AGENT
 from biosensor_common.process_limits import limit_arenas
@@ -205,7 +206,7 @@ class KnownStreams:
         except OSError as error:
             # The only loss is that streams appear later after a crash.
             self._has_failed = True
-            _log.warning(f"cannot write {self._path}: {error.strerror or error}")
+            _log.warning(cannot_write(self._path, error))
         self._stored = known
 
     def remove(self) -> None:

@@ -14,7 +14,7 @@ from typing import Any, cast
 import structlog
 
 from biosensor_common import naming
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.agent.selection import chosen, device_name, unique_names
@@ -225,7 +225,7 @@ class PauseCommands:
                 await asyncio.to_thread(save_pauses, self._folder, tuple(self._pauses))
             except OSError as error:
                 path = self._folder / PAUSED_FILE
-                problem = f"cannot write {path}: {error.strerror or error}"
+                problem = cannot_write(path, error)
                 _log.error("the state of pauses is not kept", **names, problem=problem)
                 return problem
         return None

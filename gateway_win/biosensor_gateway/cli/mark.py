@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.agent import control
 from biosensor_gateway.cli import BEGUN_S
@@ -162,7 +162,7 @@ def _save_web(folder: Path) -> None:
                     raise ConfigError(ConfigReason.EXISTS, message)
                 shutil.copyfile(source, target)
             except OSError as error:
-                message = f"cannot write {target}: {error.strerror or error}"
+                message = cannot_write(target, error)
                 raise ConfigError(ConfigReason.UNREADABLE, message) from error
             typer.echo(f"wrote {target}")
 

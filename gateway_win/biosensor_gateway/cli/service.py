@@ -11,7 +11,7 @@ from pathlib import Path
 import typer
 
 from biosensor_common.child import full_path
-from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.errors import TransportError, TransportReason, cannot_write
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.system import state_file
@@ -66,7 +66,7 @@ def install(arguments: Sequence[str]) -> Path:
     try:
         state_file.replace(path, unit_text(arguments))
     except OSError as error:
-        message = f"cannot write {path}: {error.strerror or error}"
+        message = cannot_write(path, error)
         raise TransportError(TransportReason.DENIED, message) from error
     for command in (["daemon-reload"], ["enable", UNIT], ["restart", UNIT]):
         problem = _problem(systemctl, *command)

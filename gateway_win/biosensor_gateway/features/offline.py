@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.errors import cannot_write
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event
@@ -89,7 +90,7 @@ def compute(path: Path, target: Path) -> Computed:
             message = f"{target} exists and is not overwritten; give another name with --output"
             raise FeatureError(FeatureReason.EXISTS, message) from error
         except OSError as error:
-            message = f"cannot write {target}: {error.strerror or error}"
+            message = cannot_write(target, error)
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
         remarks += [
             f"{each.header.name}: {each.untimed} samples are left out, for their stamps are no "

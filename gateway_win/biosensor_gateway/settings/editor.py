@@ -16,7 +16,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings import template
 from biosensor_gateway.settings.models import DeviceSettings
@@ -159,5 +159,5 @@ def _write(path: Path, models: Models, text: str) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             fresh.unlink(missing_ok=True)
-        message = f"cannot write {path}: {error.strerror or error}"
+        message = cannot_write(path, error)
         raise ConfigError(ConfigReason.UNREADABLE, message) from error

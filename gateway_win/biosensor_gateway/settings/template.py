@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
+from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason, cannot_write
 from biosensor_gateway.settings.models import (
     DeviceSettings,
     EventSettings,
@@ -87,7 +87,7 @@ def write_template(path: Path, device_models: Mapping[str, type[DeviceSettings]]
         message = f"{path} exists and is not overwritten; edit it, or move it away first"
         raise ConfigError(ConfigReason.EXISTS, message) from None
     except OSError as error:
-        message = f"cannot write {path}: {error.strerror or error}"
+        message = cannot_write(path, error)
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
 
 

@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from biosensor_common.errors import cannot_write
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.ros_clock import NS_PER_S, ClockPair
 from biosensor_gateway.recording.bag.headers import (
@@ -97,7 +98,7 @@ def import_bag(path: Path, target: Path) -> Imported:
         message = f"{target} exists and is not overwritten; name another with --output"
         raise BagError(BagReason.EXISTS, message) from None
     except OSError as error:
-        message = f"cannot write {target}: {error.strerror or error}"
+        message = cannot_write(target, error)
         raise BagError(BagReason.UNWRITABLE, message) from error
     return Imported(
         path,

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
@@ -284,8 +284,8 @@ def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
         raise _unwritable(folder, error) from error
     if free < needed:
         message = (
-            f"the disk of {folder} has {free / 1e6:.0f} MB left, and this may take "
-            f"{needed / 1e6:.0f} MB; make room on it, or choose another place with --output"
+            f"the disk of {folder} has {free / 1e6:.1f} MB left, and this may take up to "
+            f"{math.ceil(needed / 1e6)} MB; make room on it, or choose another place with --output"
         )
         raise RecordingError(RecordingReason.UNWRITABLE, message)
 
@@ -347,5 +347,5 @@ def _size(path: Path) -> int:
 
 
 def _unwritable(path: Path, error: OSError) -> RecordingError:
-    message = f"cannot write {path}: {error.strerror or error}"
+    message = cannot_write(path, error)
     return RecordingError(RecordingReason.UNWRITABLE, message)

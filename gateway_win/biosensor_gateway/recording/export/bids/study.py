@@ -18,7 +18,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_gateway.recording.export.bids.dataset import BIDS_VERSION, README
 from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
 from biosensor_gateway.recording.export.outcome import Outcome
@@ -88,7 +88,7 @@ class Study:
             if outcome.is_whole:
                 self._note(recording.name, digest)
         except OSError as error:
-            message = f"cannot write {self._root}: {error.strerror or error}"
+            message = cannot_write(self._root, error)
             raise RecordingError(RecordingReason.UNWRITABLE, message) from error
         told = "1 file was added" if count == 1 else f"{count} files were added"
         written = tuple(

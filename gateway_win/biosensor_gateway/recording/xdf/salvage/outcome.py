@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_gateway.recording.xdf.container import (
     BOUNDARY,
     MAGIC,
@@ -208,7 +208,7 @@ def write_salvaged(source: BinaryIO, survey: Survey, target: Path, original: Pat
         message = f"{target} exists and is not overwritten"
         raise RecordingError(RecordingReason.UNWRITABLE, message) from None
     except OSError as error:
-        message = f"cannot write {target}: {error.strerror or error}"
+        message = cannot_write(target, error)
         raise RecordingError(RecordingReason.UNWRITABLE, message) from error
 
 
