@@ -21,7 +21,7 @@ _PATTERNS = (
     f"{_NODE}/subscriber_thread.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
         "application", "bridge", "graph", "node", "outlets", "reports",
-        "senders", "stamps", "topic",
+        "senders", "stamps",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
         "markers", "outlets", "silence", "sink", "stages",
