@@ -28,7 +28,7 @@ from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_errors import AttError
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
@@ -143,7 +143,6 @@ async def test_an_oximeter_with_spot_checks_alone_is_told_from_others(
 
 def test_anything_else_is_none() -> None:
     assert recognise(Advertisement("C8:26:00:00:00:01", "Nonin3230_1", -60)) is None
-    assert recognise(SerialPort("COM7", "Nonin3230_1")) is None
 
 
 # Values of characteristics, against vectors and against any bytes.

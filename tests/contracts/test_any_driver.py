@@ -22,7 +22,8 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.truth import Contact
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.streaming.silence import PATIENCE_S
-from biosensor_gateway.transports import ble_choice
+from biosensor_gateway.transports import ble_choice, ble_scanner
+from biosensor_gateway.transports.nearby import SerialPort
 from tests.contracts.conftest import ON_AIR, class_of, every, is_outside_time
 from tests.rigs.driver_run import NotedSink, Run, connected, driver_maker, streaming
 from tests.rigs.polling import until
@@ -270,6 +271,15 @@ async def test_bluetooth_that_is_off_is_said(device: VirtualDevice, radio: Radio
         async with connected(device):
             pass
     assert caught.value.reason is TransportReason.UNAVAILABLE
+
+
+@ON_AIR
+async def test_a_serial_port_with_the_name_of_the_device_is_not_the_device(
+    device: VirtualDevice,
+) -> None:
+    (seen,) = await ble_scanner.scan(1.0)
+    recognise = driver(device.sensor).recognise
+    assert recognise is None or recognise(SerialPort("COM7", seen.name)) is None
 
 
 @ON_AIR

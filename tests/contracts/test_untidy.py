@@ -83,6 +83,9 @@ def assert_true(
         if not has_gaps:
             assert np.all(np.diff(index) == 1), f"{name}: samples are missing"
             assert run.sink.lost_count(name) == 0, name
+            is_open = source_id(run.sink.identity, name) in run.sink.counters
+            due = truth.times[has_value] < since_s
+            assert len(index) or not is_open or not due.any(), f"{name} stays empty"
         came = ~np.isnan(run.sink.array(name)).all(axis=1)
         stamps = np.array(run.sink.times[name])[came]
         errors_s = (stamps - truth.times[has_value][index])[stamps >= since_s]

@@ -13,7 +13,6 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.emotibit.driver import EmotiBitSettings, find
 from biosensor_gateway.devices.emotibit.driver import link as link_module
 from biosensor_gateway.devices.emotibit.simulator import wire
@@ -27,21 +26,6 @@ if TYPE_CHECKING:
     from tests.emotibit.conftest import MakeEmotiBit
 
 REGULAR = ("eda", "ppg", "acc", "gyro", "mag")
-
-
-async def test_every_stream_fills_with_what_the_device_sent(emotibit: MakeEmotiBit) -> None:
-    device = emotibit()
-    async with streaming(device) as run:
-        await until(run.sink.has(40, *REGULAR))
-        await until(run.sink.has(2, "hr", "ibi", "st"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-        assert run.lost == {}
-    for name in (*REGULAR, "hr", "ibi"):
-        places = assert_once_and_in_order(run.sink.rows[name], device.truth.samples(name).values)
-        assert set(np.diff(places)) == {1}, name
-    assert run.sink.rows["bat"] == [[80]]
-    assert run.sink.info.serial_number == "MD-V5-0000123"
-    assert run.sink.dropped_bytes == 0
 
 
 async def test_the_firmware_with_a_fast_pulse_is_read(emotibit: MakeEmotiBit) -> None:

@@ -6,7 +6,7 @@ import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,14 +16,10 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     INSIGHT_1_GYRO,
     INSIGHT_2,
     Circumstances,
-    Licence,
     Metrics,
     Model,
     Release,
-    Timing,
-    User,
 )
-from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs.cortex_client import CortexClient
@@ -33,18 +29,6 @@ STREAMS = ("eeg", "mot", "pow", "met", "dev")
 ELECTRODES = ["AF3", "T7", "Pz", "T8", "AF4"]
 _VECTORS = json.loads((Path(__file__).parent / "vectors/emotiv_cortex.json").read_text("utf-8"))
 VECTORS = {vector["name"]: vector for vector in _VECTORS["vectors"]}
-DECLARED_AS = {
-    "eng": "engagement",
-    "exc": "excitement",
-    "lex": "long_term_excitement",
-    "str": "stress",
-    "rel": "relaxation",
-    "int": "interest",
-    "foc": "focus",
-    "GYROX": "X",
-    "GYROY": "Y",
-    "GYROZ": "Z",
-}
 
 
 @pytest.fixture
@@ -59,14 +43,6 @@ class Recording:
     def __init__(self, client: CortexClient, columns: dict[str, list[Any]]) -> None:
         self.client = client
         self.columns = columns
-
-
-def flat(values: list[Any]) -> list[Any]:
-    """Take nested columns apart; the empty list of markers stays a value."""
-    parts: list[Any] = []
-    for value in values:
-        parts += cast("list[Any]", value) if isinstance(value, list) and value else [value]
-    return parts
 
 
 async def record(cortex: SteeredCortex, eeg_samples: int, *streams: str) -> Recording:
@@ -164,35 +140,3 @@ async def test_messages_are_built_like_the_vectors(world: World, model: Model, v
         for value, example in zip(message[stream], known[stream], strict=True):
             assert isinstance(value, list) == isinstance(example, list)
             assert isinstance(value, bool) == isinstance(example, bool)
-
-
-async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
-    with SteeredCortex(
-        world, Circumstances(user=User(licence=Licence.EEG), unlicensed_metrics_s=1.5)
-    ) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP, "met")
-            await client.until_data("met", 3)
-    assert np.diff(client.times("met")).tolist() == pytest.approx([1.5, 1.5], abs=2e-4)
-
-
-async def test_the_clock_of_cortex_drifts(world: World) -> None:
-    with SteeredCortex(world, drift_ppm=-20_000) as cortex:
-        async with CortexClient(cortex.settings) as client:
-            await client.begin(*APP, "eeg")
-            await client.until_data("eeg", 60)
-            cortex.apply(Fault(FaultKind.DRIFT, 30_000))
-            await client.until_data("eeg", 60)
-        true_times = cortex.truth.samples("eeg").times
-    rates = np.diff(client.times("eeg")) / np.diff(true_times)
-    assert rates[:40].mean() == pytest.approx(0.98, abs=1e-3)
-    assert rates[-40:].mean() == pytest.approx(1.03, abs=1e-3)
-
-
-async def test_equal_seeds_give_equal_tokens_and_contacts(world: World) -> None:
-    tokens: list[str] = []
-    for seed in (1, 1, 2):
-        with SteeredCortex(world, seed=seed, timing=Timing()) as cortex:
-            async with CortexClient(cortex.settings) as client:
-                tokens.append(await client.authorize(*APP))
-    assert tokens[0] == tokens[1] != tokens[2]

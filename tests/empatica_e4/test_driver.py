@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,29 +62,6 @@ async def test_any_locale_is_read(world: World, running: Running, mark: str, min
             await run.until_more("bvp", "acc", rows=70)
             run.assert_all_arrived(server.truth, "bvp", "acc")
             assert run.sink.array("bvp").min() < 0
-
-
-async def test_the_wristband_may_be_taken_off_and_put_on_again(
-    world: World, running: Running
-) -> None:
-    with SteeredE4(world) as server:
-        async with running(server.settings) as run:
-
-            def worn() -> list[float]:
-                return [float(row[0]) for row in run.sink.rows["quality"]]
-
-            await run.until(lambda: 1 in worn())
-            server.apply(Fault(FaultKind.OFF_BODY, FOREVER))
-            await run.until(lambda: worn()[-1] == 0)
-            server.clear(FaultKind.OFF_BODY)
-            await run.until(lambda: worn()[-1] == 1)
-            run.assert_all_arrived(server.truth, *REGULAR)
-        open_ = np.isnan(run.sink.array("gsr")[:, 0])
-        assert open_.any()
-        assert not open_[0]
-        assert not open_[-1]
-        steps = [b - a for a, b in pairwise(worn()) if a != b]
-        assert steps == [-1, 1]
 
 
 async def test_manual_radio_is_connected_by_the_driver(world: World, running: Running) -> None:

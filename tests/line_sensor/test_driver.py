@@ -38,29 +38,6 @@ from tests.rigs.truth import assert_once_and_in_order
 
 # Virtual boards under the supervisor, by each way; and what is said of lines that do not fit.
 
-BOARDS = [
-    SimulatedLineSensor,
-    UdpLineSensor,
-    WebSocketLineSensor,
-    StructLineSensor,
-    OpenEarableLineSensor,
-]
-
-
-@pytest.mark.parametrize("board", BOARDS)
-async def test_what_is_measured_arrives_once_and_in_order(
-    world: World, board: type[SimulatedLineSensor]
-) -> None:
-    with board(world, seed=3, jitter_s=0.02, drift_ppm=100) as device:
-        async with streaming(device) as run:
-            await until(run.sink.has(100, "acc", "gsr"))
-        for name in ("acc", "gsr"):
-            truth = device.truth.samples(name).values
-            places = assert_once_and_in_order(run.sink.rows[name], truth)
-            assert set(np.diff(places)) == {1}
-        assert run.sink.dropped_bytes == 0
-        assert run.lost == {}
-
 
 @pytest.mark.parametrize("board", [WebSocketLineSensor, StructLineSensor])
 async def test_a_board_that_goes_and_comes_is_connected_again(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +28,7 @@ from biosensor_gateway.devices.movesense.simulator import Firmware, wire
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import What
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
@@ -40,39 +39,6 @@ if TYPE_CHECKING:
     from tests.movesense.conftest import MakeSensor
 
 # The driver streams from virtual Movesense sensors: all of it, once, at the right time.
-
-
-async def test_every_stream_fills_with_what_the_sensor_sent(sensor: MakeSensor) -> None:
-    movesense = sensor(rssi_dbm=-49)
-    async with streaming(movesense, mag=True) as run:
-        await until(run.sink.has(3, "hr", "ibi", "temp", "quality"))
-        await until(run.sink.has(400, "ecg"))
-        await until(run.sink.has(100, "acc", "gyro", "mag"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-        # The truth may be ahead by what is under way.
-        lost = [run.sink.lost_count(stream.data_name) for stream in SPEC.streams]
-    for name in ("hr", "ibi", "ecg", "acc", "gyro", "mag", "temp"):
-        places = assert_once_and_in_order(run.sink.rows[name], movesense.truth.samples(name).values)
-        assert places == list(range(len(places))), name
-    assert run.sink.rows["bat"] == [[87]]
-    assert run.sink.rows["rssi"] == [[-49]]
-    assert run.sink.values("quality")[-1] == 1
-    assert set(lost) == {0}
-    assert run.sink.dropped_bytes == 0
-
-
-@ON_BUMBLE
-async def test_samples_are_stamped_when_they_were_measured(sensor: MakeSensor) -> None:
-    movesense = sensor(deviation=-0.03, drift_ppm=100, jitter_s=0.1)
-    async with streaming(movesense) as run:
-        await until(run.sink.has(3000, "ecg"))
-    for name in ("ecg", "acc", "gyro"):
-        stamps = np.array(run.sink.times[name])
-        errors = stamps - movesense.truth.samples(name).times[: len(stamps)]
-        settled = errors[len(errors) // 2 :]
-        assert np.abs(settled).max() < 0.02, name
-        assert all(a < b for a, b in pairwise(stamps))
-        assert np.sqrt(np.mean(np.square(np.diff(settled)))) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -276,10 +242,6 @@ def test_a_sensor_is_found_with_the_settings_that_lead_to_it() -> None:
 @pytest.mark.parametrize("name", ["", "Movesensex 1", "Polar H10 A1B2C3D4", "My Movesense 1"])
 def test_anything_else_is_none(name: str) -> None:
     assert recognise(seen(name)) is None
-
-
-def test_a_serial_port_is_none() -> None:
-    assert recognise(SerialPort("COM7", "Movesense 174630000192")) is None
 
 
 SERIAL = "174630000192"

@@ -64,17 +64,3 @@ async def test_it_has_room_for_four_subscriptions(sensor: MakeSensor) -> None:
         for reference, path in enumerate((b"Acc/13", b"Gyro/13", b"Magn/13", b"Temp", b"HR"), 1):
             await tell(host, bytes([1, reference]), b"/Meas/", path)
         await until(lambda: bytes([1, 5, 0x01, 0xFB]) in host.all(DATA))
-
-
-async def test_it_is_silent_after_it_was_told_to_be(sensor: MakeSensor) -> None:
-    sensor()
-    async with connection(NAME) as host:
-        await host.subscribe(DATA)
-        await tell(host, b"\x01\x63/Meas/Acc/208")
-        await packets(host, 99, 2)
-        await tell(host, b"\x02\x63")
-        await until(lambda: bytes([1, 99]) + struct.pack("<H", 200) in host.all(DATA)[2:])
-        count = len(host.all(DATA))
-        await tell(host, b"\x00\x07")
-        await until(lambda: len(host.all(DATA)) > count)
-        assert host.all(DATA)[count].startswith(b"\x01\x07\x01174630000192\0")

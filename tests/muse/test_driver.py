@@ -6,7 +6,6 @@ import asyncio
 import json
 import random
 from collections.abc import Iterable
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,7 +34,6 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     EEG_UV,
     FRAMES,
     PPG,
-    TELEMETRY,
     Answers,
     Floats,
 )
@@ -44,7 +42,7 @@ from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import BleLink
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import What
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import Run, connected, streaming
@@ -85,22 +83,6 @@ async def test_every_stream_fills_with_what_the_headband_sent(headband: Make) ->
     assert lost == {0}
     assert run.sink.rows["rssi"] == [[-49]]
     assert run.sink.rows["bat"][0] == [87]
-
-
-@pytest.mark.parametrize("jitter_s", [0.0, 0.03, 0.1])
-@ON_BUMBLE
-async def test_samples_are_stamped_when_they_were_measured(headband: Make, jitter_s: float) -> None:
-    device = headband(drift_ppm=100, jitter_s=jitter_s)
-    light = LIGHT[type(device)]
-    async with streaming(device) as run:
-        await asyncio.sleep(SECONDS)
-    for name in ("eeg", light, "acc", "gyro"):
-        stamps = np.array(run.sink.times[name])
-        errors = stamps - device.truth.samples(name).times[: len(stamps)]
-        settled = errors[len(errors) // 4 :]
-        assert np.abs(settled).max() < 0.02, name
-        assert all(a < b for a, b in pairwise(stamps))
-        assert np.sqrt(np.mean(np.square(np.diff(settled)))) < 1e-3
 
 
 @CLASSIC
@@ -305,10 +287,6 @@ def test_a_headband_without_a_name_is_told_by_its_service() -> None:
     assert recognise(Advertisement(ADDRESS)) is None
 
 
-def test_a_serial_port_is_none() -> None:
-    assert recognise(SerialPort("COM7", "Muse-3A1F")) is None
-
-
 @pytest.mark.parametrize("serial", ["4021-3A1F-0001", "5031-3A1F-0001", "6002-3A1F-0001", ""])
 @pytest.mark.parametrize("aux", [True, False])
 @pytest.mark.parametrize("ppg", [True, False])
@@ -437,17 +415,3 @@ def test_packets_that_are_lost_at_random_double_no_rows(seed: int) -> None:
     assert sink.losses.get("eeg", 0) == counts[-1] - counts[0] + 1 - len(rows)
     errors_s = np.array(sink.times["eeg"]) - BEGIN_S - (counts + 1) / 256
     assert np.abs(errors_s).max() < 0.02
-
-
-def test_a_packet_that_comes_twice_is_one() -> None:
-    sent = [each for _, _, each in packets("eeg", 20) for _ in range(2)]
-    sink = emitted(sent)
-    assert len(sink.emitted["eeg"]) == len(sent) // 8 * 12
-    assert not sink.losses.get("eeg")
-
-
-@pytest.mark.parametrize(("told", "emitted_as"), [(90.5, 90.5), (100.0, 100), (100.5, 100)])
-def test_a_full_battery_is_full(told: float, emitted_as: float) -> None:
-    data = bytes(2) + round(told * 512).to_bytes(2, "big") + bytes(16)
-    sink = emitted([(BEGIN_S, TELEMETRY, data)])
-    assert sink.values("bat") == [emitted_as]

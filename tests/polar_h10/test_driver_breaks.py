@@ -108,22 +108,6 @@ async def test_a_silent_device_is_connected_again(
     assert_only_gaps(h10, run.sink)
 
 
-async def test_a_short_stall_only_delays(sensor: MakeSensor) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await until(run.sink.has(100, "ecg"))
-        await until(run.sink.has(36, "acc"))
-        h10.apply(Fault(FaultKind.STALL, 1.6))
-        await until(lambda: h10.truth.unsent_count("ecg"))
-        await run.goes_on(146, "ecg")
-        await run.goes_on(36, "acc")
-        assert run.supervisor.connections == 1
-        lost = {name: run.sink.lost_count(name) for name in ("ecg", "acc")}
-        unsent = {name: h10.truth.unsent_count(name) for name in lost}
-    assert_only_gaps(h10, run.sink)
-    assert lost == unsent
-
-
 async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,11 +185,3 @@ async def test_what_is_refused_is_told_to_who_connects(sensor: MakeRefusing) -> 
     async with connected(sensor(Quirks(minimum_mtu=512)), acc=False) as info:
         assert info.denied.keys() == {"ecg"}
         assert (info.silent, info.refused) == ({"acc"}, {"acc"})
-
-
-@ON_BUMBLE
-@pytest.mark.parametrize("host_mtu", [64])
-async def test_a_real_small_mtu_is_what_it_refuses(sensor: MakeRefusing) -> None:
-    async with streaming(sensor(Quirks(minimum_mtu=65))) as run:
-        await run.goes_on(3, "hr")
-        assert "INVALID_MTU" in str(run.supervisor.last_error)

@@ -8,25 +8,21 @@ import numpy as np
 import pytest
 from bleak.exc import BleakGATTProtocolError
 
-from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.simulation.wearer import Wearer
 from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import advertised, connection
 from tests.rigs.polar_h10 import (
     CONTROL,
-    DATA,
     HEART_RATE,
     NAME,
     START_ACC,
     START_ECG,
     frames_of,
-    int24,
     open_pmd,
 )
 from tests.rigs.polling import until
 
-POWER_ON_NS = 599_616_000_000_000_000
 MakeH10 = Callable[..., SteeredPolarH10]
 
 pytestmark = ON_BUMBLE
@@ -46,28 +42,6 @@ async def test_it_is_advertised_as_an_h10_is(h10: SteeredPolarH10) -> None:
     payload = data.manufacturer_data[0x006B]
     assert len(payload) == 4
     assert payload[0] & 0b11 == 0b10
-
-
-async def test_its_advertisement_shows_that_it_is_alive(h10: SteeredPolarH10) -> None:
-    del h10
-    counters: set[int] = set()
-    rates: set[int] = set()
-    while len(counters) < 4:
-        payload = (await advertised(NAME))[1].manufacturer_data[0x006B]
-        counters.add(payload[0] >> 2 & 7)
-        rates.add(payload[3])
-    assert max(rates) > 60
-
-
-async def test_it_says_what_it_is(h10: SteeredPolarH10) -> None:
-    async with connection(NAME) as host:
-        read = host.client.read_gatt_char
-        texts = [bytes(await read(uuid)) for uuid in ("2a29", "2a24", "2a25")]
-        assert texts == [b"Polar Electro Oy\0", b"H10\0", b"A1B2C3D4\0"]
-        assert bytes(await read("2a38")) == b"\1"
-        assert bytes(await read("2a19")) == b"\x57"
-        assert bytes(await read(CONTROL)).hex() == "0f05" + 15 * "00"
-    assert h10.truth.samples("rssi").values.tolist() == [[-58.0]]
 
 
 async def test_the_handshake_is_as_published(h10: SteeredPolarH10) -> None:
@@ -91,27 +65,6 @@ async def test_the_handshake_is_as_published(h10: SteeredPolarH10) -> None:
     assert {"ecg", "acc"} <= set(h10.truth.data_names)
 
 
-async def test_ecg_frames_are_the_truth(make_h10: MakeH10) -> None:
-    h10 = make_h10(drift_ppm=150.0, jitter_s=0.02)
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        await host.ask(CONTROL, START_ECG)
-        await until(lambda: len(frames_of(host, 0)) >= 5)
-        frames, heard = frames_of(host, 0)[:5], host.heard[DATA][:5]
-    truth = h10.truth.samples("ecg")
-    assert [(frame.layout, len(frame.body)) for frame in frames] == 5 * [(0, 219)]
-    values = [uv for frame in frames for uv in int24(frame.body)]
-    assert truth.values[: len(values), 0].tolist() == values
-    assert max(values) > 800
-    # The device's clock against the true one: 150 ppm fast, 1/130 s a sample.
-    last_s = truth.times[72 : 73 * 5 : 73]
-    stamps_s = [(frame.stamp_ns - POWER_ON_NS) / 1e9 for frame in frames]
-    assert 0 < stamps_s[0] < 60
-    np.testing.assert_allclose(np.diff(stamps_s), 73 / 130, atol=1e-8)
-    np.testing.assert_allclose(np.diff(last_s), 73 / 130 / (1 + 150e-6), atol=1e-7)
-    assert all(one.arrival >= time for one, time in zip(heard, last_s, strict=True))
-
-
 async def test_the_ecg_beats_where_the_intervals_end(make_h10: MakeH10) -> None:
     h10 = make_h10(wearer=Wearer(heart_rate_bpm=120.0))
     async with connection(NAME) as host:
@@ -126,23 +79,3 @@ async def test_the_ecg_beats_where_the_intervals_end(make_h10: MakeH10) -> None:
         near = np.abs(ecg.times - beat_s) < 0.2
         peak_s = ecg.times[near][np.argmax(ecg.values[near, 0])]
         assert peak_s == pytest.approx(beat_s, abs=1.5 / 130)
-
-
-async def test_measurements_end_with_the_link(h10: SteeredPolarH10) -> None:
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        await host.ask(CONTROL, START_ECG)
-    await until(lambda: h10.truth.unsent_count("ecg") >= 1)
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        assert await host.ask(CONTROL, START_ECG) == "f002000000"
-
-
-async def test_it_can_stop_by_itself_and_says_so(h10: SteeredPolarH10) -> None:
-    async with connection(NAME) as host:
-        await open_pmd(host)
-        await host.ask(CONTROL, START_ACC)
-        await host.ask(CONTROL, START_ECG)
-        h10.stop_measurements(Measurement.ECG, Measurement.ACC)
-        assert (await host.more(CONTROL, 1, 2)) == [b"\1\0\2"]
-        assert await host.ask(CONTROL, "0300") == "f003000600"

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
 from biosensor_gateway.devices.polar_h10.simulator.pmd_service import ControlPoint
 from biosensor_gateway.devices.polar_h10.simulator.products import H10
 
@@ -103,47 +102,6 @@ def test_a_wrong_command_is_refused_without_effect(command: str, status: int) ->
     (reply,) = point.answer(bytes.fromhex(command), FULL_MTU)
     assert reply == b"\xf0" + bytes.fromhex(command)[:2].ljust(2, b"\0") + bytes((status, 0))
     assert point.running == {}
-
-
-def test_it_knows_what_runs_and_with_which_settings() -> None:
-    point = ControlPoint(H10, announces_stops=True)
-    ask(point, START_ACC_H10)
-    assert point.running == {
-        Measurement.ACC: {Setting.RANGE: 8, Setting.SAMPLE_RATE: 200, Setting.RESOLUTION: 16}
-    }
-    assert ask(point, "05") == "f0050000000042"
-    assert ask(point, "0302") == "f003020000 0102"
-    assert point.running == {}
-
-
-def test_what_a_former_host_left_on_is_running() -> None:
-    point = ControlPoint(H10, running=(Measurement.ECG,))
-    assert ask(point, START_ECG) == "f002000600"
-    assert ask(point, "0300") == "f003000000"
-    assert ask(point, START_ECG) == "f002000000"
-
-
-def test_a_stop_by_the_device_names_what_was_on() -> None:
-    point = ControlPoint(H10, running=(Measurement.ECG, Measurement.ACC))
-    assert point.stop((Measurement.ACC, Measurement.ECG, Measurement.PPI)) == b"\1\2\0"
-    assert point.running == {}
-
-
-def test_while_it_refuses_nothing_changes() -> None:
-    point = ControlPoint(H10, running=(Measurement.ACC,))
-    point.refuses = True
-    for command in ("0100", START_ECG, "0302", "05"):
-        assert bytes.fromhex(ask(point, command))[3] == 12
-    assert point.running.keys() == {Measurement.ACC}
-
-
-@given(st.integers(23, 512))
-def test_a_long_reply_goes_on_in_further_packets(mtu: int) -> None:
-    packets = ControlPoint(H10).answer(b"\1\2", mtu)
-    assert all(packet[:4] == b"\xf0\1\2\0" and len(packet) <= mtu - 3 for packet in packets)
-    assert [packet[4] for packet in packets] == [1] * (len(packets) - 1) + [0]
-    whole = packets[0][:4] + b"\0" + b"".join(packet[5:] for packet in packets)
-    assert whole.hex() == VECTORS["settings_acc"]["hex"]
 
 
 @given(st.lists(st.binary(max_size=24), max_size=8))

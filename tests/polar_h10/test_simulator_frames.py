@@ -182,43 +182,6 @@ def test_frames_are_split_until_they_fit(
     assert decoded == [list(sample) for sample in samples]
 
 
-@pytest.mark.parametrize(
-    ("measurement", "mtu", "count"),
-    [
-        (Measurement.ECG, 232, 73),
-        (Measurement.ACC, 232, 36),
-        (Measurement.ECG, 23, 3),
-        (Measurement.ACC, 23, 1),
-    ],
-)
-def test_as_many_samples_share_a_frame_as_the_mtu_allows(
-    measurement: Measurement, mtu: int, count: int
-) -> None:
-    settings = {Setting.SAMPLE_RATE: 25, Setting.RANGE: 2}
-    signal = waveform(H10, measurement, settings, Wearer(), compressed=False)
-    assert signal.planned(mtu - 3) == count
-
-
-@pytest.mark.parametrize("reach_g", [2, 4, 8])
-def test_acceleration_stays_within_its_range(reach_g: int) -> None:
-    class Faller(Wearer):
-        def acceleration_g(self, t: Any) -> Any:
-            return 40.0 * super().acceleration_g(t)
-
-    settings = {Setting.SAMPLE_RATE: 50, Setting.RANGE: reach_g}
-    signal = waveform(H10, Measurement.ACC, settings, Faller(), compressed=False)
-    counts = signal.counts(np.arange(50) / 50, True)
-    assert np.abs(counts).max() == 1000 * reach_g
-
-
-def test_without_contact_there_is_no_heart_in_the_ecg() -> None:
-    settings = {Setting.SAMPLE_RATE: 130}
-    signal = waveform(H10, Measurement.ECG, settings, Wearer(), compressed=False)
-    t = np.arange(1300) / 130
-    assert signal.counts(t, True).max() > 800
-    assert np.abs(signal.counts(t, False)).max() < 200
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_no_damaged_frame_can_be_decoded(seed: int) -> None:
     for frame in pmd.damaged(np.random.default_rng(seed), 7):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from math import inf
 
 import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.devices.polar_verity_sense.driver import (
@@ -25,7 +23,7 @@ from biosensor_gateway.devices.polar_verity_sense.simulator import (
     SimulatedPolarVeritySense,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
@@ -35,37 +33,6 @@ from tests.rigs.truth import assert_once_and_in_order
 
 MakeSensor = Callable[..., SimulatedPolarVeritySense]
 REGULAR = ("ppg", "acc", "gyro", "mag")
-
-
-async def test_every_stream_fills_with_what_the_sensor_sent(sensor: MakeSensor) -> None:
-    verity = sensor()
-    async with streaming(verity) as run:
-        await until(run.sink.has(100, *REGULAR))
-        await until(run.sink.has(4, "ppi"))
-        await until(run.sink.has(1, "hr", "quality", "bat", "rssi"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-        assert run.lost == {}
-    for name in (*REGULAR, "ppi", "hr"):
-        places = assert_once_and_in_order(run.sink.rows[name], verity.truth.samples(name).values)
-        assert places == list(range(places[0], places[0] + len(places)))
-    assert run.sink.rates == {"ppg": 55, "acc": 52, "gyro": 52, "mag": 50}
-    assert run.sink.info.model == "Verity Sense"
-    assert run.sink.dropped_bytes == 0
-
-
-@ON_BUMBLE
-async def test_samples_are_stamped_when_they_were_measured(sensor: MakeSensor) -> None:
-    verity = sensor(Quirks(sampling_deviation=0.015), drift_ppm=100, jitter_s=0.05)
-    async with streaming(verity, ppi=False) as run:
-        await until(run.sink.has(750, *REGULAR))
-    for name in REGULAR:
-        stamps = np.array(run.sink.times[name])
-        errors = stamps - verity.truth.samples(name).times[: len(stamps)]
-        assert np.all(errors > -0.02)
-        assert np.median(errors) < 0.2
-        assert all(a < b for a, b in pairwise(stamps))
-        spacing = np.diff(errors[len(errors) // 2 :])
-        assert np.sqrt(np.mean(np.square(spacing))) < 1e-3
 
 
 @ON_BUMBLE
@@ -236,7 +203,3 @@ def test_each_product_is_found_by_its_name(model: str) -> None:
 def test_other_names_are_other_devices(name: str) -> None:
     assert identify(seen(name)) is None
     assert recognise(seen(name)) is None
-
-
-def test_a_serial_port_is_none() -> None:
-    assert recognise(SerialPort("COM7", "Polar Sense A1B2C3D4")) is None

@@ -135,28 +135,6 @@ async def test_every_firmware_delivers_every_sample(
     assert run.sink.clock_state.reanchors == 0
 
 
-async def test_every_stream_fills_and_the_stamps_are_those_of_the_measurement(
-    streaming: Streaming,
-) -> None:
-    async with streaming(seed=2) as run:
-        await until(run.sink.has(5, "hr"))
-        stamped = {name: np.array(run.sink.times[name]) for name in WAVEFORMS}
-        await run.both()
-        truth = {name: run.device.truth.samples(name) for name in ("gsr", "ppg", "bat")}
-    np.testing.assert_allclose(run.sink.array("bat"), truth["bat"].values[:1])
-    assert {tuple(row) for row in run.sink.array("quality")[:, :1]} == {(1.0,)}
-    assert run.sink.array("quality")[-1, 2] == 1
-    wearer = run.device.wearer
-    beats_s = np.array(run.sink.times["hr"]) - run.device.started_s
-    np.testing.assert_allclose(run.sink.array("hr")[:, 0], wearer.heart_rate(beats_s), rtol=0.1)
-    for name, stamps in stamped.items():
-        errors = stamps - truth[name].times[: len(stamps)]
-        assert np.all(errors > -0.005)
-        assert np.median(errors) < 0.1
-        assert np.std(np.diff(stamps)) < 0.002
-    assert run.sink.rates == {}
-
-
 async def test_it_stops_the_device_at_the_end(streaming: Streaming) -> None:
     async with streaming() as run:
         await run.more()
@@ -191,27 +169,6 @@ async def test_over_tcp_it_is_the_same(streaming: Streaming) -> None:
         await run.more(100)
         await run.assert_nothing_invented()
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
-
-
-async def test_electrodes_may_be_taken_off_and_put_on_again(streaming: Streaming) -> None:
-    async with streaming(seed=4) as run:
-
-        def electrodes() -> list[float]:  # fmt: skip
-            return run.sink.array("quality")[:, 0].tolist()
-
-        await until(lambda: electrodes()[-1:] == [1.0])
-        run.device.apply(Fault(FaultKind.OFF_BODY, NEVER))
-        await until(lambda: electrodes()[-1:] == [0.0])
-        await run.more(20)
-        assert np.isnan(run.sink.array("gsr")[-1, 0])
-        assert np.isfinite(run.sink.array("ppg")).all()
-        run.device.clear(FaultKind.OFF_BODY)
-        await until(lambda: electrodes()[-1:] == [1.0])
-        await run.more(20)
-        received, measured = await run.both()
-    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
-    assert 0.0 not in run.sink.array("gsr")
-    assert run.lost == {}
 
 
 @pytest.mark.parametrize("firmware", [(0, 11, 0), (1, 1, 2)], ids=str)
@@ -319,17 +276,6 @@ async def test_docking_is_told_and_disturbs_nothing(
     assert told == ["not docked", *["docked", "not docked"] * 3]
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
     assert run.lost == {}
-
-
-async def test_a_drifting_oscillator_loses_nothing(streaming: Streaming) -> None:
-    async with streaming(seed=15, jitter_s=0.05, drift_ppm=-100) as run:
-        await run.more(100)
-        run.device.apply(Fault(FaultKind.DRIFT, 200))
-        await run.more(400)
-        received, measured = await run.both()
-    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
-    assert run.lost == {}
-    assert run.sink.clock_state.reanchors == 0
 
 
 @pytest.mark.seam

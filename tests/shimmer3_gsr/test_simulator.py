@@ -13,7 +13,6 @@ import serial
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
-from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.rigs.serial_hosts import SerialHosts
@@ -24,7 +23,6 @@ from tests.rigs.virtual_time import pause
 DEADLINE_S = 20.0
 RESISTORS_KOHM = (40.2, 287.0, 1000.0, 3300.0)
 GSR_PPG_128_HZ = ("08040100", "2104", "5e01", "050001")
-STATUS = b"\x8a\x71"
 
 
 def check_of(message: bytes) -> bytes:
@@ -135,21 +133,10 @@ def host(hosts: SerialHosts[Host], device: SimulatedShimmer3) -> Host:
     return hosts.connect(device.port)
 
 
-def volts_of(counts: int) -> float:
-    return counts * 3 / 4095 * 1.988
-
-
 def settled(device: SimulatedShimmer3, data_name: str, count: int) -> None:
     """Wait until the truth holds so many samples: it is noted just after the sending."""
     deadline = time.monotonic() + DEADLINE_S
     while len(device.truth.samples(data_name).times) < count:
-        assert time.monotonic() < deadline
-        pause(0.01)
-
-
-def unsent(device: SimulatedShimmer3, data_name: str, more_than: int) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while device.truth.unsent_count(data_name) <= more_than:
         assert time.monotonic() < deadline
         pause(0.01)
 
@@ -186,132 +173,6 @@ def test_no_packet_leaves_before_it_was_measured(host: Host, device: SimulatedSh
     heard_s = LSL_CLOCK()
     settled(device, "gsr", 30)
     assert device.truth.samples("gsr").times[29] < heard_s
-
-
-def test_ticks_wrap_at_24_bits(world: World, hosts: SerialHosts[Host]) -> None:
-    with SimulatedShimmer3(world, first_tick=(1 << 24) - 20_000) as device:
-        host = hosts.connect(device.port)
-        host.ask_all(*GSR_PPG_128_HZ, "07")
-        packets = host.packets(150)
-    assert packets[-1].ticks < packets[0].ticks
-    assert set(gaps(packets)) == {256}
-
-
-def test_without_power_the_pulse_is_near_zero(host: Host) -> None:
-    host.ask_all("08040100", "2104", "5e00", "050001", "07")
-    assert all(packet.ppg_mv < 15 for packet in host.packets(20))
-
-
-def test_battery_and_acceleration_stream_too(host: Host) -> None:
-    host.ask_all("08842100", "050001", "07")
-    body = host.take(4 + 5 * 2 + 2)
-    counts = [int.from_bytes(body[k : k + 2], "little", signed=True) for k in (4, 6, 8, 10)]
-    # x_case = -y_chip, y_case = -x_chip, z_case = -z_chip; the trunk is upright along x.
-    x, y, z = (-(count - 2253) / 92 / 9.80665 for count in (counts[1], counts[0], counts[2]))
-    assert (x, y, z) == (
-        pytest.approx(-0.97, abs=0.05),
-        pytest.approx(0.05, abs=0.05),
-        pytest.approx(0.24, abs=0.05),
-    )
-    assert volts_of(counts[3]) == pytest.approx(3.963, abs=0.01)
-
-
-def test_commands_during_the_stream(host: Host) -> None:
-    host.ask_all(*GSR_PPG_128_HZ, "a300", "07")
-    host.packets(5)
-    for command, answer in (("2100", "fe"), ("96", "ff"), ("72", "ff8a7132")):
-        host.send(command)
-        assert host.after_packets(len(answer) // 2) == answer
-    host.send("20")
-    assert host.after_packets(1) == "ff"
-
-
-def test_docking_is_told_unasked_and_does_not_end_the_stream(
-    host: Host, device: SimulatedShimmer3
-) -> None:
-    host.ask_all(*GSR_PPG_128_HZ)
-    device.dock()
-    assert host.take(4).hex() == "ff8a7121"
-    device.dock(docked=False)
-    assert host.take(4).hex() == "ff8a7120"
-    host.ask_all("a300", "07")
-    host.packets(3)
-    device.dock()
-    host.until(lambda: STATUS + b"\x33" in host.unread)
-    before, _, after = host.unread.partition(STATUS + b"\x33")
-    assert len(before) % 8 == 0
-    host.unread = after
-    host.packets(3)
-
-
-def test_nothing_is_said_before_the_first_command(host: Host, device: SimulatedShimmer3) -> None:
-    device.dock()
-    device.apply(Fault(FaultKind.GARBAGE, 8))
-    assert host.is_quiet()
-
-
-def test_a_host_that_leaves_ends_stream_and_modes(
-    hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
-) -> None:
-    host.ask_all(*GSR_PPG_128_HZ, "a300")
-    assert host.ask("8b01", 2) == "fff4"
-    host.send("07")
-    host.until(lambda: len(host.unread) > 40)
-    host.close()
-    deadline = time.monotonic() + DEADLINE_S
-    while device.streaming:
-        assert time.monotonic() < deadline
-        pause(0.01)
-    again = hosts.connect(device.port)
-    assert again.is_quiet()
-    # The settings are in flash.
-    assert again.ask("01", 12) == "ff02000101ff01090201121c"
-    device.dock()
-    assert again.take(4).hex() == "ff8a7121"
-
-
-def test_whole_packets_are_dropped_when_the_host_does_not_read(
-    world: World, hosts: SerialHosts[Host]
-) -> None:
-    with SimulatedShimmer3(world, tcp=False) as device:
-        host = hosts.connect(device.port)
-        host.ask_all("08040100", "2104", "5e01", "050800", "07")
-        unsent(device, "gsr", 200)
-        # First what waited, then what is measured now: 30 KiB hold at most 4000 packets.
-        packets = host.packets(6000)
-    steps = gaps(packets)
-    assert all(step % 8 == 0 for step in steps)
-    lost = sum(step // 8 - 1 for step in steps)
-    assert 0 < lost <= device.truth.unsent_count("gsr")
-
-
-class TestFaults:
-    def test_old_firmware_refuses_in_silence(self, world: World, hosts: SerialHosts[Host]) -> None:
-        with SimulatedShimmer3(world, firmware=(0, 16, 11)) as device:
-            device.apply(Fault(FaultKind.REFUSE, math.inf))
-            host = hosts.connect(device.port)
-            host.send("3f")
-
-            def docked_and_told() -> bool:
-                device.dock()
-                return STATUS in host.unread
-
-            # It pushes its status once it has heard the command, which has no answer.
-            host.until(docked_and_told)
-            assert host.take(4).hex() == "ff8a7121"
-
-    def test_drift_changes_the_pace_and_leaves_no_gap(
-        self, host: Host, device: SimulatedShimmer3
-    ) -> None:
-        host.ask_all(*GSR_PPG_128_HZ, "07")
-        packets = host.packets(30)
-        device.apply(Fault(FaultKind.DRIFT, 50_000))
-        packets += host.packets(100)
-        assert set(gaps(packets)) == {256}
-        settled(device, "gsr", 130)
-        steps = np.diff(device.truth.samples("gsr").times)
-        assert steps[10] == pytest.approx(1 / 128, rel=1e-6)
-        assert steps[120] == pytest.approx(1 / 128 / 1.05, rel=1e-6)
 
 
 # The port under a virtual device in a loop, as a host sees it, on all kinds of it.
@@ -398,13 +259,6 @@ def test_every_byte_passes_both_ways(port_device: Device) -> None:
         assert read(host, 256) == every
 
 
-def test_nothing_is_taken_without_a_host(port_device: Device) -> None:
-    assert not port_device.write(b"to nobody")
-    with greeted(port_device) as host:
-        assert port_device.write(b"x")
-        assert read(host, 1) == b"x"
-
-
 def test_a_host_that_leaves_is_noticed_and_the_next_one_hears_nothing_old(
     port_device: Device,
 ) -> None:
@@ -417,13 +271,6 @@ def test_a_host_that_leaves_is_noticed_and_the_next_one_hears_nothing_old(
         assert port_device.write(b"new")
         assert read(another, 3) == b"new"
     until(lambda: port_device.left == 2)
-
-
-def test_what_a_host_says_last_is_heard(port_device: Device) -> None:
-    with connect(port_device) as host:
-        host.write(b"last words")
-    until(lambda: port_device.left == 1 or len(port_device.heard) == 10)
-    until(lambda: bytes(port_device.heard) == b"last words")
 
 
 def test_a_host_sees_the_hang_up_and_finds_the_port_again_under_its_name(
@@ -453,13 +300,6 @@ def test_a_message_is_taken_whole_or_not_at_all(port_device: Device) -> None:
         assert read(host, 100 * taken) == taken * message
         until(lambda: port_device.write(b"again"))
         assert read(host, 5) == b"again"
-
-
-def test_opening_twice_is_opening_once(port_device: Device) -> None:
-    with greeted(port_device) as host:
-        port_device.open()
-        assert port_device.write(b"still")
-        assert read(host, 5) == b"still"
 
 
 def test_a_second_host_of_a_tcp_port_is_sent_away() -> None:

@@ -14,7 +14,6 @@ from bleak.exc import (
     BleakBluetoothNotAvailableError,
     BleakBluetoothNotAvailableReason,
     BleakCharacteristicNotFoundError,
-    BleakDeviceNotFoundError,
     BleakError,
     BleakGATTProtocolError,
 )
@@ -50,11 +49,6 @@ async def test_the_gatt_table_is_the_devices(probe: Probe) -> None:
     }
 
 
-async def test_services_can_be_chosen(probe: Probe) -> None:
-    async with BleakClient(probe.address, services=[SERVICE]) as client:
-        assert [service.uuid for service in client.services] == [SERVICE]
-
-
 async def test_reading_and_writing(probe: Probe) -> None:
     async with BleakClient(probe.address) as client:
         assert await client.read_gatt_char(SERIAL) == b"0815"
@@ -62,15 +56,6 @@ async def test_reading_and_writing(probe: Probe) -> None:
         await client.write_gatt_char(NOTE, b"two", response=False)
         assert await client.read_gatt_char(NOTE) == b"two"
     assert probe.notes == [b"one", b"two"]
-
-
-async def test_many_writes_keep_their_order(probe: Probe) -> None:
-    sent = [count.to_bytes(2, "big") for count in range(200)]
-    async with BleakClient(probe.address) as client:
-        for data in sent:
-            await client.write_gatt_char(NOTE, data, response=False)
-        await until(lambda: len(probe.notes) == len(sent))
-    assert probe.notes == sent
 
 
 async def test_two_thousand_notifications_arrive_in_order(probe: Probe) -> None:
@@ -94,17 +79,6 @@ async def test_subscribing_and_unsubscribing(probe: Probe) -> None:
         assert await client.read_gatt_char(FLOW) == b"still"
     assert got == [b"heard"]
     assert not probe.peripheral.subscribed(probe.flow)
-
-
-async def test_subscribing_again_replaces_the_callback(probe: Probe) -> None:
-    first: list[bytes] = []
-    second: list[bytes] = []
-    async with BleakClient(probe.address) as client:
-        await client.start_notify(FLOW, lambda _, data: first.append(bytes(data)))
-        await client.start_notify(FLOW, lambda _, data: second.append(bytes(data)))
-        assert probe.notify(probe.flow, b"one") == [True]
-        await until(lambda: second)
-    assert (first, second) == ([], [b"one"])
 
 
 async def test_an_indication_returns_when_it_is_confirmed(probe: Probe) -> None:
@@ -139,13 +113,6 @@ async def test_what_a_characteristic_does_not_offer_is_refused(probe: Probe) -> 
             await client.read_gatt_char("2a19")
 
 
-async def test_the_mtu_is_large(probe: Probe) -> None:
-    async with BleakClient(probe.address) as client:
-        assert client.mtu_size >= 247
-        assert probe.peripheral.host_mtu == client.mtu_size
-    await until(lambda: probe.peripheral.host_mtu == 23)
-
-
 @pytest.mark.parametrize(("host", "device"), [(23, 517), (517, 23)])
 async def test_either_side_can_keep_the_mtu_small(world: World, host: int, device: int) -> None:
     radio = Radio(world, host_mtu=host)
@@ -168,30 +135,6 @@ async def test_either_side_can_keep_the_mtu_small(world: World, host: int, devic
             assert probe.notify(probe.flow, long[:20]) == [True]
             await until(lambda: got)
     assert got == [long[:20]]
-
-
-async def test_two_devices_at_once(probe: Probe) -> None:
-    other = Probe(probe.radio, "A0:9E:1A:00:00:02", "Probe 2")
-    other.power_on()
-    sent = {
-        each: [each.peripheral.name.encode() + bytes([n]) for n in range(100)]
-        for each in (probe, other)
-    }
-    got: dict[Probe, list[bytes]] = {probe: [], other: []}
-    clients = {each: BleakClient(each.address) for each in got}
-    await asyncio.gather(*(client.connect() for client in clients.values()))
-    for each, client in clients.items():
-        values = got[each]
-        await client.start_notify(FLOW, lambda _, data, values=values: values.append(bytes(data)))
-    for first, second in zip(sent[probe], sent[other], strict=True):
-        probe.notify(probe.flow, first)
-        other.notify(other.flow, second)
-    await until(lambda: all(len(values) == 100 for values in got.values()))
-    assert got == sent
-    await clients[probe].disconnect()
-    assert clients[other].is_connected
-    assert await clients[other].read_gatt_char(SERIAL) == b"0815"
-    await clients[other].disconnect()
 
 
 async def test_pairing_is_demanded(probe: Probe) -> None:
@@ -220,17 +163,6 @@ async def test_pairing_is_demanded(probe: Probe) -> None:
             await client.read_gatt_char(SECRET)
 
 
-async def test_pairing_while_connecting(probe: Probe) -> None:
-    probe.peripheral.demand_pairing = True
-    async with BleakClient(probe.address, pair=True) as client:
-        assert await client.read_gatt_char(SECRET) == b"secret"
-
-
-async def test_pairing_is_not_demanded_unless_asked_for(probe: Probe) -> None:
-    async with BleakClient(probe.address) as client:
-        assert await client.read_gatt_char(SECRET) == b"secret"
-
-
 # What a plain BleakScanner hears on the virtual radio.
 HEART_RATE = "0000180d-0000-1000-8000-00805f9b34fb"
 POLAR = "0000feee-0000-1000-8000-00805f9b34fb"
@@ -256,25 +188,6 @@ async def test_the_name_comes_with_the_scan_response(probe: Probe) -> None:
     assert set(names[1:]) == {"Probe 1"}
 
 
-async def test_a_passive_scan_hears_no_name(probe: Probe) -> None:
-    names: list[str | None] = []
-    scanner = BleakScanner(lambda _, data: names.append(data.local_name), None, "passive")
-    async with scanner:
-        await until(lambda: len(names) >= 3)
-    assert set(names) == {None}
-
-
-async def test_strength_and_manufacturer_data_follow_the_device(probe: Probe) -> None:
-    latest: list[AdvertisementData] = []
-    async with BleakScanner(lambda _, data: latest.append(data)):
-        await until(lambda: latest)
-        probe.radio.world.call(lambda: probe.peripheral.set_rssi(-90))
-        probe.radio.world.call(lambda: probe.peripheral.set_manufacturer_data({COMPANY: b"new"}))
-        await until(
-            lambda: latest[-1].rssi == -90 and latest[-1].manufacturer_data == {COMPANY: b"new"}
-        )
-
-
 async def test_a_scan_for_a_service_hears_only_those_who_have_it(probe: Probe) -> None:
     other = Peripheral(probe.radio, "A0:9E:1A:00:00:02", "Other", service_uuids=["181a"])
     probe.radio.world.await_(other.power_on([]))
@@ -287,33 +200,6 @@ async def test_a_scan_for_a_service_hears_only_those_who_have_it(probe: Probe) -
         await until(lambda: everybody == {probe.address, other.address})
         await until(lambda: heard)
     assert heard == {probe.address}
-
-
-async def test_two_scans_at_once_end_one_by_one(probe: Probe) -> None:
-    first: list[str] = []
-    second: list[str] = []
-    async with BleakScanner(lambda device, _: first.append(device.address)):
-        async with BleakScanner(lambda device, _: second.append(device.address)):
-            await until(lambda: first and second)
-        ended_at = len(second)
-        first.clear()
-        await until(lambda: len(first) > 3)
-    assert len(second) == ended_at
-
-
-async def test_a_device_that_is_silent_is_not_heard(probe: Probe) -> None:
-    probe.radio.world.call(lambda: probe.peripheral.set_advertising(False))
-    assert await BleakScanner.find_device_by_name("Probe 1", timeout=0.4) is None
-    probe.radio.world.call(lambda: probe.peripheral.set_advertising(True))
-    assert await BleakScanner.find_device_by_name("Probe 1", timeout=20) is not None
-
-
-async def test_a_device_that_is_connected_does_not_advertise(probe: Probe) -> None:
-    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
-    assert device
-    async with BleakClient(device):
-        assert await BleakScanner.find_device_by_name("Probe 1", timeout=0.4) is None
-    assert await BleakScanner.find_device_by_name("Probe 1", timeout=20) is not None
 
 
 async def test_radio_off_refuses_to_scan_and_to_connect(probe: Probe) -> None:
@@ -340,11 +226,6 @@ async def test_a_scan_does_not_survive_the_radio(probe: Probe) -> None:
     assert not heard
 
 
-async def test_an_absent_address_is_not_found(radio: Radio) -> None:
-    with pytest.raises(BleakDeviceNotFoundError):
-        await BleakClient("A0:9E:1A:00:00:99", timeout=0.3).connect()
-
-
 async def test_a_device_that_left_after_the_scan_does_not_connect(probe: Probe) -> None:
     device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
     assert device
@@ -356,27 +237,12 @@ async def test_a_device_that_left_after_the_scan_does_not_connect(probe: Probe) 
         assert client.is_connected
 
 
-async def test_a_scanner_starts_once(probe: Probe) -> None:
-    async with BleakScanner() as scanner:
-        with pytest.raises(BleakError):
-            await scanner.start()
-
-
 async def test_bleak_gets_its_own_backends_back(radio: Radio) -> None:
     assert BleakScanner().backend_id == "virtual"
     inner = bleak.backends.scanner.get_platform_scanner_backend_type
     with virtual_bluetooth(radio):
         assert bleak.backends.scanner.get_platform_scanner_backend_type is not inner
     assert bleak.backends.scanner.get_platform_scanner_backend_type is inner
-
-
-async def test_another_bleak_is_refused(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(bleak, "get_platform_client_backend_type")
-    with (
-        pytest.raises(RuntimeError, match="get_platform_client_backend_type"),
-        virtual_bluetooth(radio),
-    ):
-        pass
 
 
 @pytest.mark.parametrize(

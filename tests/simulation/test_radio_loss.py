@@ -9,10 +9,7 @@ from typing import Any
 import pytest
 from bleak import BleakClient, BleakScanner
 from bleak.exc import BleakError
-from bumble.gatt import Characteristic, Service
 
-from biosensor_gateway.simulation.peripheral import Peripheral
-from biosensor_gateway.simulation.radio import Radio
 from tests.rigs.polling import until
 from tests.rigs.probe import EVENT, FLOW, NOTE, SERIAL, Probe
 
@@ -99,53 +96,6 @@ async def test_a_stall_is_silence_on_a_standing_link(probe: Probe) -> None:
     assert got == [b"heard"]
 
 
-async def test_a_stalled_device_lets_itself_be_disconnected(probe: Probe) -> None:
-    async with BleakClient(probe.address):
-        probe.set_stalled(True)
-    await until(lambda: not probe.peripheral.connected)
-    assert await BleakScanner.find_device_by_name("Probe 1", timeout=0.4) is None
-    probe.set_stalled(False)
-    assert await BleakScanner.find_device_by_name("Probe 1", timeout=20) is not None
-
-
-async def test_five_drops_and_returns_leave_nothing_behind(probe: Probe) -> None:
-    controllers = len(probe.radio.air.controllers)
-    lost = 0
-    connections: list[str] = []
-    probe.peripheral.on_connected.append(lambda: connections.append("up"))
-    probe.peripheral.on_disconnected.append(lambda: connections.append("down"))
-    for cycle in range(5):
-        got: list[bytes] = []
-        gone = asyncio.Event()
-        client = BleakClient(probe.address, lambda _, gone=gone: gone.set(), timeout=20)
-        await client.connect()
-        assert probe.notify(probe.flow, b"not yet") == [False], "subscriptions end with the link"
-        await client.start_notify(FLOW, lambda _, data, got=got: got.append(bytes(data)))
-        assert probe.notify(probe.flow, bytes([cycle])) == [True]
-        await until(lambda got=got: got)
-        probe.drop()
-        await gone.wait()
-        lost += 1
-        assert await BleakScanner.find_device_by_name("Probe 1", timeout=0.2) is None
-        probe.restore()
-    assert lost == 5
-    assert connections == ["up", "down"] * 5
-    assert len(probe.radio.air.controllers) == controllers
-    assert probe.radio.world.call(
-        lambda: all(not c.le_connections for c in probe.radio.air.controllers)
-    )
-
-
-async def test_one_client_object_can_connect_again(probe: Probe) -> None:
-    client = BleakClient(probe.address)
-    for _ in range(3):
-        await client.connect()
-        assert await client.read_gatt_char(SERIAL) == b"0815"
-        with pytest.raises(BleakError):
-            await client.connect()
-        await client.disconnect()
-
-
 async def test_an_indication_ends_with_the_link(probe: Probe) -> None:
     async with BleakClient(probe.address) as client:
         await client.start_notify(EVENT, lambda _, __: None)
@@ -198,21 +148,6 @@ async def test_an_indication_that_arrived_was_sent_whatever_its_confirmation(
     assert [each.result() for each in sending] == [True, False]
 
 
-async def test_giving_up_to_connect_leaves_no_connection(probe: Probe) -> None:
-    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
-    assert device
-    probe.drop()
-    attempt = asyncio.create_task(BleakClient(device).connect())
-    await asyncio.sleep(0.05)
-    attempt.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await attempt
-    probe.restore()
-    async with BleakClient(device) as client:
-        assert await client.read_gatt_char(SERIAL) == b"0815"
-    await until(lambda: not probe.peripheral.connected)
-
-
 @pytest.mark.parametrize("patience_s", [count * 0.01 for count in range(12)])
 async def test_giving_up_at_any_moment_leaves_no_connection(
     probe: Probe, patience_s: float
@@ -229,37 +164,6 @@ async def test_giving_up_at_any_moment_leaves_no_connection(
         await impatient.disconnect()
     async with BleakClient(device, timeout=20) as client:
         assert await client.read_gatt_char(SERIAL) == b"0815"
-
-
-async def test_a_device_that_hangs_while_connecting_times_out(probe: Probe) -> None:
-    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
-    assert device
-
-    def hang() -> None:
-        probe.peripheral.stalled = True
-
-    probe.peripheral.on_connected.append(hang)
-    client = BleakClient(device, timeout=0.6)
-    with pytest.raises(TimeoutError):
-        await client.connect()
-    assert not client.is_connected
-    await until(lambda: not probe.peripheral.connected)
-    probe.peripheral.on_connected.clear()
-    probe.set_stalled(False)
-    async with BleakClient(device, timeout=20) as client:
-        assert client.is_connected
-
-
-async def test_a_device_that_drops_while_connecting_is_an_error(probe: Probe) -> None:
-    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
-    assert device
-    gone: list[BleakClient] = []
-    probe.peripheral.on_connected.append(probe.peripheral.drop)
-    client = BleakClient(device, gone.append, timeout=20)
-    with pytest.raises(BleakError):
-        await client.connect()
-    assert not client.is_connected
-    assert not gone
 
 
 async def test_a_request_given_up_does_not_harm_the_next(probe: Probe) -> None:
@@ -287,31 +191,6 @@ async def test_switching_the_radio_off_loses_the_links(probe: Probe) -> None:
         assert await again.read_gatt_char(SERIAL) == b"0815"
 
 
-async def test_switching_the_device_off_and_on(probe: Probe) -> None:
-    gone = asyncio.Event()
-    await BleakClient(probe.address, lambda _: gone.set()).connect()
-    probe.power_off()
-    await gone.wait()
-    assert not probe.peripheral.connected
-    assert probe.notify(probe.flow, b"nobody") == [False]
-    probe.power_off()
-    probe.power_on()
-    with pytest.raises(ValueError, match="already"):
-        probe.power_on()
-    async with BleakClient(probe.address, timeout=20) as client:
-        assert await client.read_gatt_char(SERIAL) == b"0815"
-
-
-async def test_pairing_needs_something_to_protect(radio: Radio) -> None:
-    peripheral = Peripheral(radio, "A0:9E:1A:00:00:04", "Open")
-    peripheral.demand_pairing = True
-    reading = Characteristic[bytes](
-        SERIAL, Characteristic.Properties.READ, Characteristic.Permissions.READABLE, b""
-    )
-    with pytest.raises(ValueError, match="authentication"):
-        radio.world.await_(peripheral.power_on([Service("180a", [reading])]))
-
-
 def run_in_loop_of_its_own(probe: Probe, call: Coroutine[Any, Any, None]) -> None:
     with asyncio.Runner(loop_factory=probe.radio.world.clock.new_event_loop) as runner:
         runner.run(call)
@@ -330,15 +209,3 @@ async def test_clients_of_several_loops_share_the_radio(probe: Probe) -> None:
         await asyncio.to_thread(run_in_loop_of_its_own, probe, elsewhere())
         assert await client.read_gatt_char(SERIAL) == b"0815"
     assert read == [b"0815"]
-
-
-async def test_a_loop_that_ends_with_a_link_harms_nobody(probe: Probe) -> None:
-    def forget_to_disconnect() -> None:
-        run_in_loop_of_its_own(probe, BleakClient(probe.address).connect())
-
-    await asyncio.to_thread(forget_to_disconnect)
-    assert probe.peripheral.connected
-    probe.drop()
-    probe.restore()
-    async with BleakClient(probe.address, timeout=20) as client:
-        assert client.is_connected

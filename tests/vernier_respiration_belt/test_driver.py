@@ -23,7 +23,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Co
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice
-from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import What
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
@@ -125,10 +125,6 @@ def test_a_belt_without_a_serial_number_is_known_by_its_address() -> None:
 def test_other_devices_are_none(name: str) -> None:
     assert identify(Advertisement(ADDRESS, name)) is None
     assert recognise(Advertisement(ADDRESS, name)) is None
-
-
-def test_serial_ports_are_none() -> None:
-    assert recognise(SerialPort("COM7", "GDX-RB 0K2002Z5")) is None
 
 
 SERIAL = "0K2002Z5"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,13 +17,10 @@ from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Co
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.streaming import silence as silence_module
-from tests.rigs.bluetooth import ON_BLUEZ, ON_BUMBLE
+from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until
 from tests.rigs.vernier_respiration_belt import assert_true
-
-if TYPE_CHECKING:
-    from tests.rigs.bluez import FakeBluez
 
 # Whatever happens to a belt or the link to it, the driver comes back and says so.
 
@@ -146,36 +142,3 @@ async def test_a_link_lost_while_asking_is_one_loss(
         belt.apply(Fault(FaultKind.DROP, 0.5))
         await until(lambda: run.supervisor.last_error)
         assert "the connection was cut" in str(run.supervisor.last_error)
-
-
-# What BlueZ does and no other system: how the driver of a belt takes it.
-@ON_BLUEZ
-async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
-    belt: SimulatedBelt, bluez: FakeBluez
-) -> None:
-    async with streaming(belt) as run:
-        await until(run.sink.has(5, "force"))
-        with capture_logs() as logs:
-            bluez.die()
-            await until(lambda: State.BACKOFF in run.states)
-        said = [entry["event"] for entry in logs]
-        assert any("no data of bpm, force" in event for event in said)
-        assert any("the Bluetooth system of this computer fails" in event for event in said)
-        assert "Bluetooth is unavailable" in str(run.supervisor.last_error)
-        bluez.rise()
-        await run.goes_on(5, "force")
-        assert run.supervisor.connections == 2
-    assert_true(run.sink, belt)
-
-
-@ON_BLUEZ
-async def test_a_connection_that_fails_is_tried_again(
-    belt: SimulatedBelt, bluez: FakeBluez
-) -> None:
-    bluez.connect_error = "le-connection-refused"
-    async with streaming(belt) as run:
-        await until(lambda: State.DISCOVERING in run.states)
-        assert "le-connection-refused" in str(run.supervisor.last_error)
-        bluez.connect_error = ""
-        await until(run.sink.has(5, "force"))
-        assert State.BACKOFF not in run.states

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.vernier_respiration_belt.simulator import wire
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
@@ -20,7 +19,6 @@ VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/vernier_gdxrb.json").read_text(encoding="utf-8")
 )
 CONVERSATION = [vector for vector in VECTORS if vector["name"].startswith("conv_")]
-INIT = "1aa54a06490748084709460a450b440c430d420e41"
 # Whatever the vendor's numbers are, the notes call these placeholders.
 _PLACEHOLDERS = ("get_sensor_info", "get_device_info")
 
@@ -41,22 +39,6 @@ def test_the_firmware_answers_as_in_the_worked_conversation() -> None:
                 assert answer == data, vector["name"]
         else:
             assert firmware.pack(np.array([[11.5, np.nan]], np.float32)) == data
-
-
-def test_fragments_make_one_command() -> None:
-    firmware = BeltFirmware("GDX-RB", "0K2002Z5")
-    packet = wire.seal(0x58, 0xFE, bytes.fromhex(INIT))
-    assert firmware.hear(packet[:20]) == []
-    (answer,) = firmware.hear(packet[20:])
-    assert answer.hex() == "980700b71afe00"
-
-
-def test_a_damaged_command_is_not_obeyed() -> None:
-    firmware = BeltFirmware("GDX-RB", "0K2002Z5")
-    packet = bytearray(wire.seal(0x58, 0xFE, bytes.fromhex(INIT)))
-    packet[10] ^= 1
-    assert firmware.hear(bytes(packet)) == []
-    assert firmware.hear(wire.seal(0x58, 0xFD, b"\x10"))
 
 
 @pytest.fixture

@@ -331,22 +331,6 @@ async def test_a_link_drop_is_a_gap_of_counted_length() -> None:
     assert run.sink.clock_state.reanchors == 0
 
 
-@pytest.mark.usefixtures("hasty")
-async def test_a_device_that_falls_silent_is_connected_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(ZephyrDriver, "silence_limit_s", 2.0)
-    async with streaming(SteeredBioHarness(SyntheticSource(), host_timeout_s=None)) as run:
-        await eventually(run.sink.has_blocks("ecg", "acc", "breathing"))
-        before = len(run.states)
-        run.device.stall()
-        await eventually(lambda: State.DISCOVERING in run.states[before:])
-        run.device.resume()
-        await eventually(lambda: run.supervisor.connections > 1)
-        await eventually(lambda: {"ecg", "acc"} <= run.lost.keys())
-    await assert_only_counted_losses(run)
-
-
 async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
     async with streaming(fast()) as run:
         await eventually(run.sink.has_blocks(*WAVEFORMS))

@@ -13,11 +13,10 @@ from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
     RecordedSource,
-    split,
 )
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
-from tests.rigs.serial_hosts import SerialHosts, is_there
+from tests.rigs.serial_hosts import SerialHosts
 from tests.rigs.virtual_time import pause
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness
 
@@ -25,7 +24,6 @@ DEADLINE_S = 8.0
 ECG_ON = bytes.fromhex("021601015e03")
 RR_ON = bytes.fromhex("021901015e03")
 SUMMARY_ON = bytes.fromhex("02bd020100c403")
-GENERAL_ON = bytes.fromhex("021401015e03")
 LIFESIGN = bytes.fromhex("0223000003")
 ENABLES = b"".join(
     (ECG_ON, bytes.fromhex("021501015e03"), RR_ON, bytes.fromhex("021e01015e03"), SUMMARY_ON)
@@ -149,13 +147,6 @@ def bench() -> Iterator[PluggedDevice]:
     bench.close()
 
 
-def await_port(path: str) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not is_there(path):
-        assert time.monotonic() < deadline
-        pause(0.01)
-
-
 def fast(speed: float = 30.0) -> SyntheticSource:
     return SyntheticSource(seed=3, speed=speed)
 
@@ -170,15 +161,6 @@ def test_it_is_silent_until_the_host_speaks_and_never_answers_a_lifesign(
     host.send(LIFESIGN)
     host.until(lambda: len(host.frames) >= 3)
     assert {heard.raw for heard in host.frames} == {LIFESIGN}
-
-
-@pytest.mark.parametrize("request_id", [0x14, 0x15, 0x16, 0x19, 0x1E, 0xBC])
-def test_each_packet_is_switched_on_and_off(bench: PluggedDevice, request_id: int) -> None:
-    host = bench.start(SteeredBioHarness())
-    assert host.ask(bytes((2, request_id, 1, 1, 0x5E, 3))) == ACK
-    assert len(bench.device.enabled) == 1
-    assert host.ask(bytes((2, request_id, 1, 0, 0, 3))) == ACK
-    assert bench.device.enabled == frozenset()
 
 
 @pytest.mark.parametrize(
@@ -197,18 +179,6 @@ def test_a_wrong_request_is_refused_without_effect(bench: PluggedDevice, request
     host = bench.start(SteeredBioHarness())
     assert host.ask(bytes.fromhex(request_hex)) == NAK
     assert bench.device.enabled == frozenset()
-
-
-def test_an_old_device_refuses_the_summary_and_has_general_data(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(fast(), summary_supported=False))
-    assert host.ask(SUMMARY_ON) == NAK
-    assert host.ask(GENERAL_ON) == ACK
-    host.until(lambda: len(host.of(0x20)) >= 2)
-    payload = host.of(0x20)[0].payload
-    assert len(payload) == 53
-    assert 68 <= int.from_bytes(payload[9:11], "little") <= 76
-    assert payload[51] == 80
-    assert payload[52] == 0x80
 
 
 def test_what_is_heard_is_what_was_sent(bench: PluggedDevice) -> None:
@@ -251,75 +221,6 @@ def test_a_recording_is_played_byte_for_byte_without_its_answers(
     assert b"".join(out.data for out in bench.device.sent) == recorded
 
 
-def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_again(
-    bench: PluggedDevice,
-) -> None:
-    data = b"".join(
-        item.data for item in split((RECORDINGS / f"{RECORDING_150_S}.dat").read_bytes()[:3000])
-    )
-    source = RecordedSource(data, speed=100, on_end="hang_up")
-    host = bench.start(SteeredBioHarness(source, buffer_bytes=ROOMY_BYTES))
-    host.send(ENABLES)
-    pause(0.8)  # a slow host: the device waits for it before it hangs up
-    with pytest.raises(OSError):
-        host.until(lambda: False)
-    await_port(bench.device.port)
-    again = bench.connect()
-    again.send(ENABLES)
-    again.until(lambda: len(again.raw) >= len(host.raw))
-    assert again.raw == host.raw
-    assert len(host.raw) == len(data)
-
-
-def test_a_recordings_body_cannot_be_changed(bench: PluggedDevice) -> None:
-    bench.start(SteeredBioHarness(RecordedSource.shipped()))
-    with pytest.raises(AssertionError, match="recording"):
-        bench.device.off_body()
-
-
-def test_taking_the_strap_off_and_on_is_an_event_and_a_status(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(SyntheticSource(speed=30, hrv_after_s=0)))
-    host.ask(SUMMARY_ON)
-    host.until(lambda: len(host.of(Packet.SUMMARY)) >= 1)
-    bench.device.off_body()
-    bench.device.battery(9)
-    off_from = len(bench.device.sent)
-    host.until(lambda: len(host.of(Packet.SUMMARY)) >= off_from + 2)
-    bench.device.on_body()
-    host.until(lambda: len(host.of(Packet.EVENT)) == 2)
-    on_from = len(host.of(Packet.SUMMARY))
-    host.until(lambda: len(host.of(Packet.SUMMARY)) >= on_from + 2)
-    events = [heard.payload[9:].hex() for heard in host.of(Packet.EVENT)]
-    assert events == ["40106400", "40100064"]
-    summaries = host.of(Packet.SUMMARY)
-    status = [int.from_bytes(heard.payload[56:58], "little") for heard in summaries]
-    assert status[0] == 0
-    assert 0x233 in status
-    assert status[-1] == 0
-    off = summaries[status.index(0x233)].payload
-    assert off[10:12] == b"\xff\xff"
-    assert summaries[-1].payload[24] == 9
-
-
-def test_the_device_clock_can_be_stepped(bench: PluggedDevice) -> None:
-    host = bench.start(SteeredBioHarness(fast()))
-    host.ask(SUMMARY_ON)
-    host.until(lambda: len(host.of(Packet.SUMMARY)) >= 1)
-    bench.device.midnight(seconds=10)
-    bench.device.event(0x0040)
-    host.until(lambda: len(host.of(Packet.EVENT)) == 1)
-    count = len(host.of(Packet.SUMMARY)) + 15
-    host.until(lambda: len(host.of(Packet.SUMMARY)) >= count)
-    days = {heard.payload[4] for heard in host.of(Packet.SUMMARY)}
-    assert days == {30, 31}
-    ms = int.from_bytes(host.of(Packet.SUMMARY)[-1].payload[5:9], "little")
-    assert ms < 3_600_000
-    bench.device.step_clock(3600)
-    host.until(
-        lambda: int.from_bytes(host.of(Packet.SUMMARY)[-1].payload[5:9], "little") > 3_600_000
-    )
-
-
 def test_a_host_that_says_nothing_is_forgotten(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), host_timeout_s=0.15))
     host.ask(ECG_ON)
@@ -328,31 +229,3 @@ def test_a_host_that_says_nothing_is_forgotten(bench: PluggedDevice) -> None:
     pause(0.1)
     assert len(bench.device.sent) == sent
     assert host.ask(ECG_ON) == ACK
-
-
-def test_a_host_that_does_not_read_loses_whole_frames_and_blocks_nothing(
-    bench: PluggedDevice,
-) -> None:
-    host = bench.start(SteeredBioHarness(fast(speed=400), host_timeout_s=None))
-    host.send(ENABLES)
-    deadline = time.monotonic() + DEADLINE_S
-    while bench.device.dropped_frames < 100:
-        assert time.monotonic() < deadline
-        pause(0.01)
-    host.send(DISABLES)
-    while bench.device.enabled:
-        assert time.monotonic() < deadline
-        pause(0.01)
-    sent = [out.data for out in bench.device.sent]
-    host.until(lambda: len(host.frames) >= len(sent) + 5)
-    assert host.junk == 0
-    assert [heard.raw for heard in host.frames if heard.end == 3] == sent
-
-
-@pytest.mark.nightly
-def test_stopping_removes_the_port() -> None:
-    with SteeredBioHarness() as device:
-        port = Path(device.port)
-        assert port.exists()
-    assert not port.parent.exists()
-    device.stop()

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from biosensor_gateway.devices.zephyr.simulator.wire import (
-    REQUESTS,
     DeviceStamp,
     Packet,
     Request,
@@ -127,46 +124,8 @@ def test_acceleration_in_100_mg_is_packed_as_twos_complement() -> None:
     assert data[12:-2] == b"\xff" * 75
 
 
-def test_a_waveform_takes_exactly_its_number_of_samples() -> None:
-    with pytest.raises(ValueError, match="ECG"):
-        waveform(Packet.ECG, 0, DeviceStamp(date(2026, 1, 1), 0), [512] * 62)
-
-
-def test_a_misspelt_field_is_not_dropped() -> None:
-    with pytest.raises(ValueError, match="heart_rate"):
-        summary_v2(0, DeviceStamp(date(2026, 1, 1), 0), {"heart_rate": 70})
-
-
-def test_a_stamp_turns_the_day_in_both_directions() -> None:
-    new_year = DeviceStamp(date(2026, 1, 1), 0)
-    assert new_year.plus(-1) == DeviceStamp(date(2025, 12, 31), 86_399_999)
-    assert new_year.plus(-1).plus(1) == new_year
-
-
 @pytest.mark.parametrize(("name", "broken"), [("bad_crc_then_good", 0x14), ("dlc_over_128", 0x22)])
 def test_a_broken_request_is_reported_and_the_next_one_is_read(name: str, broken: int) -> None:
     first, *_, last = RequestReader().feed(bytes.fromhex(VECTORS[name]["hex"]), now=0.0)
     assert (first.request_id, first.intact) == (broken, False)
     assert last == Request(Packet.LIFESIGN, b"", intact=True)
-
-
-def test_an_unfinished_request_is_given_up_after_a_pause() -> None:
-    reader = RequestReader()
-    assert reader.feed(b"\x02\x14", now=0.0) == []
-    assert reader.feed(frame(0x15, b"\1"), now=1.5) == [Request(0x15, b"\1", intact=True)]
-
-
-@given(
-    st.lists(st.sampled_from(sorted(REQUESTS)), max_size=8),
-    st.lists(st.integers(1, 5), min_size=1),
-)
-def test_requests_are_the_same_however_they_are_cut(ids: list[int], cuts: list[int]) -> None:
-    stream = b"".join(frame(request_id, b"\1") for request_id in ids)
-    reader, requests, position = RequestReader(), list[Request](), 0
-    for turn in range(len(stream)):
-        size = cuts[turn % len(cuts)]
-        requests += reader.feed(stream[position : position + size], now=0.0)
-        position += size
-    assert [(r.request_id, r.payload, r.intact) for r in requests] == [
-        (i, b"\1", True) for i in ids
-    ]
