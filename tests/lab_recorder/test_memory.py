@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import socket
+import threading
 import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +18,23 @@ import pytest
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn
+from biosensor_gateway.recording.recorder import recording_file
+from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
 from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.recording_file import (
+    grows,
+    sizes,
+    summarize,
+    wait_for_growth,
+    wait_until_closed,
+)
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
+    RecorderError,
     RecorderReason,
     RecordingRequest,
     SensorsAwayError,
+    Target,
     choose_target,
 )
 from biosensor_gateway.recording.recorder.state import (
@@ -35,6 +50,8 @@ from biosensor_gateway.recording.recorder.streams import (
     require_startable,
 )
 from biosensor_gateway.settings.models import GatewaySettings
+from tests.lab_recorder.remote_control import LabRecorderPeer
+from tests.xdf.xdf_file import FILE_HEADER, chunk, footer, samples, stream_header
 
 # What is kept of the recording that was started last.
 
@@ -267,3 +284,216 @@ def test_what_the_agent_says_of_a_pause_is_known_before_it_begins(tmp_path: Path
     found = expected_devices(GatewaySettings(), tmp_path)
     told = [each.away.partition(" since ")[0] for each in found]
     assert told == ["P01's Polar H10 A1 is paused", "", "", "P01's Polar H10 A4 is not found"]
+
+
+# The conversation with LabRecorder, on real sockets.
+
+LOCAL = "127.0.0.1"
+DEADLINE_S = 30.0
+
+Serve = Callable[[Callable[[socket.socket], None]], int]
+
+
+@pytest.fixture
+def serve() -> Generator[Serve]:
+    """Have one client served; returns the port."""
+    threads: list[threading.Thread] = []
+
+    def begin(conversation: Callable[[socket.socket], None]) -> int:
+        server = socket.create_server((LOCAL, 0))
+
+        def run() -> None:
+            with server, server.accept()[0] as client:
+                conversation(client)
+
+        threads.append(threading.Thread(target=run))
+        threads[0].start()
+        return server.getsockname()[1]
+
+    yield begin
+    for thread in threads:
+        thread.join(DEADLINE_S)
+        assert not thread.is_alive()
+
+
+def reason_of(port: int, line: str = "update", limit_s: float = DEADLINE_S) -> RecorderError:
+    with RemoteControl(LOCAL, port) as remote, pytest.raises(RecorderError) as caught:
+        remote.command(line, limit_s)
+    return caught.value
+
+
+@pytest.mark.seam
+def test_each_command_waits_for_the_answer_to_the_one_before(recorder: LabRecorderPeer) -> None:
+    with RemoteControl(LOCAL, recorder.port) as remote:
+        for line in ("update", "select none", "gibberish", "filename {task:A}"):
+            remote.command(line)
+        assert remote.is_local
+    assert recorder.lines == ["update", "select none", "gibberish", "filename {task:A}"]
+
+
+def test_nobody_there_is_said_with_what_to_do() -> None:
+    with socket.create_server((LOCAL, 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(RecorderError, match="EnableRCS") as caught, RemoteControl(LOCAL, port):
+        pass
+    assert caught.value.reason is RecorderReason.UNREACHABLE
+    assert f"{LOCAL}:{port}" in str(caught.value)
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "a" * 70, "a..b"])
+def test_a_host_that_cannot_be_found_is_unreachable(host: str) -> None:
+    with pytest.raises(RecorderError) as caught, RemoteControl(host, 22345):
+        pass
+    assert caught.value.reason is RecorderReason.UNREACHABLE
+
+
+@pytest.mark.nightly
+def test_a_message_box_is_suspected_behind_silence(tmp_path: Path) -> None:
+    root = tmp_path / "a file, so no folder can be made"
+    root.touch()
+    with LabRecorderPeer(root) as recorder:
+        error = reason_of(recorder.port, "start", 5.0)
+        assert "Can not create the directory" in recorder.box
+    assert error.reason is RecorderReason.NO_REPLY
+    assert "window" in str(error)
+
+
+@pytest.mark.nightly
+def test_another_answer_is_no_labrecorder(serve: Serve) -> None:
+    def greet(client: socket.socket) -> None:
+        client.recv(100)
+        client.sendall(b"220 mail.example ESMTP\r\n")
+        client.recv(100)
+
+    error = reason_of(serve(greet))
+    assert error.reason is RecorderReason.REFUSED
+    assert "220 mail" in str(error)
+
+
+@pytest.mark.nightly
+def test_an_end_of_the_connection_is_no_answer(serve: Serve) -> None:
+    def hang_up(client: socket.socket) -> None:
+        client.recv(100)
+
+    error = reason_of(serve(hang_up))
+    assert error.reason is RecorderReason.UNREACHABLE
+    assert "went away at 'update'" in str(error)
+
+
+# When a recording counts as growing, and when as closed.
+
+HEAD = b"XDF:" + chunk(1, FILE_HEADER) + stream_header(1, "one")
+MORE = samples(1, "float32", [[1.0], [2.0]], [1.0, 2.0])
+SHORT_S = 1.5
+
+
+@contextmanager
+def written(path: Path, first: bytes, block: bytes) -> Generator[None]:
+    """Write a file as a recorder does: block after block, until the context ends."""
+    ended = threading.Event()
+
+    def write() -> None:
+        with path.open("ab") as file:
+            file.write(first)
+            file.flush()
+            while not ended.wait(0.1):
+                file.write(block)
+                file.flush()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        writer.join()
+
+
+@pytest.mark.nightly
+def test_a_file_that_gets_samples_grows(tmp_path: Path) -> None:
+    path = tmp_path / "a.xdf"
+    with written(path, HEAD, MORE):
+        assert wait_for_growth(Target(files=(path,)), {}, DEADLINE_S) == path
+        assert grows(path, DEADLINE_S)
+
+
+@pytest.mark.nightly
+def test_headers_alone_are_no_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.xdf"
+    with written(path, HEAD, stream_header(2, "two")):
+        assert wait_for_growth(Target(files=(path,)), {}, SHORT_S) is None
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("content", [b"", b"PK\3\4", HEAD + MORE])
+def test_a_file_that_stays_as_it_is_does_not_grow(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.xdf"
+    path.write_bytes(content)
+    assert wait_for_growth(Target(files=(path,)), {}, SHORT_S) is None
+    assert not grows(path, 0.5)
+
+
+@pytest.mark.nightly
+def test_in_a_folder_what_was_there_before_is_left_alone(tmp_path: Path) -> None:
+    old = tmp_path / "old.xdf"
+    old.write_bytes(HEAD + MORE + footer(1, 2))
+    target = Target(folder=tmp_path)
+    before = sizes(target)
+    assert before == {old: old.stat().st_size}
+    new = tmp_path / "deep" / "new.XDF"
+    new.parent.mkdir()
+    with written(tmp_path / "notes.txt", HEAD, MORE):
+        assert wait_for_growth(target, before, SHORT_S) is None
+    with written(new, HEAD, MORE):
+        assert wait_for_growth(target, before, DEADLINE_S) == new
+
+
+def test_what_is_not_there_does_not_grow(tmp_path: Path) -> None:
+    assert wait_for_growth(Target(files=(tmp_path / "a.xdf",)), {}, 0.0) is None
+    assert not grows(tmp_path / "a.xdf", 0.0)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("content", "is_closed"),
+    [
+        (HEAD + MORE + footer(1, 2), True),
+        # LabRecorder cannot record these, and gives them no footer.
+        (HEAD + MORE + footer(1, 2) + stream_header(2, "big", fmt="int64"), True),
+        (HEAD + MORE, False),
+        (HEAD + stream_header(2, "two") + footer(1, 0), False),
+        ((HEAD + MORE + footer(1, 2))[:-5], False),
+        (b"XDF:" + chunk(1, FILE_HEADER), False),
+        (b"", False),
+    ],
+)
+def test_a_recording_is_closed_once_all_its_streams_are(
+    tmp_path: Path, content: bytes, is_closed: bool
+) -> None:
+    path = tmp_path / "a.xdf"
+    path.write_bytes(content)
+    seen = summarize(path)
+    assert seen.is_closed is is_closed
+    assert seen.bytes == len(content)
+    still = wait_until_closed(path, 0.5, DEADLINE_S)
+    assert still is not None
+    assert still.is_closed is is_closed
+
+
+@pytest.mark.nightly
+def test_what_goes_on_growing_is_not_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.xdf"
+    path.write_bytes(HEAD)
+
+    def grown(file: Path) -> int:
+        with file.open("ab") as growing:
+            growing.write(MORE)
+        return file.stat().st_size
+
+    # It grows from look to look, whoever is held up.
+    monkeypatch.setattr(recording_file, "size_of", grown)
+    begun = time.monotonic()
+    assert wait_until_closed(path, 1.0, 3.0) is None
+    assert time.monotonic() - begun >= 3.0
