@@ -15,7 +15,7 @@ from benchmarks import long_recording
 from benchmarks.effort import Effort
 from benchmarks.figures import Figure, Measurement, Target
 from benchmarks.processes import BenchError
-from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.export.exporter import FORMATS
 
 _SPEEDS = {
     "csv": Target(100, at_least=True),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import long_recording
-from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.export.exporter import FORMATS
 from biosensor_gateway.recording.xdf.recording import read_recording
 from installer.layout import PROGRAM
 from installer.wine.prefix import windows_path

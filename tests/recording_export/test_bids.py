@@ -26,10 +26,9 @@ from biosensor_gateway.recording.export.bids.dataset import BidsDataset
 from biosensor_gateway.recording.export.bids.file_names import labels
 from biosensor_gateway.recording.export.bids.study import ADDED, Study
 from biosensor_gateway.recording.export.exporter import Clock, Order
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.exporting import Task, export, recordings_in
 from biosensor_gateway.recording.export.grid import place
 from biosensor_gateway.recording.export.outcome import Outcome, Written
-from biosensor_gateway.recording.export.several import recordings_in
 from biosensor_gateway.recording.export.timing import find_timing
 from biosensor_gateway.recording.participants import Whose, entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason

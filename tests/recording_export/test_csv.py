@@ -22,7 +22,7 @@ from hypothesis.extra import numpy as arrays
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.export.numbers import numbers, rows_of_numbers
+from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.recording_export.bids_shapes import SHAPES
 from tests.recording_export.conftest import Exporting

@@ -22,9 +22,8 @@ from biosensor_gateway.recording.export.edf.bdf import (
     channel,
     layout,
 )
-from biosensor_gateway.recording.export.exporter import Clock, Times
+from biosensor_gateway.recording.export.exporter import FORMATS, Clock, Times
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.export.formats import FORMATS
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.printing import as_json, as_text

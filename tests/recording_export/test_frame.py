@@ -24,11 +24,9 @@ from biosensor_gateway.cli import xdf as command
 from biosensor_gateway.recording.contents.choice import Chosen, Wish
 from biosensor_gateway.recording.export import exporting
 from biosensor_gateway.recording.export.csv import by_rate
-from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, Times
+from biosensor_gateway.recording.export.exporter import FORMATS, Clock, Order, Progress, Times
 from biosensor_gateway.recording.export.exporting import Task, export
-from biosensor_gateway.recording.export.formats import FORMATS
-from biosensor_gateway.recording.export.outcome import Outcome, Written
-from biosensor_gateway.recording.export.printing import as_json, sentences
+from biosensor_gateway.recording.export.outcome import Outcome, Written, outcome_json, sentences
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.recording_export.bids_shapes import (
@@ -220,7 +218,7 @@ def test_the_sensors_are_believed_and_the_other_name_is_said(tmp_path: Path) -> 
     said = "\n".join(sentences(outcome))
     assert "the file is called P03, but its sensors are worn by p01 and p02" in said
     assert "--whose sensors" in said
-    assert json.loads(as_json(outcome))["mismatch"]["others"] == ["p01", "p02"]
+    assert json.loads(outcome_json(outcome))["mismatch"]["others"] == ["p01", "p02"]
 
 
 def test_whoever_says_that_the_sensors_are_right_is_believed(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from biosensor_gateway.recording.bag.importing import import_bag
 from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.edf.exporter import Span, dealt_to_spans
-from biosensor_gateway.recording.export.markers import markers
+from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import verdict

@@ -38,8 +38,8 @@ from biosensor_gateway.demo.demonstration import (
 from biosensor_gateway.devices.registry import declaration, sensor_title
 from biosensor_gateway.page.instance import ask_for_window, ask_to_end, way_into
 from biosensor_gateway.recording.contents.choice import Wish
-from biosensor_gateway.recording.export import printing
 from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import RecordingRequest
 from biosensor_gateway.recording.recorder.streams import Presence, look
@@ -189,7 +189,7 @@ class Trial:
         verdict = check(file, expected)
         print_verdict(verdict)
         outcome = export(file, Task([_TABLES], Wish()), _unwatched)
-        for sentence in printing.sentences(outcome):
+        for sentence in sentences(outcome):
             say(sentence)
         return verdict.colour is not Colour.RED and outcome.is_certain
 

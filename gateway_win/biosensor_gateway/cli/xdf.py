@@ -29,10 +29,22 @@ from biosensor_gateway.cli.options import (
 from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.contents.choice import Wish
-from biosensor_gateway.recording.export import exporter, printing
-from biosensor_gateway.recording.export.exporting import Task, Watch, export
-from biosensor_gateway.recording.export.formats import FORMATS
-from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.export import exporter
+from biosensor_gateway.recording.export.exporter import FORMATS
+from biosensor_gateway.recording.export.exporting import (
+    Exported,
+    Task,
+    Watch,
+    export,
+    export_several,
+    recordings_in,
+)
+from biosensor_gateway.recording.export.outcome import (
+    Outcome,
+    outcome_json,
+    outcomes_json,
+    sentences,
+)
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
@@ -138,7 +150,6 @@ def export_recording(
     wish = Wish(streams or (), begin, end, participant, without)
     # Brings what writes a data set.
     from biosensor_gateway.recording.export.bids.study import is_dataset
-    from biosensor_gateway.recording.export.several import recordings_in
 
     wanted = Task(
         to,
@@ -195,7 +206,7 @@ def _export_one(recording: Path, task: Task, *, print_json: bool) -> bool:
     with wrong_recording(), _bars() as watch:
         outcome = export(recording, task, watch)
     if print_json:
-        typer.echo(printing.as_json(outcome))
+        typer.echo(outcome_json(outcome))
     else:
         _say_outcome(outcome)
     return outcome.is_certain
@@ -203,9 +214,6 @@ def _export_one(recording: Path, task: Task, *, print_json: bool) -> bool:
 
 def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> bool:
     """Export one recording after the other, and print the outcome of each."""
-    # Brings what writes a data set.
-    from biosensor_gateway.recording.export.several import Exported, export_several
-
     results: list[Exported] = []
     for each in export_several(recordings, task, lambda _: _bars()):
         results.append(each)
@@ -220,14 +228,14 @@ def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> 
             _say_outcome(each.outcome)
     failed = [(each.recording, each.error) for each in results if each.error]
     if print_json:
-        typer.echo(printing.all_as_json((each.outcome for each in results if each.outcome), failed))
+        typer.echo(outcomes_json((each.outcome for each in results if each.outcome), failed))
     else:
         say(f"{len(results) - len(failed)} of {len(recordings)} recordings are written")
     return all(each.is_certain for each in results)
 
 
 def _say_outcome(outcome: Outcome) -> None:
-    for sentence in printing.sentences(outcome):
+    for sentence in sentences(outcome):
         say(sentence)
 
 

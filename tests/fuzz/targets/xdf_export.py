@@ -16,10 +16,10 @@ from unittest.mock import patch
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.csv.tables import MARKERS
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.export.readme import OF_ONE_FILE, readme_beside
+from biosensor_gateway.recording.export.tables import MARKERS
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import folder, written
 

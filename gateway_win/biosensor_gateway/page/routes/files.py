@@ -22,12 +22,16 @@ from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export import printing
-from biosensor_gateway.recording.export.exporter import Progress
-from biosensor_gateway.recording.export.exporting import Task, Watch
-from biosensor_gateway.recording.export.formats import FORMATS
-from biosensor_gateway.recording.export.markers import markers
-from biosensor_gateway.recording.export.several import Exported, export_several, recordings_in
+from biosensor_gateway.recording.export.exporter import FORMATS, Progress
+from biosensor_gateway.recording.export.exporting import (
+    Exported,
+    Task,
+    Watch,
+    export_several,
+    recordings_in,
+)
+from biosensor_gateway.recording.export.marker_events import markers
+from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.xdf import verdict as judging
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import by_devices
@@ -303,5 +307,5 @@ def _exported(one: Exported) -> ExportedView:
     elif one.outcome is None:
         said = [f"{one.recording} was added before"]
     else:
-        said = list(printing.sentences(one.outcome))
+        said = list(sentences(one.outcome))
     return ExportedView(recording=one.recording.name, is_certain=one.is_certain, said=said)

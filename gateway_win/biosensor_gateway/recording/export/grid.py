@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.export.batches import joined
+from biosensor_gateway.recording.export.runs import joined
 
 _WINDOW_S = 1.0
 _LEAST_WINDOW, _MOST_WINDOW = 16, 4096

@@ -16,8 +16,6 @@ import numpy as np
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.csv.tables import quoted
 from biosensor_gateway.recording.export.exporter import (
     Missing,
     Order,
@@ -25,17 +23,17 @@ from biosensor_gateway.recording.export.exporter import (
     SampleCount,
     with_reasons,
 )
-from biosensor_gateway.recording.export.names import FileNames
-from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     MOST_RUNS,
     Runs,
     Stretch,
+    batches,
     longest_gap_s,
     stretches,
 )
+from biosensor_gateway.recording.export.tables import FileNames, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches, section
-from biosensor_gateway.recording.export.csv.tables import quoted
 from biosensor_gateway.recording.export.exporter import (
     Missing,
     Order,
@@ -27,11 +25,17 @@ from biosensor_gateway.recording.export.exporter import (
     on_clock,
     with_reasons,
 )
-from biosensor_gateway.recording.export.markers import markers
-from biosensor_gateway.recording.export.names import file_names
-from biosensor_gateway.recording.export.numbers import numbers
+from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.readme import write_readme
-from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, gap_text, has_even_times
+from biosensor_gateway.recording.export.runs import (
+    BAD_GAP,
+    Runs,
+    batches,
+    gap_text,
+    has_even_times,
+    section,
+)
+from biosensor_gateway.recording.export.tables import file_names, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 

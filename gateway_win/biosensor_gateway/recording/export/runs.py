@@ -13,11 +13,43 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches, section
 from biosensor_gateway.recording.export.exporter import Times
-from biosensor_gateway.recording.export.fitted_line import FittedLine
+from biosensor_gateway.recording.export.timing import FittedLine
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S
+
+_BATCHES_IN_SECTION = 64
+
+
+# The exports' cost depends on the number of calls, so the samples of many chunks are joined.
+def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
+    """Yield the samples of a stream, many chunks of the file at once."""
+    least = max(1, chosen.batch // stream.header.channel_count)
+    kept: list[Samples] = []
+    count = 0
+    for samples in chosen.samples(stream):
+        kept.append(samples)
+        count += len(samples)
+        if count >= least:
+            yield joined(kept)
+            kept, count = [], 0
+    if kept:
+        yield joined(kept)
+
+
+def section(chosen: Chosen) -> int:
+    """Return how many samples of a stream are analysed together to find its runs."""
+    return _BATCHES_IN_SECTION * chosen.batch
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Join consecutive samples of one stream."""
+    times = np.concatenate([each.times for each in parts])
+    stamps = np.concatenate([each.stamps for each in parts])
+    texts = [text for each in parts if isinstance(each.values, list) for text in each.values]
+    arrays = [each.values for each in parts if not isinstance(each.values, list)]
+    return Samples(times, stamps, np.concatenate(arrays) if arrays else texts)
+
 
 MOST_RUNS = 999
 """A stream with more runs has invalid timestamps rather than gaps."""

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.export.numbers import numbers, rows_of_numbers
+from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.settings.names import label
 
 INSTEAD = "withdrawn"

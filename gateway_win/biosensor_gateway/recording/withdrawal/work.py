@@ -13,7 +13,7 @@ from typing import BinaryIO
 from biosensor_gateway.recording.bag.opening import read_bag
 from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.export.bids.study import is_dataset
-from biosensor_gateway.recording.export.several import is_recording
+from biosensor_gateway.recording.export.exporting import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
 from biosensor_gateway.recording.withdrawal import bags, recordings, texts
 from biosensor_gateway.recording.withdrawal.traces import Person, Pieces, blocks

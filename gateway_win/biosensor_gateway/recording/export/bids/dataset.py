@@ -15,8 +15,7 @@ from biosensor_gateway.recording.export.bids.events import (
     Events,
     write_run_events,
 )
-from biosensor_gateway.recording.export.bids.file_names import Entities, labels
-from biosensor_gateway.recording.export.bids.kinds import kind_of
+from biosensor_gateway.recording.export.bids.file_names import Entities, kind_of, labels
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, Remarks, SignalWriter
 from biosensor_gateway.recording.export.bids.tables import write_json, write_rows, write_text
 from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount

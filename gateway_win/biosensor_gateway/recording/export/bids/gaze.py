@@ -17,7 +17,7 @@ from biosensor_common.errors import SpecError
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.bids import sidecars
 from biosensor_gateway.recording.export.bids.tables import NOTHING
-from biosensor_gateway.recording.export.names import unique
+from biosensor_gateway.recording.export.tables import unique
 
 X, Y, PUPIL = "x_coordinate", "y_coordinate", "pupil_size"
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")

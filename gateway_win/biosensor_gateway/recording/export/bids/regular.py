@@ -11,9 +11,8 @@ import numpy as np
 
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.bids.tables import NOTHING
-from biosensor_gateway.recording.export.csv.tables import table_file
 from biosensor_gateway.recording.export.grid import Grid, Rows, part_of, write_rows
-from biosensor_gateway.recording.export.numbers import rows_of_numbers
+from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
 from biosensor_gateway.recording.export.timing import Part
 
 _EMPTY_ROWS_AT_ONCE = 4096

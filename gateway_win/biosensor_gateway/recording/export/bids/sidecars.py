@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from biosensor_common.errors import SpecError
 from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export import names
+from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.bids.regular import RegularTable
-from biosensor_gateway.recording.export.csv import tables
 from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.export.timing import Timing
 
@@ -52,7 +51,7 @@ def columns(stream: Stream) -> list[str]:
         labels = [stream.meaning.data_name]
     # Keys begin with a capital letter, as most labels do, so they could clash.
     taken = {*_OWN, *_KEYS}
-    return names.unique(
+    return tables.unique(
         f"channel_{each}" if each in taken or each.isdigit() else "_".join(each.split())
         for each in labels
     )

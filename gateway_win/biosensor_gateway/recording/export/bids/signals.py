@@ -15,18 +15,23 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ORIENTATION
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches, section
-from biosensor_gateway.recording.export.bids import eeg, emg, sidecars
+from biosensor_gateway.recording.export.bids import sidecars
 from biosensor_gateway.recording.export.bids.brain_vision import is_exact as has_exact_numbers
-from biosensor_gateway.recording.export.bids.file_names import Entities
+from biosensor_gateway.recording.export.bids.file_names import Entities, Kind, kind_of, motion_type
 from biosensor_gateway.recording.export.bids.gaze import Eye, eyes_of
-from biosensor_gateway.recording.export.bids.kinds import Kind, kind_of, motion_type
 from biosensor_gateway.recording.export.bids.regular import (
     RegularTable,
     parts_of,
     write_regular,
 )
-from biosensor_gateway.recording.export.bids.run_file import LONGEST_FILLED_S, RunFile, run_of
+from biosensor_gateway.recording.export.bids.run_file import (
+    LONGEST_FILLED_S,
+    RunFile,
+    describe_eeg,
+    run_of,
+    write_eeg,
+    write_emg,
+)
 from biosensor_gateway.recording.export.bids.sidecars import (
     DURATION,
     ONSET,
@@ -36,16 +41,17 @@ from biosensor_gateway.recording.export.bids.sidecars import (
     unit,
 )
 from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
-from biosensor_gateway.recording.export.csv.tables import table_file
 from biosensor_gateway.recording.export.exporter import Order, SampleCount, Times
-from biosensor_gateway.recording.export.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     LONGEST_JOINED_S,
     Gap,
     Runs,
+    batches,
     gap_text,
+    section,
 )
+from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
 from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.export.timing import Timing, find_timing
 from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact
@@ -264,10 +270,10 @@ class SignalWriter:
         parts = parts_of(self._batches(stream, runs), timing.parts)
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
             run = run_of(entities, number, len(timing.parts))
-            file, table = eeg.write_eeg(
+            file, table = write_eeg(
                 self._root, stream, run, self._counted(batched), part, timing.rate_hz
             )
-            eeg.describe(self._root, file, timing, table, self._timeline)
+            describe_eeg(self._root, file, timing, table, self._timeline)
             self.runs.append(file)
             moved += table.moved
         if len(timing.parts) > 1:
@@ -280,7 +286,7 @@ class SignalWriter:
 
     def _write_emg(self, stream: Stream, place: Place) -> bool:
         """Write an EMG stream; return False if it must become a table instead."""
-        files, notes = emg.write_emg(
+        files, notes = write_emg(
             self._root,
             self._chosen,
             self._order,

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.csv import tables
+from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.exporter import Missing, Order, on_clock
 from biosensor_gateway.recording.export.grid import Grid, write_rows
-from biosensor_gateway.recording.export.markers import markers
-from biosensor_gateway.recording.export.names import unique
-from biosensor_gateway.recording.export.numbers import rows_of_numbers, tidied
-from biosensor_gateway.recording.export.runs import Runs, has_even_times
+from biosensor_gateway.recording.export.marker_events import markers
+from biosensor_gateway.recording.export.runs import Runs, batches, has_even_times
+from biosensor_gateway.recording.export.tables import rows_of_numbers, tidied, unique
 from biosensor_gateway.recording.export.timeline import timeline
 from biosensor_gateway.recording.export.timing import find_timing
 from biosensor_gateway.recording.xdf.measuring import cuts_of

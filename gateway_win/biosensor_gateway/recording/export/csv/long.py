@@ -9,17 +9,22 @@ import numpy as np
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.csv import tables
+from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.exporter import (
     Order,
     Progress,
     SampleCount,
     on_clock,
 )
-from biosensor_gateway.recording.export.names import unique
-from biosensor_gateway.recording.export.numbers import numbers
-from biosensor_gateway.recording.export.runs import BAD_GAP, Gap, Runs, gap_text, has_even_times
+from biosensor_gateway.recording.export.runs import (
+    BAD_GAP,
+    Gap,
+    Runs,
+    batches,
+    gap_text,
+    has_even_times,
+)
+from biosensor_gateway.recording.export.tables import numbers, unique
 
 COLUMNS = ("participant", "stream", "channel", "unit", "value", "text")
 """Columns after the time; either `value` (numbers) or `text` is filled, the other is empty."""

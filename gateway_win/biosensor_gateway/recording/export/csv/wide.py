@@ -11,10 +11,8 @@ import numpy as np
 
 from biosensor_gateway.recording.contents.choice import Chosen, merged
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.csv import tables
+from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.csv.by_rate import table_names, write_by_rate
-from biosensor_gateway.recording.export.csv.tables import MARKERS
 from biosensor_gateway.recording.export.exporter import (
     Clock,
     Order,
@@ -29,10 +27,9 @@ from biosensor_gateway.recording.export.marker_events import (
     is_left_out,
     marker_events,
 )
-from biosensor_gateway.recording.export.names import file_names
-from biosensor_gateway.recording.export.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.readme import write_readme
-from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, gap_text, has_even_times
+from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, batches, gap_text, has_even_times
+from biosensor_gateway.recording.export.tables import MARKERS, file_names, rows_of_numbers
 from biosensor_gateway.recording.export.timeline import Timeline, timeline
 
 _MICROSECONDS = 6

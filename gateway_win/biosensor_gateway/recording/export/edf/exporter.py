@@ -33,8 +33,7 @@ from biosensor_gateway.recording.export.exporter import (
     Times,
     with_reasons,
 )
-from biosensor_gateway.recording.export.markers import markers
-from biosensor_gateway.recording.export.names import FileNames
+from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
     MOST_RUNS,
@@ -43,6 +42,7 @@ from biosensor_gateway.recording.export.runs import (
     longest_gap_s,
     stretches,
 )
+from biosensor_gateway.recording.export.tables import FileNames
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _MOST_NAMED = 5

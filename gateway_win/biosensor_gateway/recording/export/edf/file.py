@@ -22,8 +22,8 @@ from biosensor_gateway.recording.export.edf.bdf import (
     records,
 )
 from biosensor_gateway.recording.export.exporter import Clock
-from biosensor_gateway.recording.export.names import unique
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, Stretch
+from biosensor_gateway.recording.export.tables import unique
 
 INSTEAD = "the smallest value of the channel, below all measured ones, is written"
 """Describes what is written for missing values."""
