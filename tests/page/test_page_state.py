@@ -210,8 +210,12 @@ def record(event: str, unit: str = "A", **facts: object) -> str:
     return json.dumps({"event": event, **about, **when, **facts}) + "\n"
 
 
+ZEPHYR = DeviceIdentity("zephyr", "A", "P01")
+"""A real one, whose lines do not name who wears it."""
+
+
 def sentences(folder: Path) -> list[str]:
-    return [each.sentence for each in last_lines(folder, "zephyr", "A").lines]
+    return [each.sentence for each in last_lines(folder, ZEPHYR).lines]
 
 
 def test_the_newest_of_the_device_come_first_with_their_facts(tmp_path: Path) -> None:
@@ -221,10 +225,10 @@ def test_the_newest_of_the_device_come_first_with_their_facts(tmp_path: Path) ->
         + record("connected", unit="B")
         + record("lost\x1b[31m", samples=3)
     )
-    (line, _) = last_lines(tmp_path, "zephyr", "A").lines
+    (line, _) = last_lines(tmp_path, ZEPHYR).lines
     assert sentences(tmp_path) == ["lost\\x1b[31m (samples 3)", "connected (firmware 1.2)"]
     assert (line.level, line.time) == ("warning", "2026-05-04T10:20:30.000000Z")
-    assert last_lines(tmp_path, "polar_h10", "A").lines == []
+    assert last_lines(tmp_path, DeviceIdentity("polar_h10", "A")).lines == []
 
 
 def test_a_file_that_has_just_been_filled_is_read_on(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ from biosensor_gateway.streaming.events.device import DeviceEvents, device_facts
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.system.device_log import names_in_log
 
 TICK_S = 0.05
 KEPT_S = 1.0
@@ -377,8 +378,7 @@ class DeviceSet:
         assert self._announcer is not None
         self._announcer.announce(kind, device_facts(device.sink.identity))
         word = "added" if kind is EventKind.DEVICE_ADDED else "removed"
-        identity = device.sink.identity
-        _log.info(f"the device was {word}", sensor=identity.sensor, unit=identity.unit)
+        _log.info(f"the device was {word}", **names_in_log(device.sink.identity))
 
 
 def _names(devices: Iterable[Device]) -> list[str]:

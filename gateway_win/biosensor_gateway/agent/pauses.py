@@ -20,6 +20,7 @@ from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.agent.selection import chosen, device_name, unique_names
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
+from biosensor_gateway.system.device_log import names_in_log
 
 WRITTEN_WITHIN_S = 0.5
 """How long an answer waits for the disk; a client that asks again gets the outcome."""
@@ -196,7 +197,7 @@ class PauseCommands:
     async def _outcome(self, sink: DeviceSink, *, changed: bool) -> Mapping[str, Any]:
         """Store the pauses, and return the answer to the command."""
         identity = sink.identity
-        names = {"sensor": identity.sensor, "unit": identity.unit}
+        names = names_in_log(identity)
         if changed:
             _log.warning("paused" if sink.is_paused else "resumed", **names)
         # Stored again even if nothing has changed, because the last attempt may have failed.

@@ -24,6 +24,7 @@ from biosensor_gateway.agent.device_states import CONNECTED, State
 from biosensor_gateway.devices.driver import Connected, Driver, EnablesAgain
 from biosensor_gateway.streaming.silence import PATIENCE_S, Remedy, Silence, limits
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.device_log import names_in_log
 
 TICK_S = 0.25
 
@@ -56,7 +57,7 @@ class SilenceRecovery:
         self._watch = sink.watch
         self._on_change = on_change
         self._limit_s = driver.silence_limit_s
-        self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
+        self._names = names_in_log(sink.identity)
         self._unreadable = _Unreadable(sink)
         self._reported: str | None = None
         self._remarked: tuple[str, ...] = ()
@@ -264,7 +265,7 @@ class Supervisor:
         self._on_state = on_state
         self.on_drop: Callable[[str], None] = lambda reason: None
         self.admit: Callable[[], None] = lambda: None
-        self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
+        self._names = names_in_log(sink.identity)
         self._delay_s = BACKOFF_FIRST_S
         self.state = State.DISCOVERING
         self.away_since: float | None = time.time()

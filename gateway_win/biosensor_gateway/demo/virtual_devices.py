@@ -32,6 +32,7 @@ from biosensor_gateway.simulation.faults import (
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer, someone
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.device_log import wearers_in_log
 
 if TYPE_CHECKING:
     from biosensor_gateway.simulation.radio import Radio
@@ -262,6 +263,7 @@ def simulated_settings(
         devices = _start(wanted, hearts, stack)
         _schedule((each for each in scheduled if each not in hearts), devices)
         stack.enter_context(_environment(devices.values()))
+        stack.enter_context(wearers_in_log())
         tables = tuple(_settings(each, device) for each, device in devices.items())
         yield (settings or GatewaySettings()).model_copy(update={"devices": tables})
 

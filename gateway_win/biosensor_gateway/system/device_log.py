@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Generator, Hashable
+from contextlib import contextmanager
 from typing import Any
 
 import structlog
@@ -23,8 +24,33 @@ class Once:
         return is_new
 
 
+_names_wearers = False
+
+
+@contextmanager
+def wearers_in_log() -> Generator[None]:
+    """Have records name who wears a device, as virtual ones of several people share a unit.
+
+    Those of real devices do not, because a unit is that of one device.
+    """
+    global _names_wearers  # noqa: PLW0603 - as all of logging, it is of the whole process
+    before, _names_wearers = _names_wearers, True
+    try:
+        yield
+    finally:
+        _names_wearers = before
+
+
+def names_in_log(identity: DeviceIdentity) -> dict[str, str]:
+    """Return the fields by which records say which device they are about."""
+    names = {"sensor": identity.sensor, "unit": identity.unit}
+    worn = {"participant": identity.participant, "label": identity.label}
+    # Also empty ones: who wears it is not unknown then.
+    return names | worn if _names_wearers else names
+
+
 class DeviceLog:
-    """Logs about one device, with its sensor and unit.
+    """Logs about one device, with the fields that name it.
 
     Parameters
     ----------
@@ -34,7 +60,7 @@ class DeviceLog:
 
     def __init__(self, name: str, identity: DeviceIdentity) -> None:
         self._log: Any = structlog.get_logger(name)
-        self._names = {"sensor": identity.sensor, "unit": identity.unit}
+        self._names = names_in_log(identity)
         self._is_new = Once()
 
     def info(self, event: str, **facts: object) -> None:

@@ -24,7 +24,8 @@ FOR_PEOPLE = "for_people"
 
 # Facts for programs, which only the log file has.
 _UNSHOWN = frozenset({"code", "event_name", "reason", "where", "way"})
-_EVERYWHERE = frozenset({"event", "level", "logger", "sensor", "text", "timestamp", "unit"})
+_DEVICE = frozenset({"sensor", "unit", "participant", "label"})
+_EVERYWHERE = _DEVICE | {"event", "level", "logger", "text", "timestamp"}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 _MARKS = {"warning": "!", "error": "!", "critical": "!"}
 _COLOURS = {"!": "\x1b[33m"}
@@ -89,6 +90,9 @@ class LinesForPeople:
     def _device(self, record: EventDict, said: str) -> str:
         sensor, unit = str(record.get("sensor", "")), str(record.get("unit", ""))
         title = self._title(sensor) if sensor else ""
+        worn = [str(part) for key in ("participant", "label") if (part := record.get(key))]
+        if worn:
+            return f"{title} {unit} ({' '.join(worn)}): "
         # Many sentences begin with the device's name already.
         name = "" if title and said.startswith(title) else f"{title} {unit}".strip()
         return f"{name}: " if name else ""

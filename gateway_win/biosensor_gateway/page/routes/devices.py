@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -164,9 +165,10 @@ def add_devices(router: APIRouter, session: Session) -> None:
         return await _applied(session, "The device is no longer in the settings")
 
     @router.get("/devices/log")
-    async def device_log(sensor: str, unit: str) -> LogView:
+    async def device_log(sensor: str, unit: str, participant: str = "", label: str = "") -> LogView:
         """Return the newest lines of the log about a device."""
-        return await asyncio.to_thread(last_lines, session.folder, sensor, unit)
+        identity = DeviceIdentity(sensor, unit, participant, label)
+        return await asyncio.to_thread(last_lines, session.folder, identity)
 
     _add_pauses(router, session)
     _add_participant(router, session)
@@ -327,24 +329,30 @@ class LogView(BaseModel):
     lines: list[LogLine] = Field(default_factory=list[LogLine])
 
 
-def last_lines(folder: Path, sensor: str, unit: str) -> LogView:
+def last_lines(folder: Path, identity: DeviceIdentity) -> LogView:
     """Return the newest lines about a device, at most `MOST_LINES`.
 
     Parameters
     ----------
     folder
         The state folder of the agent.
-    sensor, unit
-        Identify the device.
+    identity
+        Of the device; who wears it matters for virtual ones alone.
     """
     lines: list[LogLine] = []
     for name in _FILES:
         for record in _newest_first(folder / name):
             if len(lines) == MOST_LINES:
                 return LogView(lines=lines)
-            if (record.get("sensor"), record.get("unit")) == (sensor, unit):
+            if _is_about(record, identity):
                 lines.append(_line(record))
     return LogView(lines=lines)
+
+
+def _is_about(record: Mapping[str, Any], identity: DeviceIdentity) -> bool:
+    known = asdict(identity)
+    worn = all(record.get(key, known[key]) == known[key] for key in ("participant", "label"))
+    return worn and all(record.get(key) == known[key] for key in ("sensor", "unit"))
 
 
 def _newest_first(path: Path) -> Iterator[dict[str, Any]]:

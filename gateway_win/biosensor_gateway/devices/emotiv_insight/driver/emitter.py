@@ -11,6 +11,7 @@ from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
 from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import names_in_log
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
@@ -251,7 +252,7 @@ class EmotivEmitter:
             if data_name != "gyro" or self._moves_by_gyroscope:
                 self._sink.lost(data_name, lost)
         if stream in self._not_yet_heard:
-            names = {"unit": self._sink.identity.unit, "data": stream, "samples": lost}
+            names = {**names_in_log(self._sink.identity), "data": stream, "samples": lost}
             # nothing is dropped: `lost` has counted them
             _log.warning("samples were lost between two connections, by estimate", **names)
 

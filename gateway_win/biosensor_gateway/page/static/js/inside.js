@@ -33,13 +33,14 @@ function Entry({ line }) {
 }
 
 export function Log({ device }) {
+  const { sensor, unit, participant, label } = device;
   const [lines, setLines] = useState(null);
   const [problem, setProblem] = useState("");
   useEffect(() => {
     let isOpen = true;
     const look = async () => {
       try {
-        const log = await ask("GET", `/devices/log?${new URLSearchParams({ sensor: device.sensor, unit: device.unit })}`);
+        const log = await ask("GET", `/devices/log?${new URLSearchParams({ sensor, unit, participant, label })}`);
         if (isOpen) setLines(log.lines);
         if (isOpen) setProblem("");
       } catch (error) {
@@ -49,7 +50,7 @@ export function Log({ device }) {
     look();
     const timer = setInterval(look, LOOK_MS);
     return () => { isOpen = false; clearInterval(timer); };
-  }, [device.sensor, device.unit]);
+  }, [sensor, unit, participant, label]);
   return html`
     <h3>What the log says last</h3>
     ${problem && html`<p class="reason small">${problem}</p>`}
