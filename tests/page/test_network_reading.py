@@ -10,12 +10,14 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pylsl
 import pytest
 
+from biosensor_common.lsl.inlet import Block
 from biosensor_common.lsl.network import numbered
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
@@ -286,6 +288,43 @@ def test_one_that_starts_again_keeps_it() -> None:
         "1": "/biosensors/MyMarkerStream/Markers",
         "4": "/biosensors/MyMarkerStream/Markers_2",
     }
+
+
+@pytest.mark.parametrize(("state", "said"), [("connecting", "connecting"), ("paused", "paused")])
+def test_last_values_of_a_sensor_that_is_away_are_not_of_now(state: str, said: str) -> None:
+    """Of one whose streams are all irregular, nothing else tells that it is away."""
+    strap = DeviceIdentity("ble_heart_rate", "A1", "P01")
+    battery, counts = Info("1", "lab-pc", 1.0, 1), Info("2", "lab-pc", 1.0)
+    vars(battery)["_told"] |= {
+        "name": "bat",
+        "type": "Battery",
+        "source_id": source_id(strap, "bat"),
+    }
+    vars(counts)["_told"] |= {"type": "Counters", "source_id": "gateway-pc-counters"}
+    senders: Any = [battery, counts]
+    listing = StreamList()
+    listing.update(senders, NOW_S)
+    of_bat, of_counts = listing.streams.values()
+    for stream, identity in ((of_bat, strap), (of_counts, DeviceIdentity("gateway", "pc"))):
+        header = foreign_header(stream.core)
+        stream.header = replace(header, identity=identity, foreign=False)
+    of_bat.receiver = cast("Any", SimpleNamespace(correction=0.0, age_s=1.0))
+    of_bat.received.placer.correction = 0.0
+    of_bat.received.take(Block(np.array([[77.0]]), np.array([NOW_S])), NOW_S)
+
+    def shown(away: dict[str, str]) -> tuple[bool, list[float | None], str]:
+        told = counters_text({of_bat.core.source_id: Counters()}, away=away)
+        of_counts.received.raw = told.encode()
+        view = Viewer().view(listing, 0, (), NOW_S)
+        (seen,) = (each for of in view.devices for each in of.streams if each.lsl_name == "bat")
+        return seen.is_fresh, seen.values, seen.note
+
+    assert shown({})[:2] == (True, [77.0])
+    assert shown({of_bat.core.source_id: state}) == (
+        False,
+        [],
+        f"its sensor does not send: {said}",
+    )
 
 
 def test_what_the_agent_says_of_its_stream_stands_with_it() -> None:

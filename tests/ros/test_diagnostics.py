@@ -304,6 +304,18 @@ def test_the_agents_counters_are_published_and_compared(ros: Ros, counters: Outl
     push(62.0)
     ros.until(lambda: shows("8"), "what device and transport lost")
 
+    def level() -> bytes | None:
+        status = ros.status(topic)
+        return status.level if status else None
+
+    # What comes only now and then is not "streaming" while its sensor is away.
+    away = {outlet.source_id: "connecting"}
+    told = counters_text({outlet.source_id: outlet.counters}, away=away)
+    counters.push_text(told, pylsl.local_clock())
+    ros.until(lambda: level() == DiagnosticStatus.WARN, "that its sensor is away")
+    counters.push_text(counters_text({outlet.source_id: outlet.counters}), pylsl.local_clock())
+    ros.until(lambda: level() == DiagnosticStatus.OK, "that its sensor is back")
+
     system_s, lsl_s = time.time(), pylsl.local_clock()
     seen = len(heard)
     counters.push_text(counters_text({outlet.source_id: outlet.counters}), lsl_s)
@@ -348,6 +360,10 @@ class Lab:
     def clock(self, **state: float) -> None:
         """Have the agent tell the clock of the device whose stream was told last."""
         self._bridges[-1][1].counters.clock = state
+
+    def away(self, state: str) -> None:
+        """Have the agent tell that the device whose stream was told last does not send."""
+        self._bridges[-1][1].counters.away = state
 
     def statuses(self) -> dict[str, DiagnosticStatus]:
         statuses = list(device_statuses(self._bridges))
@@ -402,6 +418,22 @@ def test_a_device_is_described_by_what_its_streams_tell(lab: Lab) -> None:
         "quality/hrv_unreliable": "0",
         "quality/link_quality": "3",
     }
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [("paused", "its sensor is paused"), ("backoff", "is not connected (backoff)")],
+)
+def test_what_a_device_sent_before_it_was_away_is_not_of_now(
+    lab: Lab, state: str, said: str
+) -> None:
+    lab.tell("ble_heart_rate", header_of("ble_heart_rate", "bat"), 60)
+    lab.tell("ble_heart_rate", header_of("ble_heart_rate", "quality"), 1)
+    lab.away(state)
+    status = lab.status()
+    assert status.level == DiagnosticStatus.WARN
+    assert said in status.message
+    assert values(status) == {}
 
 
 @pytest.mark.seam

@@ -216,6 +216,21 @@ def read_counters(text: str) -> dict[str, dict[str, float]]:
         raise ValueError("not the counters of an agent") from error
 
 
+def away_states(text: str) -> dict[str, str]:
+    """Return the states of devices that do not send now, by source_id, from a counters sample.
+
+    Raises
+    ------
+    ValueError
+        If it is not in an agent's format.
+    """
+    try:
+        states = {str(source): entry.get("away") for source, entry in json.loads(text).items()}
+    except (AttributeError, RecursionError) as error:
+        raise ValueError("not the counters of an agent") from error
+    return {source: state for source, state in states.items() if isinstance(state, str)}
+
+
 def clock_of(counters: Mapping[str, float]) -> dict[str, float]:
     """Return the state of a device's clock, by `CLOCK_FACTS`, from one entry of the counters."""
     told = ((key, counters.get(f"{_CLOCK}{key}")) for key in CLOCK_FACTS)

@@ -62,12 +62,15 @@ def counters_text(
     clocks: Mapping[str, ClockState] | None = None,
     refused: Mapping[str, Sequence[str]] | None = None,
     off: Collection[str] = (),
+    away: Mapping[str, str] | None = None,
 ) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
     A device's clock is in the entry of one of its streams, if it has one. So are sentences of what
     is not passed on as it came, in those streams of which there is any now. Streams that are *off*,
     because the settings or the model of the device have none, say so: nothing of them is missing.
+    While a device is *away*, each of its streams has its state, as in heartbeats: what came last
+    is of the past then.
 
     The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
     withholds is not told: the number of beats in a second is a heart rate.
@@ -81,6 +84,7 @@ def counters_text(
                 **_clock_entry((clocks or {}).get(source_id)),
                 **_refused_entry((refused or {}).get(source_id, ())),
                 **({"off": True} if source_id in off else {}),
+                **({"away": away[source_id]} if away and source_id in away else {}),
             }
             for source_id, c in counters.items()
         },

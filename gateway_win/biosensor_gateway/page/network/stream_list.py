@@ -41,10 +41,13 @@ class Counted(NamedTuple):
         Number of samples that never reached the agent; None if it does not report it.
     refused
         What is currently not passed on unchanged, one sentence each.
+    away
+        State of its device while that does not send; else empty.
     """
 
     lost: int | None
     refused: tuple[str, ...]
+    away: str = ""
 
 
 def counted_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict[str, Counted]:
@@ -78,7 +81,12 @@ def _counted(stream: NetworkStream, refusals: Refusals) -> dict[str, Counted]:
 def _entry(entry: Mapping[str, Any]) -> Counted:
     lost, refused = entry.get("lost"), entry.get("refused")
     sentences = cast("list[object]", refused) if isinstance(refused, list) else []
-    return Counted(lost if isinstance(lost, int) else None, tuple(map(str, sentences)))
+    away = entry.get("away")
+    return Counted(
+        lost if isinstance(lost, int) else None,
+        tuple(map(str, sentences)),
+        away if isinstance(away, str) else "",
+    )
 
 
 MAX_STREAMS = 400

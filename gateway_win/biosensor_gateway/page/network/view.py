@@ -14,6 +14,7 @@ from biosensor_common import naming
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat, ChannelRole
 from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import CoreFields, StreamHeader
+from biosensor_gateway.agent.device_states import STATE_WORDS
 from biosensor_gateway.agent.rate_meter import stale_after_s
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.downsampling import DRAWN_CHANNELS, chosen
@@ -127,6 +128,8 @@ class Viewer:
         is_text = core.format is ChannelFormat.STRING
         state, silent_s = _state(stream, now)
         is_fresh = state in (SeenState.STREAMING, SeenState.WAITING) and not _is_over(stream, now)
+        # The last values of a device that does not send any more are of the past.
+        is_fresh = is_fresh and not (stream.is_ours and _is_away(stream, counted))
         first = _window(stream, 0, is_fresh=is_fresh)
         count, is_estimated = _lost(stream, counted)
         return SeenStreamView(
@@ -220,6 +223,11 @@ def _window(stream: NetworkStream, first: int, *, is_fresh: bool) -> WindowView:
     )
 
 
+def _is_away(stream: NetworkStream, counted: dict[str, Counted]) -> bool:
+    known = counted.get(stream.core.source_id)
+    return known is not None and bool(known.away)
+
+
 def _lost(stream: NetworkStream, counted: dict[str, Counted]) -> tuple[int | None, bool]:
     """Return the number of lost samples, and whether it is estimated from the stamps."""
     if stream.is_ours:
@@ -243,7 +251,9 @@ def _note(stream: NetworkStream, counted: dict[str, Counted]) -> str:
     counts = counted.get(stream.core.source_id) if stream.is_ours else None
     own = stream.note or _clock_note(stream)
     refused = counts.refused if counts else ()
-    return readable("; ".join(each for each in (own, *refused) if each), 400)
+    state = counts.away if counts else ""
+    away = f"its sensor does not send: {STATE_WORDS.get(state, state)}" if state else ""
+    return readable("; ".join(each for each in (away, own, *refused) if each), 400)
 
 
 def _clock_note(stream: NetworkStream) -> str:

@@ -7,9 +7,9 @@ Levels of a stream:
   longer than DDS remembers a node that was killed.
 * STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
   agent, from which nothing at all has come for 1.5 s.
-* WARN: other data was left out, duplicated, renamed or guessed, now or in the last 10 s; in the
-  last 10 s samples were lost, or the measured rate is more than 10 % off; a topic is published
-  faster than subscribers receive it.
+* WARN: its sensor is paused or not connected; other data was left out, duplicated, renamed or
+  guessed, now or in the last 10 s; in the last 10 s samples were lost, or the measured rate is more
+  than 10 % off; a topic is published faster than subscribers receive it.
 * OK: none of these.
 """
 
@@ -98,6 +98,8 @@ CLOCK_PATIENCE_S = 10.0
 LEASE_S = 25.0
 
 PROGRAM = "lsl_to_ros"
+PAUSED = "paused"
+"""State of a device whose participant has withdrawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,14 +281,24 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.STALE, facts.trouble
     # Not by the age of samples: they may keep coming with old stamps, or stamps of another clock.
     is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
+    away = away_sentence(bridge.counters.away)
     if bridge.header.rate > 0 and is_silent:
-        return DiagnosticStatus.STALE, "no samples"
+        return DiagnosticStatus.STALE, f"no samples: {away}" if away else "no samples"
     others = [reason for is_so, reason in _warnings(facts) if is_so]
     # Only the first measured warning, because several often have one cause; but all refusals.
-    warnings = [*(sentence for _, sentence in refused), *others[:1]]
+    warnings = [*([away] if away else []), *(sentence for _, sentence in refused), *others[:1]]
     if warnings:
         return DiagnosticStatus.WARN, "; ".join(warnings)
     return DiagnosticStatus.OK, "streaming" if bridge.last_stamp else "no sample yet"
+
+
+def away_sentence(state: str) -> str:
+    """Return why a device does not send, by its state of the agent; empty if it sends."""
+    if not state:
+        return ""
+    if state == PAUSED:
+        return "its sensor is paused, and nothing of it is sent"
+    return f"its sensor is not connected ({state}), and what came last is of the past"
 
 
 def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:

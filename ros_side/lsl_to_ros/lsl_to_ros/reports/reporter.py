@@ -22,6 +22,7 @@ from lsl_to_ros.lsl.inlets import Senders
 from lsl_to_ros.parameters.node import COMPAT, DIAGNOSTICS_PERIOD, SMARTLAB
 from lsl_to_ros.reports.diagnostics import (
     LEASE_S,
+    away_sentence,
     crowded_out,
     overload,
     status,
@@ -220,15 +221,21 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
     Yields
     ------
     DiagnosticStatus
-        WARN if a battery is at 10 % or less, or a sensor reports that it is not worn.
+        WARN if it is paused or not connected, a battery is at 10 % or less, or a sensor reports
+        that it is not worn.
     """
     devices: defaultdict[str, list[Bridge]] = defaultdict(list)
     for name, bridge in bridges:
         if not bridge.header.foreign and (_told(bridge.header) or bridge.counters.clock):
             devices[name].append(bridge)
     for name, told in devices.items():
-        level, message = _judge_device(told)
-        texts = dict(_texts(told))
+        away = next((each.counters.away for each in told if each.counters.away), "")
+        # What it sent last is of the past while it is away.
+        of_now = [] if away else told
+        level, message = _judge_device(of_now)
+        if away:
+            level, message = DiagnosticStatus.WARN, away_sentence(away)
+        texts = dict(_texts(of_now))
         yield status(f"device {name}", level, message, texts, told[0].header.identity.unit)
 
 

@@ -314,6 +314,8 @@ class NodeCounters:
     clock
         State of the device's clock, by `biosensor_common.ros.messages.CLOCK_FACTS`; only one
         stream per device has it.
+    away
+        State of its device, according to the agent, while that does not send; else empty.
     """
 
     received: int = 0
@@ -323,6 +325,7 @@ class NodeCounters:
     comparison: CountersComparison = field(default_factory=CountersComparison)
     delays: Delays = field(default_factory=Delays)
     clock: Mapping[str, float] = field(default_factory=dict[str, float])
+    away: str = ""
 
     @property
     def unfit(self) -> int:
