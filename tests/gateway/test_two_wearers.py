@@ -15,7 +15,9 @@ from biosensor_gateway.agent.device_set import Device, DeviceSet
 from biosensor_gateway.agent.pauses import PauseCommands, load_pauses
 from biosensor_gateway.agent.selection import holders, unique_names
 from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.page.routes.devices import last_lines
 from biosensor_gateway.page.routes.recording import Story
 from biosensor_gateway.recording.recorder.result import By, LocalStatus
 from biosensor_gateway.recording.recorder.streams import expected_devices
@@ -26,7 +28,10 @@ from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.device import device_facts
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.device_log import names_in_log
+from biosensor_gateway.system.logs import configure_logs, flush_logs
 from tests.gateway.test_new_file import NoDriver
+from tests.rigs.kept_logging import kept_logging
 from tests.rigs.memory_outlet import MemoryOutlet
 from tests.xdf.checking import codes, text_of
 from tests.xdf.test_participants import judged
@@ -116,8 +121,8 @@ def test_the_page_tells_who_is_back() -> None:
         story.look(facts, standing)
         return story.notes
 
-    assert told("connecting", "connecting") == []
-    (note,) = told("streaming", "connecting")
+    assert told("enabling", "enabling") == []
+    (note,) = told("streaming", "enabling")
     assert note.startswith("P01's ")
     assert len(told("streaming", "streaming")) == 2
 
@@ -135,6 +140,23 @@ async def test_the_pause_of_one_is_kept_while_another_is_resumed(
     again = [device(nobody.sink.identity).sink, device(FIRST).sink]
     PauseCommands(tmp_path, lambda: again)
     assert [each.is_paused for each in again] == [False, True]
+
+
+@pytest.mark.usefixtures("two")
+def test_the_log_tells_whose_device_it_is_about(tmp_path: Path) -> None:
+    with kept_logging(), simulated_settings(["polar_h10@P01", "polar_h10@P02"]) as settings:
+        configure_logs(settings.log, tmp_path)
+        for entry, data_name in zip(settings.devices, ("hr", "ibi"), strict=True):
+            sink = Device.from_settings(entry).sink
+            sink.open(DeviceInfo(), {})
+            # Which is refused, as it has two values too many.
+            sink.emit_at(data_name, [[1.0, 2.0, 3.0]], [sink.clock()])
+        flush_logs()
+    for identity, data_name in ((FIRST, "hr"), (SECOND, "ibi")):
+        (line,) = last_lines(tmp_path, identity).lines
+        assert f"data {data_name}" in line.sentence
+    # A unit of the settings is that of one device, so pseudonyms stay out of the log.
+    assert names_in_log(FIRST) == {"sensor": "polar_h10", "unit": "virtual"}
 
 
 def test_refusals_last_until_the_next_heartbeat() -> None:

@@ -189,13 +189,16 @@ def told(story: Story, *devices: DeviceStatus) -> list[str]:
 
 def test_what_is_over_stays_said() -> None:
     story = Story()
-    assert told(story, belt(paused=True, since=STARTED), belt(unit="C")) == []
+    assert told(story, belt(error="no ecg", since=STARTED), belt(unit="C")) == []
     # While the agent is away, nobody knows how its sensors are.
     assert told(story) == []
-    (note,) = told(story, belt(), belt(unit="C", state="connecting", since=STARTED))
-    assert "Zephyr BioHarness 3 B was paused from" in note
+    (note,) = told(story, belt(), belt(unit="C", state="enabling", since=STARTED))
+    assert "Zephyr BioHarness 3 B did not send all that it should from" in note
     notes = told(story, belt(), belt(unit="C"))
     assert len(notes) == 2
+    assert told(story, belt(), belt(unit="C")) == notes
+    # Who was paused or not connected is told by the events in the file.
+    told(story, belt(paused=True, since=STARTED), belt(unit="C", state="connecting"))
     assert told(story, belt(), belt(unit="C")) == notes
 
 

@@ -55,14 +55,19 @@ def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenW
     # Nothing is wrong with that.
     expect(page.locator("header .state")).to_have_class(re.compile("soft"))
     assert page.url == f"{server.origin}/"
+    foot, file = page.locator("footer"), str(server.programs.settings)
+    expect(foot).to_contain_text(f"Settings: {file}")
     page.get_by_role("button", name="Try it with virtual sensors").click()
     expect(page.get_by_text("These are virtual sensors")).to_be_visible()
     expect(page.locator(".card", has_text="streaming")).to_have_count(len(one_of_each()))
+    # Who changes them meanwhile has to know that nothing comes of it.
+    expect(foot).to_contain_text(f"those of the settings are not used: {file}")
     page.get_by_role("button", name="End the agent").wait_for()
     page.once("dialog", lambda dialog: dialog.accept())
     page.get_by_role("button", name="End the agent").click()
     expect(page.get_by_text("agent does not run")).to_be_visible()
     expect(page.locator(".card")).to_have_count(0)
+    expect(foot).to_contain_text(f"Settings: {file}")
 
 
 # A search where there is no Bluetooth is over before anybody could look.

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from pathlib import Path
 
 import pytest
 
+from biosensor_common.naming import source_id
+from biosensor_gateway.agent.device_states import clock_time
 from biosensor_gateway.recording.recorder.live_file import GrowingFile, Growth
 from biosensor_gateway.recording.xdf.container import Tag
 from biosensor_gateway.recording.xdf.findings import Level
 from tests.recording_export.study import ours
+from tests.xdf.own_streams import own_header
+from tests.xdf.test_judging import event
+from tests.xdf.test_participants import AGENT, heartbeat, strap
 from tests.xdf.xdf_file import FILE_HEADER, boundary, chunk, footer, samples, stream_header, xdf
 
 HEAD = b"XDF:" + chunk(1, FILE_HEADER) + stream_header(1, "one", rate=10.0)
 TWO = stream_header(2, "two", rate=10.0)
 MARKERS = stream_header(3, "marks")
+UNIX_S = 1_700_000_000.0
 
 
 def data(stream: int, *stamps: float) -> bytes:
@@ -193,6 +200,92 @@ def test_gaps_stay_said_when_all_goes_on(written: Written) -> None:
     (gap,) = written.growth.gaps()
     assert (gap.stream, gap.text) == ("one", "2 gaps so far, the longest of 2.9 s")
     assert "gaps" not in {code for _, code in written.codes()}
+
+
+STRAPS = (strap("P01"), strap("P02", "A2"))
+
+
+def _told(*events: dict[str, object]) -> bytes:
+    return samples(9, "string", [[json.dumps(each)] for each in events], _seconds(len(events)))
+
+
+def _seconds(count: int) -> list[float]:
+    return [1001.0 + number for number in range(count)]
+
+
+def _beat(at: float, started: float = 900.0, session: str = "") -> dict[str, object]:
+    clock = {"lsl_s": at, "unix_ns": round((UNIX_S + at) * 1e9)}
+    told = heartbeat(polar_h10__A1="streaming", polar_h10__A2="streaming")
+    return told | {"agent_started": started, "lsl_time": at, "clock": clock, "session": session}
+
+
+def _acc(stream: int, *runs: tuple[float, float]) -> bytes:
+    stamps = [begin + k / 50 for begin, end in runs for k in range(round((end - begin) * 50))]
+    return samples(stream, "float32", [[0.0, 0.0, 1.0]] * len(stamps), stamps)
+
+
+def _recording(*content: bytes) -> bytes:
+    headers = [own_header(number, each, "acc") for number, each in enumerate(STRAPS, 1)]
+    return xdf(*headers, own_header(9, AGENT, "events"), *content)
+
+
+def test_a_pause_is_told_as_a_pause_while_it_is_recorded(written: Written) -> None:
+    written.write(_recording(_told(_beat(1000.5)), _acc(1, (1000, 1005)), _acc(2, (1000, 1005))))
+    written.write(_told(event("paused", 1005.0)) + _acc(2, (1005, 1007), (1007.5, 1009)))
+    written.write(_acc(1, (1009, 1012)) + _acc(2, (1009, 1012)))
+    # Its end stands in the file a moment after what was sent behind it.
+    (gap,) = written.growth.gaps()
+    assert (gap.stream, gap.text) == ("P02-polar_h10-A2", "1 gap so far, of 0.52 s")
+    assert list(written.growth.was_away()) == []
+    written.write(_told(event("resumed", 1008.0)))
+    (gap,) = written.growth.gaps()
+    assert gap.stream == "P02-polar_h10-A2"
+    (over,) = written.growth.was_away()
+    since, until = (clock_time(UNIX_S + at, seconds=True) for at in (1005, 1008))
+    assert (over.level, over.text) == (
+        Level.WARNING,
+        f"P01's Polar H10 was paused from {since} until {until}",
+    )
+
+
+def test_a_gap_beside_a_pause_is_counted_all_the_same(written: Written) -> None:
+    events = _told(_beat(1000.5), event("paused", 1005.0), event("resumed", 1008.0))
+    written.write(_recording(events, _acc(1, (1000, 1002), (1002.5, 1005), (1009, 1012))))
+    (gap,) = written.growth.gaps()
+    assert gap.text == "1 gap so far, of 0.52 s"
+
+
+@pytest.mark.parametrize(
+    ("second", "own_started", "is_other"),
+    [
+        # It ran beside the first one.
+        (_beat(1009.0, 950.0), None, True),
+        # One's own was started again, and is what is recorded now.
+        (_beat(1009.0, 1007.5), 1007.5, False),
+        (_beat(1009.0, 1007.5), None, False),
+        # One's own was started again, and is not what is recorded.
+        (_beat(1009.0, 1007.5), 1008.2, True),
+        (_beat(1009.0, 1007.5, "room-2"), None, True),
+        # It runs since before the recording, and its last sign of life is older than its start.
+        (_beat(1009.0), 1010.0, False),
+    ],
+)
+def test_another_agent_is_told_while_it_is_recorded(
+    written: Written, second: dict[str, object], own_started: float | None, is_other: bool
+) -> None:
+    first = [_beat(1001.0, session="room-1"), _beat(1006.0, session="room-1")]
+    second["session"] = second["session"] or "room-1"
+    written.write(_recording(_acc(1, (1000, 1010)), _told(*first, second)))
+    events = source_id(AGENT, "events")
+    found = list(written.growth.other_agents(events, own_started))
+    assert [(each.level, each.code) for each in found] == [
+        (Level.ERROR, "another-agent")
+    ] * is_other
+    if is_other:
+        at = clock_time(UNIX_S + 1009.0, seconds=True)
+        assert found[0].text.startswith(f"from {at} on it is of another agent")
+    # Of another computer's agent it is not known when it began.
+    assert not list(written.growth.other_agents("elsewhere", 1008.2)) or own_started != 1008.2
 
 
 @pytest.mark.parametrize(

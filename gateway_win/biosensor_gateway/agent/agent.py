@@ -33,6 +33,7 @@ from biosensor_gateway.agent.device_set import (
     SettingsReload,
     problem,
 )
+from biosensor_gateway.agent.device_states import CONNECTED
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.markers import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
@@ -62,6 +63,7 @@ def snapshot(
     virtual: bool = False,
     own: Iterable[Refusals] = (),
     features: Sequence[RefusedStatus] = (),
+    started_s: float | None = None,
 ) -> AgentStatus:
     """Return the status of the agent and its devices.
 
@@ -73,11 +75,14 @@ def snapshot(
         Refusals of the agent's own streams.
     features
         Refusals that programs with live features report.
+    started_s
+        When the agent began, as LSL time.
     """
     restarts = restart_facts(os.environ)
     status = AgentStatus(
         written=time.time(),
         lsl_time=local_clock(),
+        started_s=started_s,
         process=os.getpid(),
         virtual=virtual,
         restarts=int(restarts.get("restarts", 0)),
@@ -358,14 +363,18 @@ class Agent:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(
-                counters_text(merged, self._clocks(), self._refused(), self._off()),
+                counters_text(merged, self._clocks(), self._refused(), self._off(), self._away()),
                 pylsl.local_clock(),
             )
             own = (announcer.refusals, self._markers.refusals)
             virtual = self._reload.is_virtual
             features = self._feature_refusals = feature_refusals.read(self._folder)
             status = snapshot(
-                self.devices, virtual=virtual, own=own, features=features
+                self.devices,
+                virtual=virtual,
+                own=own,
+                features=features,
+                started_s=announcer.started_s,
             ).model_dump()
             self.on_status(status)
             self._status.write(status)
@@ -379,6 +388,11 @@ class Agent:
 
     def _off(self) -> set[str]:
         return {source for device in self.devices for source in device.sink.off}
+
+    def _away(self) -> dict[str, str]:
+        """Return the states of devices that do not send, by the source_ids of their streams."""
+        away = [each for each in self.devices if each.state not in CONNECTED]
+        return {source: each.state for each in away for source in each.sink.counters}
 
     def _refused(self) -> dict[str, list[str]]:
         """Return current refusals by source_id, without pauses.

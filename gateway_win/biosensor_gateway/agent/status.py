@@ -228,12 +228,15 @@ class AgentFacts(BaseModel):
         Whether its devices are virtual.
     restarts, last_end
         How often the agent was restarted after a crash, and how it ended last.
+    started_s
+        When the agent began, as LSL time, as in the heartbeats of its events.
     refusals
         What of the agent's own streams was not sent, or not received.
     """
 
     written: float | None = None
     lsl_time: float | None = None
+    started_s: float | None = None
     process: int | None = None
     virtual: bool = False
     restarts: int = 0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from biosensor_common.errors import ConfigError
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.options import JsonOption, SettingsOption, settings_or_defaults
 from biosensor_gateway.cli.output import can_ask, menu
@@ -32,9 +32,9 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
     SensorsAwayError,
 )
-from biosensor_gateway.recording.recorder.result import By, Started, Status, Stopped
+from biosensor_gateway.recording.recorder.result import By, LocalStatus, Started, Status, Stopped
 from biosensor_gateway.recording.recorder.state import WindowRecording
-from biosensor_gateway.recording.recorder.streams import Devices, look
+from biosensor_gateway.recording.recorder.streams import look
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder, usual_recordings_folder
@@ -185,25 +185,28 @@ def without_sensors(request: RecordingRequest, error: SensorsAwayError) -> Recor
     return replace(request, without_away=True)
 
 
-def _devices() -> Devices | None:
+def _status(recording: LocalRecorder) -> LocalStatus | None:
+    """Return the status of a recording, compared with that of the agent, as on the page."""
     try:
-        return status_file.running_status(state_folder())["devices"]
-    except ConfigError:
-        return None
+        agent = status_file.running_status(state_folder())
+    except ConfigError as error:
+        # One that runs and has written nothing yet is not missing.
+        return recording.status(None if error.reason is ConfigReason.NOT_FOUND else ())
+    return recording.status(agent["devices"], agent.get("started_s"))
 
 
 def local_status(*, watch: bool, as_json: bool) -> None:
     """Print the status of a recording that is made without LabRecorder; exit code 1 on errors."""
     recording = LocalRecorder(state_folder())
     in_json = as_line if watch else as_json_text
-    status = recording.status(_devices())
+    status = _status(recording)
     while status is not None:
         typer.echo(in_json(status) if as_json else local_text(status))
         if not watch or not status.recording:
             break
         time.sleep(_WATCH_S)
         # None if `record stop` has ended it in the meantime and printed the outcome.
-        status = recording.status(_devices())
+        status = _status(recording)
     errors = () if status is None else status.problems
     if any(each.level is Level.ERROR for each in errors):
         raise typer.Exit(1)

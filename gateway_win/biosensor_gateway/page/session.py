@@ -153,6 +153,11 @@ class Session:
             return None
         return [each.model_dump() for each in self._devices()]
 
+    @property
+    def agent_started_s(self) -> float | None:
+        """When the agent began, as LSL time; None if there is none."""
+        return None if self._status is None else self._status.started_s
+
     def _devices(self) -> Sequence[DeviceStatus]:
         return () if self._status is None else self._status.devices
 

@@ -128,6 +128,12 @@ class Outlet:
         """Make what sends: LSL's own outlet."""
         return LslOutlet(info)
 
+    @property
+    def session(self) -> str:
+        """LSL session in which it sends; empty if it does not send over LSL."""
+        sends = self._outlet
+        return sends.get_info().session_id() if isinstance(sends, pylsl.StreamOutlet) else ""
+
     def await_return(self) -> None:
         """Let the next samples wait until those are back who received the stream before a kill."""
         if not self._waits:

@@ -14,7 +14,13 @@ from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.device_states import Absence, absences, clock_time, identity_of
+from biosensor_gateway.agent.device_states import (
+    Absence,
+    absences,
+    clock_time,
+    identity_of,
+    is_sending,
+)
 from biosensor_gateway.page.models import (
     Choice,
     Outcome,
@@ -273,7 +279,7 @@ class Recorder:
 
     def _look(self) -> RecordingView:
         devices = self._session.device_facts()
-        standing = self._recording.status(devices)
+        standing = self._recording.status(devices, self._session.agent_started_s)
         view = RecordingView(folder=str(self._folder), verdict=self._verdict)
         if standing is None:
             return view
@@ -391,9 +397,13 @@ class Story:
         return (self._file, self._started) == (standing.file, standing.started)
 
     def look(self, devices: Sequence[Mapping[str, Any]], standing: LocalStatus) -> None:
-        """Note which sensors are away, and which have come back since the last look."""
+        """Note which sensors send a part of their streams, and which send all again.
+
+        Those that were paused or not connected are told by the file's events.
+        """
         self._file, self._started = standing.file, standing.started
-        now = {each.device: each for each in absences(devices)}
+        sends = {identity_of(e) for e in devices if is_sending(e["state"], paused=e["paused"])}
+        now = {each.device: each for each in absences(devices) if each.device in sends}
         here = {identity_of(each) for each in devices}
         for device, before in self._away.items():
             if device in here and device not in now:
@@ -425,8 +435,6 @@ def _sender(stream: VisibleStream) -> str:
 
 
 def _was_away(absence: Absence, until: float) -> str:
-    how = "was paused" if absence.is_paused else "did not send all that it should"
-    if not absence.is_paused and absence.sources:
-        how = "did not send"
     since = "" if absence.since is None else f"from {clock_time(absence.since, seconds=True)} "
-    return f"{absence.name} {how} {since}until {clock_time(until, seconds=True)}"
+    until_when = f"until {clock_time(until, seconds=True)}"
+    return f"{absence.name} did not send all that it should {since}{until_when}"

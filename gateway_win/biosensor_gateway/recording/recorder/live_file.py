@@ -7,21 +7,32 @@ import shutil
 import struct
 import time
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.device_states import clock_time, names
 from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, ChunkError, Frame, Tag
+from biosensor_gateway.recording.xdf.event_rules import (
+    OF_ANOTHER_AGENT,
+    EventLog,
+    Spell,
+    split_pauses,
+)
 from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
 from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
 from biosensor_gateway.recording.xdf.measuring import (
     MAX_STAMP_ERROR_S,
     MAX_UPTIME_S,
+    Gap,
+    Gaps,
     find_gaps,
     is_exact,
+    joined,
 )
 from biosensor_gateway.recording.xdf.pace import Cuts
 from biosensor_gateway.recording.xdf.samples import decode
@@ -47,6 +58,8 @@ _BLOCK_BYTES = 1 << 20
 _LENGTH_SIZES = frozenset({1, 4, 8})
 _TAG_BYTES = 2
 _MOST_DAMAGES = 20
+_MOST_SPELLS = 20
+"""Number of absences of each sensor that are listed, the newest."""
 
 
 class GrowingFile:
@@ -211,8 +224,9 @@ class _StreamReader:
         self.reached = -math.inf
         self.received_at: float | None = None
         self.measured_at: float | None = None
-        self.samples = self.offsets = self.gaps = 0
-        self.longest_gap_s = 0.0
+        self.samples = self.offsets = 0
+        self.gaps = Gaps()
+        self.log = EventLog() if header.is_events else None
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
@@ -226,8 +240,8 @@ class _StreamReader:
         """Newest timestamp on the stream's own clock; None without a valid one."""
         return self._last_stamp if math.isfinite(self._last_stamp) else None
 
-    def take_samples(self, content: memoryview) -> None:
-        """Process the content of a samples chunk.
+    def take_samples(self, content: memoryview) -> tuple[str, ...]:
+        """Process the content of a samples chunk; return its texts, empty for numbers.
 
         Raises
         ------
@@ -235,13 +249,15 @@ class _StreamReader:
             If it cannot be decoded; nothing is changed then.
         """
         before = self._last_stamp if self.samples else 0.0
-        stamps = decode(content, self.header, before).stamps
+        block = decode(content, self.header, before)
+        stamps = block.stamps
         self.samples += len(stamps)
         if len(stamps):
             self._find_gaps(stamps)
             self._last_stamp = float(stamps[-1])
             if self._is_on_the_lsl_clock():
                 self.reached = max(self.reached, self._last_stamp + self._offset)
+        return block.texts
 
     def take_offset(self, content: memoryview) -> float | None:
         """Process the content of a clock offset chunk; return the recorder's time in it.
@@ -270,13 +286,11 @@ class _StreamReader:
     def _find_gaps(self, stamps: NDArray[np.float64]) -> None:
         if self._cuts is not None:
             self._cuts.take(stamps[np.isfinite(stamps)])
-            self.gaps = len(self._cuts.holes)
-            self.longest_gap_s = max((each.length_s for each in self._cuts.holes), default=0.0)
+            holes = [Gap(each.after_s, each.length_s, each.lost) for each in self._cuts.holes]
+            self.gaps = Gaps(len(holes), listed=tuple(holes))
             return  # nothing is dropped: the steps between runs are gaps as well
         run = np.concatenate(([self._last_stamp], stamps))
-        gaps = find_gaps([run], self.header)
-        self.gaps += gaps.count
-        self.longest_gap_s = max(self.longest_gap_s, *(each.length_s for each in gaps.listed), 0.0)
+        self.gaps = joined(self.gaps, find_gaps([run], self.header))
 
     def _is_on_the_lsl_clock(self) -> bool:
         time = self._last_stamp + self._offset
@@ -381,17 +395,51 @@ class Growth:
 
     def gaps(self) -> Iterator[Finding]:
         """Yield the gaps of each device so far, from its stream with the longest ones."""
-        worst: dict[str, _StreamReader] = {}
+        worst: dict[str, Gaps] = {}
         for each in self._streams.values():
-            header = each.header
+            header, gaps = each.header, self._gaps_of(each)
             device = header.name.rpartition("-")[0] if header.is_ours else header.name
-            if each.gaps and not header.is_counters:
-                worst[device] = max(worst.get(device, each), each, key=lambda one: one.gaps)
-        for device, stream in worst.items():
-            many = "1 gap" if stream.gaps == 1 else f"{stream.gaps} gaps"
-            longest = "of" if stream.gaps == 1 else "the longest of"
-            text = f"{many} so far, {longest} {stream.longest_gap_s:.3g} s"
+            if gaps.count and not header.is_counters:
+                worst[device] = max(worst.get(device, gaps), gaps, key=lambda one: one.count)
+        for device, gaps in worst.items():
+            many = "1 gap" if gaps.count == 1 else f"{gaps.count} gaps"
+            longest = "of" if gaps.count == 1 else "the longest of"
+            text = f"{many} so far, {longest} {longest_s(gaps):.3g} s"
             yield Finding(Level.WARNING, "gaps", device, text)
+
+    def was_away(self) -> Iterator[Finding]:
+        """Yield when devices were paused or not connected that are so no longer."""
+        told = [
+            (device, spell, log)
+            for log in (each.log for each in self._streams.values() if each.log)
+            for device, spells in log.spells_over.items()
+            for spell in spells[-_MOST_SPELLS:]
+        ]
+        devices = list(dict.fromkeys(device for device, _, _ in told))
+        name_of = dict(zip(devices, names(map(asdict, devices), "'s "), strict=True))
+        for device, spell, log in told:
+            text = f"{name_of[device]} was {_spell(spell, log)}"
+            yield Finding(Level.WARNING, "away", "", text)
+
+    def other_agents(self, source_id: str, own_started_s: float | None) -> Iterator[Finding]:
+        """Yield from when on another agent's streams of the same source_ids are recorded.
+
+        Parameters
+        ----------
+        source_id
+            Of the events of the agent of this computer.
+        own_started_s
+            When this agent began, in LSL s; None if there is none, or this is unknown.
+        """
+        for each in self._streams.values():
+            if each.log is None:
+                continue
+            own_s = own_started_s if each.header.source_id == source_id else None
+            since_s = each.log.other_agent_since(own_s)
+            if since_s is not None:
+                at = _clock_time(since_s, each.log)
+                text = f"from {at} on {OF_ANOTHER_AGENT}; stop it and record again"
+                yield Finding(Level.ERROR, "another-agent", each.header.name, text)
 
     @property
     def _length_s(self) -> float:
@@ -420,7 +468,9 @@ class Growth:
         if tag is Tag.STREAM_FOOTER:
             stream.is_closed = True
         elif tag is Tag.SAMPLES:
-            stream.take_samples(content)
+            texts = stream.take_samples(content)
+            if stream.log is not None:
+                stream.log.take(texts, self._recorded_beside(stream))
             self._reach(stream)
             stream.received_at = self._newest
         else:
@@ -466,9 +516,29 @@ class Growth:
             clock_offsets=stream.offsets,
             offset_age_s=self._since(stream.measured_at) if stream.offsets else None,
             is_closed=stream.is_closed,
-            gaps=stream.gaps,
-            longest_gap_s=stream.longest_gap_s,
+            gaps=(gaps := self._gaps_of(stream)).count,
+            longest_gap_s=longest_s(gaps),
         )
+
+    def _gaps_of(self, stream: _StreamReader) -> Gaps:
+        """Return the gaps of a stream, without those in which its device was paused."""
+        device = stream.header.identity
+        if device is None or not stream.gaps.count:
+            return stream.gaps
+        spells = [each for log in self._logs(stream) for each in log.spells.get(device, ())]
+        return split_pauses(stream.gaps, spells)[0]
+
+    def _logs(self, beside: _StreamReader) -> Iterator[EventLog]:
+        """Yield the events of the agents on the computer of a stream."""
+        for each in self._streams.values():
+            if each.log is not None and each.header.hostname == beside.header.hostname:
+                yield each.log
+
+    def _recorded_beside(self, events: _StreamReader) -> list[DeviceIdentity]:
+        headers = (each.header for each in self._streams.values())
+        host = events.header.hostname
+        beside = (each.identity for each in headers if each.is_of_agent and each.hostname == host)
+        return list(dict.fromkeys(filter(None, beside)))
 
     def _since(self, time_s: float | None) -> float:
         begun = self._first if time_s is None else time_s
@@ -522,6 +592,22 @@ class Growth:
     def _longest_age_s(self, stream: StreamProgress) -> float:
         periods_s = STOPPED_PERIODS / stream.nominal_hz if stream.nominal_hz else 0.0
         return max(STOPPED_S, periods_s)
+
+
+def longest_s(gaps: Gaps) -> float:
+    """Return the length of the longest gap in s; 0 without gaps."""
+    return max((each.length_s for each in gaps.listed), default=0.0)
+
+
+def _spell(spell: Spell, log: EventLog) -> str:
+    since = "" if spell.since is None else f" from {_clock_time(spell.since, log)}"
+    until = "" if spell.until is None else f" until {_clock_time(spell.until, log)}"
+    return f"{spell.how}{since}{until}"
+
+
+def _clock_time(lsl_s: float, log: EventLog) -> str:
+    unix_s = log.unix_s(lsl_s)
+    return f"LSL time {lsl_s:.1f} s" if unix_s is None else clock_time(unix_s, seconds=True)
 
 
 def _free_bytes(file: Path) -> int | None:

@@ -46,6 +46,7 @@ from biosensor_gateway.recording.recorder.streams import (
     VisibleStream,
     away_findings,
     excused,
+    own_events,
     recorded_without,
     require_startable,
     titles,
@@ -170,13 +171,17 @@ class LocalRecorder:
             left_out=left_out,
         )
 
-    def status(self, devices: Devices | None = ()) -> LocalStatus | None:
+    def status(
+        self, devices: Devices | None = (), agent_started_s: float | None = None
+    ) -> LocalStatus | None:
         """Return the status of the recording; None if there is none or it was stopped.
 
         Parameters
         ----------
         devices
             The agent's status of its devices; None if no agent runs.
+        agent_started_s
+            When this agent began, in LSL s, by its status; None if unknown.
         """
         is_running, saved = self._folder.is_running, self._folder.saved()
         if saved is None:
@@ -198,6 +203,7 @@ class LocalRecorder:
                 findings += away_findings(devices, recorded, saved.started)
             silent = excused(devices, saved.started)
             findings += [*growth.problems(saved.required, silent), *growth.gaps()]
+            findings += [*growth.was_away(), *growth.other_agents(own_events(), agent_started_s)]
             findings.sort(key=lambda each: list(Level).index(each.level))
         return LocalStatus(
             by=By.GATEWAY,

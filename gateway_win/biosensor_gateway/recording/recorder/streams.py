@@ -154,8 +154,7 @@ def look(settings: GatewaySettings, state: Path) -> Presence:
     there = [device for device in expected if not device.away]
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
     seen = _search(frozenset[str]().union(*(device.source_ids for device in there)))
-    agent = DeviceIdentity(naming.AGENT, socket.gethostname())
-    ours = needed | {naming.source_id(agent, each.data_name) for each in GATEWAY.streams}
+    ours = needed | {_own(each.data_name) for each in GATEWAY.streams}
     present = {each.source_id for each in seen}
     return Presence(
         visible=seen,
@@ -166,6 +165,15 @@ def look(settings: GatewaySettings, state: Path) -> Presence:
         away=tuple(device.away for device in expected if device.away),
         away_ids=frozenset[str]().union(*(e.source_ids for e in expected if e.away)),
     )  # fmt: skip
+
+
+def own_events() -> str:
+    """Return the source_id of the events of the agent on this computer."""
+    return _own("events")
+
+
+def _own(data_name: str) -> str:
+    return naming.source_id(DeviceIdentity(naming.AGENT, socket.gethostname()), data_name)
 
 
 def _search(needed: frozenset[str]) -> tuple[VisibleStream, ...]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.naming import AGENT
@@ -19,8 +19,12 @@ from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.streaming.events import EventKind
 
-_PAUSED, _NOT_CONNECTED = "paused", "not connected"
+PAUSED, _NOT_CONNECTED = "paused", "not connected"
 _LINK = {EventKind.CONNECTED: "", EventKind.DISCONNECTED: _NOT_CONNECTED}
+OF_ANOTHER_AGENT = (
+    "it is of another agent, which runs at the same time with the same source_id, as in another "
+    "LSL session: data from then on may be another person's"
+)
 _MOST_SPELLS = 3
 _EDGE_S = 3.0
 """A device's last packet before a pause comes a while later, and after it 1 s is left out."""
@@ -57,26 +61,31 @@ def judge_devices(
 
 def without_pauses(streams: Sequence[Measured]) -> list[Measured]:
     """Take those gaps out of each stream's gaps in which its device was paused."""
-    pauses: dict[str, list[_Spell]] = {}
+    pauses: dict[str, list[Spell]] = {}
     for events in streams:
         if events.stream.header.is_events:
             own = [each for each in streams if _is_beside(each, events)]
-            spells = _spells(events.stream.texts, _recorded(own))
+            spells = EventLog.of(events.stream.texts, _recorded(own)).spells
             for each in own:
                 identity = each.stream.header.identity
                 of_one = spells.get(identity, []) if identity else []
-                paused = [spell for spell in of_one if spell.how == _PAUSED]
-                pauses.setdefault(each.stream.header.source_id, []).extend(paused)
+                pauses.setdefault(each.stream.header.source_id, []).extend(of_one)
     return [_without(each, pauses.get(each.stream.header.source_id, ())) for each in streams]
 
 
-def _without(measured: Measured, pauses: Sequence[_Spell]) -> Measured:
+def _without(measured: Measured, pauses: Sequence[Spell]) -> Measured:
     figures = measured.figures
-    gaps = figures.gaps
-    paused = tuple(gap for gap in gaps.listed if any(_is_within(gap, each) for each in pauses))
     # After a restart of the clock, gaps are on another clock than events.
-    if not paused or figures.offsets.resets:
+    if figures.offsets.resets:
         return measured
+    rest, paused = split_pauses(figures.gaps, pauses)
+    return replace(measured, figures=replace(figures, gaps=rest, pauses=paused))
+
+
+def split_pauses(gaps: Gaps, spells: Sequence[Spell]) -> tuple[Gaps, Gaps]:
+    """Return the gaps of a device's stream without those in which it was paused, and those."""
+    pauses = [each for each in spells if each.how == PAUSED]
+    paused = tuple(gap for gap in gaps.listed if any(_is_within(gap, each) for each in pauses))
     told = Gaps(len(paused), 0, sum(gap.length_s for gap in paused), paused)
     rest = Gaps(
         gaps.count - told.count,
@@ -84,10 +93,10 @@ def _without(measured: Measured, pauses: Sequence[_Spell]) -> Measured:
         gaps.total_s - told.total_s,
         tuple(gap for gap in gaps.listed if gap not in paused),
     )
-    return replace(measured, figures=replace(figures, gaps=rest, pauses=told))
+    return rest, told
 
 
-def _is_within(gap: Gap, pause: _Spell) -> bool:
+def _is_within(gap: Gap, pause: Spell) -> bool:
     """Whether nothing is missing in a gap besides what was not sent in a pause."""
     begin, end = gap.after, gap.after + gap.length_s
     since = begin if pause.since is None else max(begin, pause.since)
@@ -107,8 +116,8 @@ def pauses_told(
     begin_s
         Begin of the recording on the agent's clock, in seconds.
     """
-    for device, spells in _spells(texts, recorded).items():
-        paused = [each for each in spells if each.how == _PAUSED]
+    for device, spells in EventLog.of(texts, recorded).spells.items():
+        paused = [each for each in spells if each.how == PAUSED]
         if paused:
             said = _spells_text(paused, lambda at: at - begin_s)
             yield f"{_named(device)} was {said}: what is missing then was not sent, and is not lost"
@@ -120,25 +129,11 @@ def _is_beside(stream: Measured, events: Measured) -> bool:
 
 
 def _another_agent(events: Measured, extent: Extent) -> Iterator[Finding]:
-    """Report that the recorder went on with the stream of another agent.
-
-    One that is started again after a crash has begun after the last heartbeat before it.
-    """
-    before_s, started_s = -math.inf, 0.0
-    for event in _events(events.stream.texts):
-        if event.get("event") != EventKind.HEARTBEAT:
-            continue
-        now_s, started_before_s = _time(event), started_s
-        started_s = _number(event, "agent_started")
-        if 0.0 < started_s < before_s and started_s != started_before_s:
-            text = (
-                f"from {extent.since_begin(now_s, events):.1f} s on it is of another agent, which "
-                "runs at the same time with the same source_id, as in another LSL session: data "
-                "from then on may be another person's"
-            )
-            yield Finding(Level.ERROR, "another-agent", events.name, text)
-            return
-        before_s = now_s
+    """Report that the recorder went on with the stream of another agent."""
+    since_s = EventLog.of(events.stream.texts, ()).other_agent_since()
+    if since_s is not None:
+        text = f"from {extent.since_begin(since_s, events):.1f} s on {OF_ANOTHER_AGENT}"
+        yield Finding(Level.ERROR, "another-agent", events.name, text)
 
 
 def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
@@ -179,7 +174,7 @@ def _away(
     own: Sequence[Measured], events: Measured, extent: Extent, without: Collection[str]
 ) -> Iterator[Finding]:
     """Report when each recorded device was paused or not connected."""
-    for device, spells in _spells(events.stream.texts, _recorded(own)).items():
+    for device, spells in EventLog.of(events.stream.texts, _recorded(own)).spells.items():
         streams = [each for each in own if each.stream.header.identity == device]
         said = _spells_text(spells, lambda at: extent.since_begin(at, events))
         named = _named(device)
@@ -293,7 +288,7 @@ def _recorded(own: Sequence[Measured]) -> tuple[DeviceIdentity, ...]:
     return tuple(dict.fromkeys(each for each in found if each is not None))
 
 
-class _Spell(NamedTuple):
+class Spell(NamedTuple):
     """A time in which a device did not send, in LSL seconds; None where an end is unknown."""
 
     how: str
@@ -301,26 +296,110 @@ class _Spell(NamedTuple):
     until: float | None
 
 
-def _spells(
-    texts: Sequence[str], recorded: Sequence[DeviceIdentity]
-) -> Mapping[DeviceIdentity, list[_Spell]]:
-    """Return the times in which each recorded device did not send."""
-    now: dict[DeviceIdentity, tuple[str, float | None]] = {}
-    found: dict[DeviceIdentity, list[_Spell]] = {}
-    for event in _events(texts):
-        before_it = {device: how for device, (how, _) in now.items()}
+@dataclass(slots=True)
+class _AgentRun:
+    """Heartbeats of one agent that follow each other, by their LSL times in seconds."""
+
+    started_s: float
+    session: str
+    since_s: float
+    until_s: float
+
+
+class EventLog:
+    """What the events of an agent have told so far."""
+
+    def __init__(self) -> None:
+        self._now: dict[DeviceIdentity, tuple[str, float | None]] = {}
+        self._over: dict[DeviceIdentity, list[Spell]] = {}
+        self._agents: list[_AgentRun] = []
+        self._clock: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, texts: Iterable[str], recorded: Sequence[DeviceIdentity]) -> EventLog:
+        """Return the log of all events of a stream."""
+        log = cls()
+        log.take(texts, recorded)
+        return log
+
+    def take(self, texts: Iterable[str], recorded: Sequence[DeviceIdentity]) -> None:
+        """Add the next events, in the order of the file.
+
+        Parameters
+        ----------
+        recorded
+            Devices of this agent that are recorded.
+        """
+        for event in _events(texts):
+            self._take_spells(event, recorded)
+            if event.get("event") == EventKind.HEARTBEAT:
+                self._take_heartbeat(event)
+
+    @property
+    def spells(self) -> Mapping[DeviceIdentity, list[Spell]]:
+        """The times in which each recorded device did not send."""
+        found = {device: [*spells] for device, spells in self._over.items()}
+        for device, (how, since) in self._now.items():
+            if how:
+                found.setdefault(device, []).append(Spell(how, since, None))
+        return found
+
+    @property
+    def spells_over(self) -> Mapping[DeviceIdentity, list[Spell]]:
+        """Those of `spells` that have ended."""
+        return self._over
+
+    def other_agent_since(self, own_started_s: float | None = None) -> float | None:
+        """Return since when, in LSL s, heartbeats are of another agent; None if they are not.
+
+        One that is started again after a crash has begun after the last heartbeat before it.
+
+        Parameters
+        ----------
+        own_started_s
+            When the agent of this computer began, in LSL s; None if unknown.
+        """
+        before = None
+        for run in self._agents:
+            is_beside = before is not None and (
+                run.started_s < before.until_s
+                or (run.session and before.session and run.session != before.session)
+            )
+            is_not_ours = own_started_s is not None and run.started_s != own_started_s < run.until_s
+            if is_beside or is_not_ours:
+                return run.since_s
+            before = run
+        return None
+
+    def unix_s(self, lsl_s: float) -> float | None:
+        """Return the Unix time of an LSL time of the agent, by its newest heartbeat."""
+        return None if self._clock is None else self._clock[1] + lsl_s - self._clock[0]
+
+    def _take_spells(self, event: Mapping[str, Any], recorded: Sequence[DeviceIdentity]) -> None:
+        before_it = {device: how for device, (how, _) in self._now.items()}
         for device, how in _ways(event, before_it, recorded):
-            before, since = now.get(device, ("", None))
-            if device in now and how == before:
+            before, since = self._now.get(device, ("", None))
+            if device in self._now and how == before:
                 continue
             # The first known state applies from the start of the recording.
-            now[device] = how, _time(event) if device in now else None
+            self._now[device] = how, _time(event) if device in self._now else None
             if before:
-                found.setdefault(device, []).append(_Spell(before, since, _time(event)))
-    for device, (how, since) in now.items():
-        if how:
-            found.setdefault(device, []).append(_Spell(how, since, None))
-    return found
+                self._over.setdefault(device, []).append(Spell(before, since, _time(event)))
+
+    def _take_heartbeat(self, event: Mapping[str, Any]) -> None:
+        now_s, started_s = _time(event), _number(event, "agent_started")
+        clock: object = event.get("clock")
+        if isinstance(clock, dict):
+            pair = cast("dict[str, Any]", clock)
+            self._clock = _number(pair, "lsl_s"), _number(pair, "unix_ns") / 1e9
+        if started_s <= 0.0:
+            return
+        session = str(event.get("session", ""))
+        last = self._agents[-1] if self._agents else None
+        if last is None or (last.started_s, last.session) != (started_s, session):
+            self._agents.append(_AgentRun(started_s, session, now_s, now_s))
+        else:
+            last.until_s = now_s
 
 
 def _ways(
@@ -333,27 +412,27 @@ def _ways(
     if kind == EventKind.HEARTBEAT and isinstance(devices, dict):
         for name, state in cast("dict[str, object]", devices).items():
             is_here = str(state) in CONNECTED
-            how = "" if is_here else _PAUSED if state == _PAUSED else _NOT_CONNECTED
+            how = "" if is_here else PAUSED if state == PAUSED else _NOT_CONNECTED
             yield from ((device, how) for device in holders(name, recorded))
         return
     device = _identity(event)
     if device not in recorded:
         return
     if kind == EventKind.PAUSED:
-        yield device, _PAUSED
+        yield device, PAUSED
     elif kind == EventKind.RESUMED:
         yield device, ""
-    elif before.get(device) != _PAUSED and kind in _LINK:
+    elif before.get(device) != PAUSED and kind in _LINK:
         yield device, _LINK[EventKind(kind)]
 
 
-def _spells_text(spells: Sequence[_Spell], since_begin: Callable[[float], float]) -> str:
+def _spells_text(spells: Sequence[Spell], since_begin: Callable[[float], float]) -> str:
     said = ", ".join(_spell(each, since_begin) for each in spells[:_MOST_SPELLS])
     more = len(spells) - _MOST_SPELLS
     return said + (f" and {more} more times" if more > 0 else "")
 
 
-def _spell(spell: _Spell, since_begin: Callable[[float], float]) -> str:
+def _spell(spell: Spell, since_begin: Callable[[float], float]) -> str:
     def at(time: float) -> str:
         return f"{max(0.0, since_begin(time)):.1f} s"
 
@@ -375,7 +454,7 @@ def _states(texts: Sequence[str]) -> Mapping[str, dict[str, None]]:
     return found
 
 
-def _events(texts: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+def _events(texts: Iterable[str]) -> Iterator[Mapping[str, Any]]:
     for text in texts:
         try:
             event: object = json.loads(text)

@@ -317,6 +317,17 @@ def _listed(gaps: Gaps, lengths_s: NDArray[np.float64], more: Sequence[Gap]) -> 
     )
 
 
+def joined(gaps: Gaps, later: Gaps) -> Gaps:
+    """Return the gaps of two parts of a stream together."""
+    both = _listed(gaps, np.array([each.length_s for each in later.listed]), later.listed)
+    return replace(
+        both,
+        count=gaps.count + later.count,
+        lost=gaps.lost + later.lost,
+        total_s=gaps.total_s + later.total_s,
+    )
+
+
 def longest_step_s(header: RecordedHeader) -> float:
     """Return the largest step between timestamps without a gap; infinite if irregular.
 

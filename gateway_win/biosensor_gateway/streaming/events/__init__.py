@@ -22,7 +22,7 @@ Besides these:
                     ``last_end``, in words, if it had died and was started again
                     (``run --keep-alive``), as in each heartbeat
 ``agent_stopped``   Comes when the agent is asked to end; a killed one says nothing.
-``heartbeat``       ``agent_started``: LSL time; ``devices``: state of each by
+``heartbeat``       ``agent_started``: LSL time; ``session``: of LSL; ``devices``: state of each by
                     ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``;
                     ``problems``, where there are any, by ``sensor/unit``: what is wrong with
                     what a device sends or with its live features, each with a sentence,

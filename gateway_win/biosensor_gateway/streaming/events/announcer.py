@@ -40,6 +40,11 @@ class Announcer:
         What there is to say of the agent's start, in each heartbeat, too.
     clock
         Tells when something happens, and when a heartbeat is due.
+
+    Attributes
+    ----------
+    started_s
+        When it began, in LSL seconds, as in each heartbeat.
     """
 
     def __init__(
@@ -56,11 +61,12 @@ class Announcer:
         self._problems = problems
         self._watchers: list[Callable[[float], None]] = []
         self._stamps = MonotonicStamps()
-        self._started_s = round(clock(), 6)
+        self.started_s = round(clock(), 6)
         self._due_s = -math.inf
         self._had_consumers = False
         self.refusals = Refusals(clock=clock)
         self._outlet = spare_outlet("events", self.refusals, clock)
+        self._session = "" if self._outlet is None else self._outlet.session
         self._start = dict(start or {})
         facts = {"version": version("biosensor-gateway"), **self._start, **self._clock_pair()}
         self.announce(EventKind.AGENT_STARTED, facts)
@@ -130,7 +136,9 @@ class Announcer:
         self._had_consumers = has_consumers
         if has_come or now >= self._due_s:
             self._due_s = now + self._period_s
-            told: dict[str, object] = {"agent_started": self._started_s, **self._start}
+            told: dict[str, object] = {"agent_started": self.started_s, **self._start}
+            if self._session:
+                told["session"] = self._session
             told["devices"] = dict(self._states())
             if problems := dict(self._problems()):
                 told["problems"] = problems
