@@ -15,8 +15,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import ble
 from biosensor_gateway.transports.ble import BleLink
-from biosensor_gateway.transports.ble_errors import AttError
-from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.ble_errors import AttError, Pairing
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
 from tests.rigs.probe import (

@@ -14,8 +14,13 @@ from biosensor_common.errors import GatewayError, TransportError, TransportReaso
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import AttError
-from biosensor_gateway.transports.ble_pairing import EARLY_DROP_S, Pairing, PairSetting, Wish
+from biosensor_gateway.transports.ble_errors import (
+    EARLY_DROP_S,
+    AttError,
+    Pairing,
+    PairSetting,
+    Wish,
+)
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
 from tests.rigs.probe import SECRET, Probe

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.ble_heart_rate import driver as driver_module
+from biosensor_gateway.devices.ble_heart_rate import driver as strap_module
 from biosensor_gateway.devices.ble_heart_rate.driver import (
     HeartRateStrapSettings,
     identify,
     identify_any,
     recognise,
 )
-from biosensor_gateway.devices.ble_heart_rate.driver import strap as strap_module
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised

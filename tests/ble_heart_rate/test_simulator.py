@@ -20,10 +20,9 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
 )
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import BeatDetector
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.rigs.gatt_host import advertised
 

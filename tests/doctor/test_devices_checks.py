@@ -27,7 +27,7 @@ from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.transports import ble_pairing
+from biosensor_gateway.transports import ble_errors
 from tests.doctor.conftest import E4, POLAR, ZEPHYR, above_ok, only
 from tests.emotiv_insight.steering import SteeredCortex
 
@@ -81,7 +81,7 @@ def test_on_windows_it_says_what_was_not_seen_with_a_real_device(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(checks, "LISTEN_S", 1.5)
-    monkeypatch.setattr(ble_pairing, "PLATFORM", "win32")
+    monkeypatch.setattr(ble_errors, "PLATFORM", "win32")
     radio = Radio(world)
     with virtual_bluetooth(radio), SimulatedPolarH10(world, radio):
         on_air, unseen = examine(configured(POLAR), "bluetooth")

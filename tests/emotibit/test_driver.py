@@ -15,7 +15,7 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.devices.emotibit.driver import EmotiBitSettings, find
 from biosensor_gateway.devices.emotibit.driver import link as link_module
-from biosensor_gateway.devices.emotibit.simulator import wire
+from biosensor_gateway.devices.emotibit.simulator import rounds as wire
 from biosensor_gateway.devices.emotibit.simulator.rounds import Rounds
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from tests.rigs.driver_run import connected, streaming
@@ -106,7 +106,7 @@ async def test_a_device_that_cannot_reach_this_computer_is_told(
     emotibit: MakeEmotiBit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link_module, "CONNECT_LIMIT_S", 0.2)
-    monkeypatch.setattr("biosensor_gateway.devices.emotibit.simulator.wire.CONNECT", "??")
+    monkeypatch.setattr("biosensor_gateway.devices.emotibit.simulator.rounds.CONNECT", "??")
     with pytest.raises(ProtocolError, match="does a firewall of this computer refuse it"):
         async with connected(emotibit()):
             pass

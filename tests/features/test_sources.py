@@ -28,7 +28,6 @@ from biosensor_common.table import channels, raw
 from biosensor_gateway.devices.muse import SPEC as MUSE
 from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.even_stamps import EvenStamps
-from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.live import DUPLICATE_S, SETTLED_S, SILENT_S, Live
 from biosensor_gateway.features.outputs import TYPES
 from biosensor_gateway.features.sources import (
@@ -37,7 +36,9 @@ from biosensor_gateway.features.sources import (
     Source,
     Taken,
     choose,
+    is_feature,
     judge,
+    stream_info,
 )
 from tests.features import signals
 from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, measured, overlaps, without

@@ -12,7 +12,7 @@ from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.devices.registry import declaration, settings_models
-from biosensor_gateway.settings.template import template
+from biosensor_gateway.settings.editor import template
 from tests.fuzz.bag_seeds import bags
 from tests.fuzz.ros_seeds import asked_and_sent
 from tests.xdf import xdf_file

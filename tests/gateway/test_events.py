@@ -28,9 +28,10 @@ from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.events.announcer import TICK_S, Announcer
-from biosensor_gateway.streaming.events.device import (
+from biosensor_gateway.streaming.events.announcer import (
     SETTLE_S,
+    TICK_S,
+    Announcer,
     ContactWatch,
     DeviceEvents,
     Gap,

@@ -20,8 +20,7 @@ from biosensor_gateway.cli.trial import expected_streams, print_verdict
 from biosensor_gateway.demo.demonstration import first_devices
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_names, settings_models
-from biosensor_gateway.recording.xdf.expectation import by_name
-from biosensor_gateway.recording.xdf.verdict import Colour, check
+from biosensor_gateway.recording.xdf.verdict import Colour, by_name, check
 from biosensor_gateway.settings.editor import add_device
 from biosensor_gateway.settings.file import load_settings
 from tests.rigs.terminal import Terminal, at_terminal

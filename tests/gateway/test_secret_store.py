@@ -24,6 +24,7 @@ from biosensor_common.errors import (
     SpecError,
 )
 from biosensor_common.lsl.api_file import LslOverrides
+from biosensor_gateway.settings.editor import template, write_template
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import (
     DeviceSettings,
@@ -43,7 +44,6 @@ from biosensor_gateway.settings.secrets import (
     forget_secret,
     set_secret,
 )
-from biosensor_gateway.settings.template import template, write_template
 
 # Secrets: where they come from, and that they show nowhere.
 

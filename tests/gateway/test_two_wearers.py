@@ -25,7 +25,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.events.device import device_facts
+from biosensor_gateway.streaming.events.announcer import device_facts
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import names_in_log

@@ -26,7 +26,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings import models as settings
 from biosensor_gateway.settings import places
-from biosensor_gateway.settings.template import template
+from biosensor_gateway.settings.editor import template
 from installer import layout, pictures, winget
 from installer.layout import PROGRAM, PUBLISHER, SOURCES, version
 from installer.wine.recipe import STAGES

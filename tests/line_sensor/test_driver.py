@@ -28,7 +28,7 @@ from biosensor_gateway.devices.line_sensor.simulator import (
 )
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.live import History
-from biosensor_gateway.recording.xdf.expectation import by_devices
+from biosensor_gateway.recording.xdf.verdict import by_devices
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.world import World
 from tests.line_sensor.conftest import line_settings

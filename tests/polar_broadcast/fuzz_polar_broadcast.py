@@ -5,7 +5,7 @@ Nothing raises; a rate is a byte that was advertised; what is heard again is no 
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.polar_broadcast.driver.emitter import BroadcastEmitter
+from biosensor_gateway.devices.polar_broadcast.driver import BroadcastEmitter
 from biosensor_gateway.devices.polar_broadcast.driver.protocol import COUNTS, Broadcast, parse
 from tests.fuzz.breaking import Fault, instead
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink

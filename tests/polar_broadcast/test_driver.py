@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device_states import State
-from biosensor_gateway.devices.polar_broadcast.driver import emitter as emitter_module
-from biosensor_gateway.devices.polar_broadcast.driver import identify, recognise
-from biosensor_gateway.devices.polar_broadcast.driver.emitter import BroadcastEmitter
+from biosensor_gateway.devices.polar_broadcast import driver as emitter_module
+from biosensor_gateway.devices.polar_broadcast.driver import BroadcastEmitter, identify, recognise
 from biosensor_gateway.devices.polar_broadcast.driver.protocol import COUNTS, parse
 from biosensor_gateway.devices.polar_broadcast.simulator import SimulatedPolarBroadcast
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10

@@ -45,8 +45,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.ble_errors import AttError
-from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.ble_errors import AttError, Pairing
 from biosensor_gateway.transports.nearby import Advertisement
 
 # Orders of replies, and errors, that no virtual device produces: with a scripted link.

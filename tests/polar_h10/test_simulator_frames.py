@@ -19,8 +19,7 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     compress,
     encode_features,
 )
-from biosensor_gateway.devices.polar_h10.simulator.products import H10
-from biosensor_gateway.devices.polar_h10.simulator.waveforms import waveform
+from biosensor_gateway.devices.polar_h10.simulator.products import H10, waveform
 from biosensor_gateway.simulation.wearer import Wearer
 
 FOLDER = Path(__file__).parent / "vectors"

@@ -29,8 +29,11 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rejected,
     parse_frame,
 )
-from biosensor_gateway.devices.polar_verity_sense.driver import true_ppg_rates
-from biosensor_gateway.devices.polar_verity_sense.driver.emitter import DATA_NAMES, OpticalEmitter
+from biosensor_gateway.devices.polar_verity_sense.driver import (
+    DATA_NAMES,
+    OpticalEmitter,
+    true_ppg_rates,
+)
 from tests.rigs.emitter_sink import EmitterSink
 
 # What each data frame of an optical sensor puts into which stream, and what it does not.

@@ -23,7 +23,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.cli import xdf as command
 from biosensor_gateway.recording.contents.choice import Chosen, Wish
 from biosensor_gateway.recording.export import exporting
-from biosensor_gateway.recording.export.csv import by_rate
+from biosensor_gateway.recording.export.csv import wide
 from biosensor_gateway.recording.export.exporter import FORMATS, Clock, Order, Progress, Times
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome, Written, outcome_json, sentences
@@ -313,7 +313,7 @@ def _column(rows: Sequence[dict[str, str]], name: str) -> NDArray[np.float64]:
 def test_every_sample_stands_once_in_the_row_of_its_time(
     block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(by_rate, "_BLOCK", block)
+    monkeypatch.setattr(wide, "_BLOCK", block)
     first, second = numbers(2000, 2), numbers(1500, 1, seed=1)
     late = times(1500, 99.9, BEGIN_S + 3.004)
     gap = times(2000, RATE)

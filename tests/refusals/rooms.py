@@ -29,7 +29,7 @@ _PATTERNS = (
     f"{_AGENT}/streaming/events/*.py",
     f"{_AGENT}/agent/markers.py",
     f"{_AGENT}/features/*.py",
-    f"{_AGENT}/pulses/*.py",
+    f"{_AGENT}/pulses.py",
     f"{_AGENT}/page/network/*.py",
     f"{_AGENT}/captures/*.py",
     *(f"{_AGENT}/recording/recorder/{each}.py" for each in (

@@ -11,16 +11,25 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.driver import typical_calibrations
-from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
+from biosensor_gateway.devices.shimmer.driver import (
+    Measurement,
+    ShimmerEmitter,
+    typical_calibrations,
+)
+from biosensor_gateway.devices.shimmer.driver.calibration import (
+    GAINS,
+    Block,
+    Exg,
+    Use,
+    registers_for,
+    stored,
+)
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.conversation import Kind
-from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer.driver.exg import GAINS, Exg, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Calibration,
+    CrcMode,
     ExgRegisters,
     Firmware,
     Inquiry,
@@ -29,6 +38,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     PressureChip,
     PressureCoefficients,
     ReplyForm,
+    checksum,
 )
 from biosensor_gateway.devices.shimmer.driver.packets import charge_percent
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS, ShimmerProtocol
@@ -39,7 +49,7 @@ from biosensor_gateway.devices.shimmer.driver.signals import (
     motion_signals,
     status_places,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver import emitter as gsr
+from biosensor_gateway.devices.shimmer3_gsr import driver as gsr
 from tests.fuzz.breaking import Fault, forgets_what_it_holds
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure

@@ -14,12 +14,12 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver import messages
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
+    CrcMode,
     ExpansionPower,
     Firmware,
     Hardware,
@@ -27,6 +27,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Stamped,
     Status,
     StatusFlag,
+    checksum,
 )
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.link import Received
@@ -35,13 +36,13 @@ pytestmark = pytest.mark.usefixtures("virtual_clock")
 
 ACK, NACK = b"\xff", b"\xfe"
 UNASKED = b"\xff\x8a\x71\x01"
-SET_RATE = commands.set_sampling_rate(256)
+SET_RATE = messages.set_sampling_rate(256)
 ANSWERS = {
-    commands.GET_HARDWARE: b"\xff\x25\x03",
-    commands.GET_FIRMWARE: bytes.fromhex("ff2f03000000100b"),
-    commands.GET_EXPANSION_POWER: b"\xff\x5f\x01",
-    commands.GET_GSR_RANGE: b"\xff\x22\x04",
-    commands.GET_STATUS: b"\xff\x8a\x71\x10",
+    messages.GET_HARDWARE: b"\xff\x25\x03",
+    messages.GET_FIRMWARE: bytes.fromhex("ff2f03000000100b"),
+    messages.GET_EXPANSION_POWER: b"\xff\x5f\x01",
+    messages.GET_GSR_RANGE: b"\xff\x22\x04",
+    messages.GET_STATUS: b"\xff\x8a\x71\x10",
 }
 
 Script = Callable[[bytes], "bytes | None"]
@@ -100,7 +101,7 @@ async def talking(script: Script) -> AsyncGenerator[Talk]:
     await asyncio.wait({streaming})
     await talk.conversation.close()
     assert talk.link.closed
-    assert talk.link.written[-1] == commands.STOP_STREAMING
+    assert talk.link.written[-1] == messages.STOP_STREAMING
 
 
 def usual(command: bytes) -> bytes:
@@ -110,19 +111,19 @@ def usual(command: bytes) -> bytes:
 async def test_questions_and_settings_are_answered() -> None:
     async with talking(usual) as talk:
         ask = talk.conversation.ask
-        assert await ask(commands.GET_HARDWARE, Hardware) == Hardware(3)
-        assert await ask(commands.GET_FIRMWARE, Firmware) == Firmware(3, (0, 16, 11))
+        assert await ask(messages.GET_HARDWARE, Hardware) == Hardware(3)
+        assert await ask(messages.GET_FIRMWARE, Firmware) == Firmware(3, (0, 16, 11))
         await talk.conversation.tell(SET_RATE)
-        assert await ask(commands.GET_STATUS, Status) == Status(StatusFlag.STREAMING)
+        assert await ask(messages.GET_STATUS, Status) == Status(StatusFlag.STREAMING)
     assert talk.asked[:-1] == [
-        commands.GET_HARDWARE, commands.GET_FIRMWARE, SET_RATE, commands.GET_STATUS
+        messages.GET_HARDWARE, messages.GET_FIRMWARE, SET_RATE, messages.GET_STATUS
     ]  # fmt: skip
 
 
 async def test_an_unasked_status_answers_no_command() -> None:
     async with talking(lambda command: UNASKED + usual(command)) as talk:
         await talk.conversation.tell(SET_RATE)
-        assert await talk.conversation.ask(commands.GET_HARDWARE, Hardware) == Hardware(3)
+        assert await talk.conversation.ask(messages.GET_HARDWARE, Hardware) == Hardware(3)
     assert [message for message, _ in talk.heard] == [
         Status(StatusFlag.DOCKED), Ack(), Status(StatusFlag.DOCKED), Hardware(3)
     ]  # fmt: skip
@@ -165,8 +166,8 @@ class Late:
 
 
 async def test_a_late_answer_does_not_pass_for_the_next_one() -> None:
-    other = commands.set_gsr_range(4)
-    late = Late(SET_RATE, commands.GET_HARDWARE)
+    other = messages.set_gsr_range(4)
+    late = Late(SET_RATE, messages.GET_HARDWARE)
 
     def script(command: bytes) -> bytes:
         # This one is lost; an answer that was owed would be taken for its own.
@@ -182,60 +183,60 @@ async def test_a_late_answer_does_not_pass_for_the_next_one() -> None:
 
 async def test_nothing_is_asked_again_before_the_device_is_in_step() -> None:
     def script(command: bytes) -> bytes:
-        silent = {SET_RATE, commands.TEST_CONNECTION, commands.GET_HARDWARE, commands.GET_FIRMWARE}
+        silent = {SET_RATE, messages.TEST_CONNECTION, messages.GET_HARDWARE, messages.GET_FIRMWARE}
         return b"" if command in silent and talk.asked.count(SET_RATE) < 2 else usual(command)
 
     async with talking(script) as talk:
         await talk.conversation.tell(SET_RATE)
     assert talk.asked[:-1] == [
         SET_RATE,
-        commands.TEST_CONNECTION, commands.GET_HARDWARE,
-        commands.TEST_CONNECTION, commands.GET_FIRMWARE,
-        commands.TEST_CONNECTION, commands.GET_EXPANSION_POWER,
+        messages.TEST_CONNECTION, messages.GET_HARDWARE,
+        messages.TEST_CONNECTION, messages.GET_FIRMWARE,
+        messages.TEST_CONNECTION, messages.GET_EXPANSION_POWER,
         SET_RATE,
     ]  # fmt: skip
 
 
 async def test_a_late_answer_to_the_question_itself_does_not_end_the_resynchronisation() -> None:
-    late = Late(commands.GET_HARDWARE, commands.TEST_CONNECTION)
+    late = Late(messages.GET_HARDWARE, messages.TEST_CONNECTION)
     async with talking(late) as talk:
-        assert await talk.conversation.ask(commands.GET_HARDWARE, Hardware) == Hardware(3)
+        assert await talk.conversation.ask(messages.GET_HARDWARE, Hardware) == Hardware(3)
         assert await talk.conversation.ask(
-            commands.GET_EXPANSION_POWER, ExpansionPower
+            messages.GET_EXPANSION_POWER, ExpansionPower
         ) == ExpansionPower(True)
     assert talk.asked[:4] == [
-        commands.GET_HARDWARE, commands.TEST_CONNECTION, commands.GET_FIRMWARE,
-        commands.GET_HARDWARE,
+        messages.GET_HARDWARE, messages.TEST_CONNECTION, messages.GET_FIRMWARE,
+        messages.GET_HARDWARE,
     ]  # fmt: skip
 
 
 async def test_a_device_that_says_nothing_is_silent() -> None:
     async with talking(lambda _: b"") as talk:
         with pytest.raises(TransportError) as caught:
-            await talk.conversation.ask(commands.GET_HARDWARE, Hardware)
+            await talk.conversation.ask(messages.GET_HARDWARE, Hardware)
     assert caught.value.reason is TransportReason.SILENT
-    assert talk.asked.count(commands.TEST_CONNECTION) == 3
+    assert talk.asked.count(messages.TEST_CONNECTION) == 3
 
 
 async def test_another_device_on_the_port_is_no_shimmer() -> None:
     async with talking(lambda _: b"$GPGGA,12") as talk:
         with pytest.raises(ProtocolError, match="no Shimmer") as caught:
-            await talk.conversation.ask(commands.GET_HARDWARE, Hardware)
+            await talk.conversation.ask(messages.GET_HARDWARE, Hardware)
     assert caught.value.reason is ProtocolReason.GARBAGE
 
 
 async def test_a_cut_ends_a_question_and_all_that_follow() -> None:
     def script(command: bytes) -> bytes | None:
-        return None if command == commands.GET_HARDWARE else usual(command)
+        return None if command == messages.GET_HARDWARE else usual(command)
 
     async with talking(script) as talk:
         for _ in range(2):
             with pytest.raises(TransportError) as caught:
-                await talk.conversation.ask(commands.GET_HARDWARE, Hardware)
+                await talk.conversation.ask(messages.GET_HARDWARE, Hardware)
             assert caught.value.reason is TransportReason.LOST
         with pytest.raises(TransportError):
             await talk.conversation.stream(talk.hear)
-    assert talk.asked.count(commands.GET_HARDWARE) == 1
+    assert talk.asked.count(messages.GET_HARDWARE) == 1
 
 
 async def test_checksums_begin_with_the_answer_that_accepts_them() -> None:
@@ -243,12 +244,12 @@ async def test_checksums_begin_with_the_answer_that_accepts_them() -> None:
 
     def script(command: bytes) -> bytes:
         nonlocal crc
-        crc = CrcMode.FULL if command == commands.set_crc(CrcMode.FULL) else crc
+        crc = CrcMode.FULL if command == messages.set_crc(CrcMode.FULL) else crc
         return usual(command) + checksum(usual(command), crc)
 
     async with talking(script) as talk:
         await talk.conversation.use_crc(CrcMode.FULL)
-        assert await talk.conversation.ask(commands.GET_HARDWARE, Hardware) == Hardware(3)
+        assert await talk.conversation.ask(messages.GET_HARDWARE, Hardware) == Hardware(3)
     assert talk.conversation.dropped_bytes == 0
 
 
@@ -257,11 +258,11 @@ async def test_data_may_come_between_a_question_and_its_answer() -> None:
     packets = data + b"\0\0\2\0\5\6\7\x08"
 
     def script(command: bytes) -> bytes:
-        return packets + usual(command) if command == commands.GET_STATUS else usual(command)
+        return packets + usual(command) if command == messages.GET_STATUS else usual(command)
 
     async with talking(script) as talk:
         await talk.conversation.start_streaming(Layout([0x12, 0x1C]), 256)
-        status = await talk.conversation.poll(commands.GET_STATUS, Status)
+        status = await talk.conversation.poll(messages.GET_STATUS, Status)
     assert status == Status(StatusFlag.STREAMING)
     assert [message for message, _ in talk.heard if isinstance(message, Packet)] == [
         Packet(256, (0x0201, 0x0403)), Packet(512, (0x0605, 0x0807))
@@ -271,21 +272,21 @@ async def test_data_may_come_between_a_question_and_its_answer() -> None:
 async def test_a_poll_that_is_not_answered_or_refused_has_no_answer() -> None:
     answer = b""
     async with talking(lambda command: answer) as talk:
-        assert await talk.conversation.poll(commands.GET_STATUS, Status) is None
+        assert await talk.conversation.poll(messages.GET_STATUS, Status) is None
         answer = NACK
-        assert await talk.conversation.poll(commands.GET_STATUS, Status) is None
-    assert talk.asked.count(commands.TEST_CONNECTION) == 0
+        assert await talk.conversation.poll(messages.GET_STATUS, Status) is None
+    assert talk.asked.count(messages.TEST_CONNECTION) == 0
 
 
 async def test_a_device_that_was_left_streaming_is_stopped_and_its_data_thrown_away() -> None:
-    talk = Talk(lambda command: b"" if command == commands.STOP_STREAMING else usual(command))
+    talk = Talk(lambda command: b"" if command == messages.STOP_STREAMING else usual(command))
     before = LSL_CLOCK()
     talk.link.send(bytes(100))
     until_s = await talk.conversation.open()
     assert until_s is not None
     assert before <= until_s <= LSL_CLOCK()
     assert talk.heard == []
-    assert await talk.conversation.ask(commands.GET_HARDWARE, Hardware) == Hardware(3)
+    assert await talk.conversation.ask(messages.GET_HARDWARE, Hardware) == Hardware(3)
     await talk.conversation.close()
 
 
@@ -300,5 +301,5 @@ async def test_a_device_that_does_not_stop_is_told_three_times() -> None:
     streaming = asyncio.create_task(stream())
     assert await talk.conversation.open() is not None
     streaming.cancel()
-    assert talk.link.written == [commands.STOP_STREAMING] * 3
+    assert talk.link.written == [messages.STOP_STREAMING] * 3
     await talk.conversation.close()

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.shimmer.driver.calibration import Kinematic
+from biosensor_gateway.devices.shimmer.driver import Measurement, ShimmerEmitter
+from biosensor_gateway.devices.shimmer.driver.calibration import Exg, Kinematic, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Charging, Packet
 from biosensor_gateway.devices.shimmer.driver.packets import Placed, TickTimeline
 from biosensor_gateway.devices.shimmer.driver.signals import (

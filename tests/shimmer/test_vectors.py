@@ -13,15 +13,21 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.shimmer.driver import exg, typical_calibrations
-from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
+from biosensor_gateway.devices.shimmer.driver import calibration, typical_calibrations
+from biosensor_gateway.devices.shimmer.driver.calibration import (
+    Block,
+    Exg,
+    Use,
+    microvolts,
+    registers_for,
+    stored,
+)
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.conversation import Kind
-from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, microvolts, registers_for
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
     BatteryReading,
+    CrcMode,
     DaughterCard,
     Firmware,
     Hardware,
@@ -34,6 +40,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     ReplyForm,
     Status,
     StatusFlag,
+    checksum,
 )
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
 from biosensor_gateway.devices.shimmer.driver.signals import are_real, compensation, motion_signals
@@ -105,8 +112,8 @@ def test_registers_of_the_exg_chips(vector: Vector) -> None:
     expected, chip = vector["expected"], int(vector["chip"])
     use, lead_off = Use(expected["use"]), expected["lead_off"]
     wanted = registers_for(use, expected["gain"], vector["rate_hz"], lead_off=lead_off)
-    assert exg.are_same(bytes.fromhex(vector["hex"]), wanted[chip])
-    assert not exg.are_same(bytes.fromhex(vector["hex"]), wanted[1 - chip])
+    assert calibration.are_same(bytes.fromhex(vector["hex"]), wanted[chip])
+    assert not calibration.are_same(bytes.fromhex(vector["hex"]), wanted[1 - chip])
     set_up = Exg(wanted)
     assert set_up.use is use
     assert set_up.detects_lead_off is lead_off

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Charging, Packet
-from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import (
+from biosensor_gateway.devices.shimmer3_gsr.driver import (
     GsrEmitter,
     HeartRate,
     Measurement,

@@ -13,11 +13,11 @@ import pytest
 
 from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
-from biosensor_gateway.devices.shimmer.simulator.memory import Flash
 from biosensor_gateway.devices.shimmer.simulator.streaming import Sampling, samples
 from biosensor_gateway.devices.shimmer.simulator.wire import (
     CommandReader,
     Firmware,
+    Flash,
     crc16,
     data_packet,
     sealed,
@@ -31,8 +31,8 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator import (
     counts_in,
     ppg_mv,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import Oscillator
 from biosensor_gateway.system.clock import LSL_CLOCK
 
 NEWEST = Firmware(1, 1, 2)

@@ -12,14 +12,15 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver import messages as commands
 from biosensor_gateway.devices.shimmer.driver.calibration import millivolts
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S, CrcMode, crc16
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation, Kind, identify
 from biosensor_gateway.devices.shimmer.driver.messages import (
+    TICKS_PER_S,
     BatteryReading,
     Charging,
+    CrcMode,
     DaughterCard,
     ExpansionPower,
     Firmware,
@@ -33,6 +34,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     ReplyForm,
     Status,
     StatusFlag,
+    crc16,
     decode_reply,
 )
 from biosensor_gateway.devices.shimmer.driver.packets import (
@@ -42,13 +44,14 @@ from biosensor_gateway.devices.shimmer.driver.packets import (
     percent,
 )
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.driver import Wanted, set_up
-from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import (
+from biosensor_gateway.devices.shimmer3_gsr.driver import (
     LARGEST_OPEN_ADC,
     Measurement,
+    Wanted,
     clamped_kohm,
     conductance_us,
     gsr_ranges,
+    set_up,
 )
 
 Vector = dict[str, Any]

@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager, suppress
 
 import pytest
 
-from biosensor_gateway.simulation.patient_port import PatientPort
+from biosensor_gateway.simulation.async_serial import PatientPort
 from tests.rigs.polling import until
 
 pytestmark = [

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple, cast
 
 import pyxdf
 
-from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, salvaged_path
-from biosensor_gateway.recording.xdf.verdict import judge
+from biosensor_gateway.recording.xdf.verdict import ExpectedStream, judge
 
 # Reads and judges the bytes of a file in one step.
 

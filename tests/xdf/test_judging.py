@@ -18,14 +18,13 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import CoreFields, foreign_header
 from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.devices.registry import declaration, sensor, sensor_names
-from biosensor_gateway.features.headers import stream_info
 from biosensor_gateway.features.outputs import features_of
 from biosensor_gateway.features.sources import judge as judge_source
+from biosensor_gateway.features.sources import stream_info
 from biosensor_gateway.recording.xdf.counters import Reading, refusals
-from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.printing import as_text
-from biosensor_gateway.recording.xdf.verdict import Colour, verdict
+from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, verdict
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.outlets import Outlet

@@ -17,8 +17,13 @@ from hypothesis import strategies as st
 
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.recording import read_recording
-from biosensor_gateway.recording.xdf.salvage import printing
-from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.salvage.outcome import (
+    after_table,
+    before_table,
+    salvage,
+    salvaged_path,
+    table,
+)
 from biosensor_gateway.recording.xdf.verdict import judge
 from tests.xdf import xdf_file as made
 from tests.xdf.checking import Rows, load_by_pyxdf, rows, salvaged
@@ -66,7 +71,7 @@ def test_a_whole_recording_is_left_alone(tmp_path: Path) -> None:
     outcome = salvage(path, salvaged_path(path))
     assert (outcome.written, outcome.lost_bytes) == (None, 0)
     assert [each.name for each in tmp_path.iterdir()] == ["study.xdf"]
-    (sentence,) = printing.before_table(outcome)
+    (sentence,) = before_table(outcome)
     assert "is whole" in sentence
 
 
@@ -161,8 +166,8 @@ def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) ->
     assert rows(file)["a"] == before + [(19.5 + k / 2, (8 + k,)) for k in range(7)]
     (place,) = outcome.places
     assert (place.begin_s, place.end_s) == (1.5, 9.5)
-    assert printing.table(outcome) == [("a", "11", "at least 15")]
-    assert "a: the stamps behind 1 of the damages" in "\n".join(printing.after_table(outcome))
+    assert table(outcome) == [("a", "11", "at least 15")]
+    assert "a: the stamps behind 1 of the damages" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
@@ -177,7 +182,7 @@ def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
     outcome, file, content = salvaged(made.xdf(*parts), tmp_path)
     assert [stamp for stamp, _ in rows(file)["a"]] == [10.0, 10.5, 11.0, 11.52]
     assert parts[-1] in content
-    assert printing.table(outcome) == [("a", "4", "not known"), ("b", "0", "not known")]
+    assert table(outcome) == [("a", "4", "not known"), ("b", "0", "not known")]
 
 
 def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
@@ -189,9 +194,7 @@ def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
     ]
     outcome, file, _ = salvaged(made.xdf(*parts), tmp_path)
     assert len(rows(file)["a"]) == 3
-    assert "a: 2 samples after damaged bytes have no timestamp" in "\n".join(
-        printing.after_table(outcome)
-    )
+    assert "a: 2 samples after damaged bytes have no timestamp" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> None:
@@ -204,7 +207,7 @@ def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> No
     left = [part for part in PARTS[3:] if part[7:11] == b"\1\0\0\0"]
     assert (orphans.name, orphans.chunks) == ("numbers", len(left))
     assert orphans.bytes == sum(map(len, left))
-    (said, *_) = printing.after_table(outcome)
+    (said, *_) = after_table(outcome)
     assert said.startswith("left out: stream number 1 (numbers), ")
     assert outcome.lost_bytes == orphans.bytes + len(header)
 
@@ -219,7 +222,7 @@ def test_a_lost_file_header_is_made_again(tmp_path: Path) -> None:
 def test_footers_are_those_of_the_recorder_or_say_what_is_there(tmp_path: Path) -> None:
     block = next(n for n, part in enumerate(PARTS) if n > 20 and _is_samples(part, 1))
     outcome, file, content = salvaged(_spoilt(block), tmp_path)
-    assert printing.table(outcome) == [("numbers", "156", "4"), ("events", "40", "0")]
+    assert table(outcome) == [("numbers", "156", "4"), ("events", "40", "0")]
     # That of the events still holds.
     assert PARTS[-1] in content
     assert PARTS[-2] not in content
@@ -242,7 +245,7 @@ def test_the_time_of_a_loss_is_told(tmp_path: Path) -> None:
     # On the recorder's clock, which is a millisecond ahead of that of the numbers.
     expected = [(9.751, 15.001), (19.751, 21.001), (39.751, nothing_after)]
     assert times == [pytest.approx(each, nan_ok=True) for each in expected]
-    said = list(printing.before_table(outcome))
+    said = list(before_table(outcome))
     assert "between 9.8 and 15.0 s" in said[1]
     assert "after 39.8 s" in said[-1]
 
@@ -250,7 +253,7 @@ def test_the_time_of_a_loss_is_told(tmp_path: Path) -> None:
 def test_many_places_are_not_all_listed(tmp_path: Path) -> None:
     content = _spoilt(*(n for n, part in enumerate(PARTS) if _is_samples(part, 1) and n % 4))
     outcome, _, _ = salvaged(content, tmp_path)
-    said = list(printing.before_table(outcome))
+    said = list(before_table(outcome))
     assert len(outcome.places) > 10
     assert said[-1] == f"  and {len(outcome.places) - 10} more"
 
@@ -319,7 +322,7 @@ def test_a_last_sample_of_another_time_is_cut_off(chunk: int, tmp_path: Path) ->
     assert stream.stamps.tolist() == stamps[:300]
     assert stream.footer is not None
     assert stream.footer.sample_count == 300
-    assert any("cut off" in each for each in printing.after_table(outcome))
+    assert any("cut off" in each for each in after_table(outcome))
     assert salvage(written, tmp_path / "again.xdf").survey.is_whole
 
 
@@ -376,7 +379,7 @@ def test_a_header_of_a_wrong_form_costs_no_sample(name: str, tmp_path: Path) -> 
     change, told = WRONG[name]
     outcome, file, _ = salvaged(_broken(change), tmp_path)
     assert rows(file)["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
-    (sentence,) = (each for each in printing.after_table(outcome) if "was fixed" in each)
+    (sentence,) = (each for each in after_table(outcome) if "was fixed" in each)
     assert told in sentence
     assert not outcome.lost_bytes
 
@@ -386,7 +389,7 @@ def test_a_stream_without_a_rate_is_irregular_then(tmp_path: Path) -> None:
     outcome, file, _ = salvaged(content, tmp_path)
     (stream,) = read_recording(file).streams
     assert (stream.header.rate, stream.sample_count) == (0.0, COUNT)
-    assert any("no nominal_srate" in each for each in printing.after_table(outcome))
+    assert any("no nominal_srate" in each for each in after_table(outcome))
 
 
 def _with_header() -> bytes:
@@ -413,7 +416,7 @@ def test_a_lost_header_is_that_of_another_recording(tmp_path: Path) -> None:
     assert caught.value.reason is RecordingReason.EMPTY
     outcome = salvage(path, tmp_path / "with.xdf", other)
     assert rows(tmp_path / "with.xdf")["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
-    assert any("that of the other recording" in each for each in printing.after_table(outcome))
+    assert any("that of the other recording" in each for each in after_table(outcome))
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,7 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import DeviceEvents, device_facts
+from biosensor_gateway.streaming.events.announcer import Announcer, DeviceEvents, device_facts
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock

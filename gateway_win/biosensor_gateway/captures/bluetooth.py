@@ -28,8 +28,8 @@ from biosensor_common.errors import TransportError
 from biosensor_gateway.captures.file import Advertised, Event, Row
 from biosensor_gateway.captures.player import LinkPlayer, Player
 from biosensor_gateway.simulation.bleak_pickers import Backends
-from biosensor_gateway.transports.deadlines import in_background
 from biosensor_gateway.transports.tap import What
+from biosensor_gateway.transports.threads import in_background
 
 if TYPE_CHECKING:
     from bleak.assigned_numbers import CharacteristicPropertyName

@@ -19,10 +19,10 @@ from typing import Any, cast
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.captures.file import Capture, Event
 from biosensor_gateway.system.clock import Clock
-from biosensor_gateway.transports.deadlines import in_background
 from biosensor_gateway.transports.link import Address, Received
 from biosensor_gateway.transports.ports import ASKING, CONTROL, DATA, Take
 from biosensor_gateway.transports.tap import ASKED, What
+from biosensor_gateway.transports.threads import in_background
 
 HOLD_S = 5.0
 """How long the player waits for a captured request that the driver does not make."""

@@ -42,8 +42,8 @@ from biosensor_common.lsl.api_file import (
 from biosensor_gateway.cli.options import SettingsOption, settings_or_defaults
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.recorder.state import file_going_on
+from biosensor_gateway.settings import editor as settings_editor
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings import template as settings_template
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 
@@ -395,7 +395,7 @@ def print_path() -> None:
 def write_template(settings: SettingsOption = None) -> None:
     """Write a settings file with every setting explained; never overwrites."""
     path = settings or settings_path()
-    settings_template.write_template(path, settings_models())
+    settings_editor.write_template(path, settings_models())
     typer.echo(f"wrote {path}; add your devices there")
 
 
@@ -411,7 +411,7 @@ def edit(settings: SettingsOption = None) -> None:
         typer.echo(f"! {warning}", err=True)
     path = (settings or settings_path()).absolute()
     if not path.exists():
-        settings_template.write_template(path, settings_models())
+        settings_editor.write_template(path, settings_models())
         typer.echo(f"wrote {path}")
     open_in_editor(path)
 

@@ -43,9 +43,8 @@ from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import RecordingRequest
 from biosensor_gateway.recording.recorder.streams import Presence, look
-from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.verdict import Colour, Verdict, check
+from biosensor_gateway.recording.xdf.verdict import Colour, ExpectedStream, Verdict, check
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.browser import open_page
 from biosensor_gateway.system.child import own_command

@@ -47,13 +47,12 @@ from biosensor_gateway.recording.export.outcome import (
 )
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
-from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
-from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
+from biosensor_gateway.recording.xdf.salvage import outcome as salvage_outcome
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome as Salvaged
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
-from biosensor_gateway.recording.xdf.verdict import judge
+from biosensor_gateway.recording.xdf.verdict import ExpectedStream, by_devices, by_name, judge
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
 
@@ -322,7 +321,7 @@ def salvage_recording(
     with wrong_recording():
         outcome = salvage(file, output or salvaged_path(file), header_from)
     if print_json:
-        typer.echo(salvage_printing.as_json(outcome))
+        typer.echo(salvage_outcome.as_json(outcome))
     else:
         _print_outcome(outcome)
 
@@ -331,14 +330,14 @@ app.command("export")(export_recording)
 
 
 def _print_outcome(outcome: Salvaged) -> None:
-    for sentence in salvage_printing.before_table(outcome):
+    for sentence in salvage_outcome.before_table(outcome):
         say(sentence, hang=4)
     if outcome.written is None:
         return
     terminal = console()
-    rows = salvage_printing.table(outcome)
-    terminal.print(table_of_names(salvage_printing.HEADINGS, rows, terminal.width))
-    for sentence in salvage_printing.after_table(outcome):
+    rows = salvage_outcome.table(outcome)
+    terminal.print(table_of_names(salvage_outcome.HEADINGS, rows, terminal.width))
+    for sentence in salvage_outcome.after_table(outcome):
         say(sentence)
 
 

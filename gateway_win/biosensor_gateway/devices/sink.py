@@ -1,7 +1,8 @@
-"""The interface between drivers and the agent: takes a device's samples."""
+"""The interface between drivers and the agent: takes a device's samples, and finds restarts."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
@@ -9,10 +10,14 @@ from biosensor_common.device_clock import ClockState
 from biosensor_common.spec import DeviceIdentity
 
 if TYPE_CHECKING:
-    # A list of sensors must not need numpy or LSL.
     from numpy.typing import ArrayLike
 
     from biosensor_gateway.system.clock import Clock
+
+AGREE_S = 1.0
+"""Tolerance between the device's and the host's length of a pause, if the device stayed on."""
+DRIFT = 1e-3
+"""Far more than the error of any oscillator."""
 
 
 class Sink(Protocol):
@@ -136,3 +141,44 @@ class Sink(Protocol):
     def excuse(self, *data_names: str) -> None:
         """Stop monitoring these streams until data arrive again, for a known reason."""
         ...
+
+
+class RestartCheck:
+    """Compares the first timestamp of each connection with the device's known clock.
+
+    Data may have been stored since the start of a measurement and arrive late together, so
+    lateness alone does not indicate a restart. If the clock continued, the first packet's time
+    lies between the start and its arrival.
+
+    Parameters
+    ----------
+    sink
+        Contains the device's clock.
+    agree_s
+        Tolerance of the timestamp.
+    """
+
+    def __init__(self, sink: Sink, agree_s: float = AGREE_S) -> None:
+        self._sink = sink
+        self._agree_s = agree_s
+        self._started_s = -math.inf
+        self._is_new = True
+
+    def reconnected(self) -> None:
+        """Expect the first packet of a connection, before its measurements are started."""
+        self._is_new = True
+        self._started_s = self._sink.clock()
+
+    def counts_again(self, stamp_s: float, arrival_s: float) -> bool:
+        """Whether the device's clock restarted; False for later packets of a connection."""
+        is_new, self._is_new = self._is_new, False
+        if not is_new:
+            return False
+        state = self._sink.clock_state
+        if math.isnan(state.offset_s):
+            return False
+        measured_s = stamp_s + state.offset_s
+        # Data stored in the device were lost with the previous connection, so nothing is older.
+        limit_s = self._agree_s + DRIFT * max(0.0, arrival_s - state.newest_s)
+        earliest_s = max(state.newest_s, min(self._started_s, arrival_s) - limit_s)
+        return not earliest_s <= measured_s <= arrival_s + limit_s

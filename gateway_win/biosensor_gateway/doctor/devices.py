@@ -143,7 +143,7 @@ def _values(device: DeviceSettings) -> dict[str, object]:
 
 def bluetooth(context: Context) -> Iterator[Finding]:
     """Check the adapter by a short scan: it must exist, be on, and be permitted."""
-    from biosensor_gateway.transports import ble_pairing  # needs bleak, as does the next
+    from biosensor_gateway.transports import ble_errors
     from biosensor_gateway.transports.ble_scanner import scan
 
     needing = by_bluetooth_le(context.enabled)
@@ -154,7 +154,7 @@ def bluetooth(context: Context) -> Iterator[Finding]:
         return
     amount = "1 device was" if len(heard) == 1 else f"{len(heard)} devices were"
     yield ok(f"Bluetooth is on; {amount} heard in {LISTEN_S:g} s")
-    if needing and ble_pairing.PLATFORM == "win32":
+    if needing and ble_errors.PLATFORM == "win32":
         yield ok(UNSEEN_ON_WINDOWS)
     if needing and not heard:
         yield note(

@@ -11,9 +11,8 @@ from statistics import fmean, median
 from typing import NamedTuple
 
 from biosensor_gateway.features import parameters as at
-from biosensor_gateway.features.filters import Decimator
-from biosensor_gateway.features.runs import Array, Event
-from biosensor_gateway.pulses.filters import Biquad
+from biosensor_gateway.features.runs import Array, Decimator, Event
+from biosensor_gateway.pulses import Biquad
 
 BR_QUALITY = "br_live_quality"
 

@@ -12,13 +12,21 @@ from biosensor_common.quantities import ContentType
 from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features import quality
 from biosensor_gateway.features.breathing import BR_QUALITY, Breathing
-from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.heart import HR_QUALITY, Heart
 from biosensor_gateway.features.r_peaks import RPeaks
-from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
+from biosensor_gateway.features.runs import (
+    BR_STATE,
+    HR_STATE,
+    Array,
+    Decimator,
+    Event,
+    Hops,
+    Runs,
+    Stage,
+    State,
+)
 from biosensor_gateway.features.skin import Skin
-from biosensor_gateway.features.state import BR_STATE, HR_STATE, State
-from biosensor_gateway.pulses.elgendi import Beat, Pulses
+from biosensor_gateway.pulses import Beat, Pulses
 
 
 class PulsesOfAnyRate:

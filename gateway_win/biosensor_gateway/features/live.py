@@ -23,10 +23,18 @@ from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import READ_TYPES
 from biosensor_gateway.features.runs import Event
-from biosensor_gateway.features.sources import FeatureError, Source, Taken, choose, judge, left_out
+from biosensor_gateway.features.sources import (
+    FeatureError,
+    Source,
+    Taken,
+    choose,
+    is_feature,
+    judge,
+    left_out,
+    stream_info,
+)
 from biosensor_gateway.features.witnesses import Witnesses
 
 _OPEN_S = 5.0

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.errors import cannot_write
-from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import (
@@ -23,12 +22,13 @@ from biosensor_gateway.features.sources import (
     Source,
     Taken,
     choose,
+    is_feature,
     judge,
     left_out,
+    stream_info,
 )
 from biosensor_gateway.features.witnesses import Witnesses
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.contents.rates import with_rates
+from biosensor_gateway.recording.contents.opening import open_contents, with_rates
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.system.new_file import new_file

@@ -13,8 +13,8 @@ from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.breathing import BR_QUALITY
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
+from biosensor_gateway.features.runs import BR_STATE, HR_STATE
 from biosensor_gateway.features.skin import smoothing_delay_s
-from biosensor_gateway.features.state import BR_STATE, HR_STATE
 
 VERSION = "5"
 """Version of all algorithms; it changes whenever a value may differ for the same samples."""

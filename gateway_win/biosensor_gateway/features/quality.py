@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_gateway import pulses
 from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.runs import Array, Event, Hops
 from biosensor_gateway.features.skin import least_response
-from biosensor_gateway.pulses import elgendi as pulses
-from biosensor_gateway.pulses.filters import between_samples, moment
+from biosensor_gateway.pulses import between_samples, moment
 
 
 def ecg_similarity(values: Array, rate: float) -> float:

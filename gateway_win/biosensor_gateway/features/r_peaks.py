@@ -14,10 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_gateway.features import parameters as at
-from biosensor_gateway.features.filters import Fir, band_pass
-from biosensor_gateway.features.runs import Array, Hops
-from biosensor_gateway.pulses.elgendi import Beat
-from biosensor_gateway.pulses.filters import between_samples
+from biosensor_gateway.features.runs import Array, Fir, Hops, band_pass
+from biosensor_gateway.pulses import Beat, between_samples
 
 
 class _Peak(NamedTuple):

@@ -1,8 +1,9 @@
-"""Splits a stream into runs without gaps, and runs into pieces of equal length."""
+"""Splits streams into runs without gaps, filters them, and holds the newest value of a rate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple, Protocol
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from biosensor_gateway.features import parameters as at
 
 Array = NDArray[np.float64]
+HR_STATE, BR_STATE = "hr_state", "br_state"
 
 
 class Event(NamedTuple):
@@ -162,3 +164,101 @@ class Hops:
             end = begin + self._length
             # Copies are aligned alike, so that numpy adds in the same order.
             yield all_stamps[begin:end].copy(), all_values[begin:end].copy()
+
+
+class State:
+    """Stores the newest value of a rate, and the quality of its signal.
+
+    Parameters
+    ----------
+    name
+        Name of the state's feature.
+    rate, beside
+        Names of the features with the rate, and with its number of intervals.
+    every_s
+        Longest time between two values while nothing is wrong, in s.
+    """
+
+    def __init__(self, name: str, rate: str, beside: str, every_s: float) -> None:
+        self._name, self._rate, self._beside = name, rate, beside
+        self._holds_s = every_s + at.LUMP_S
+        self._stamp = self._value = self._count = self._quality = math.nan
+
+    def note(self, events: Sequence[Event]) -> None:
+        """Note the values of events."""
+        for each in events:
+            if each.feature == self._rate:
+                self._stamp, self._value = each.stamp, each.values[0]
+            elif each.feature == self._beside:
+                self._count = each.values[0]
+            elif each.feature == "sqi":
+                self._quality = each.values[0]
+
+    def at(self, stamp: float) -> Event:
+        """Return value, age (s), quality, motion and count at a time.
+
+        The value is NaN when the newest one is outdated. Motion is NaN; `Beside` fills it in.
+        """
+        age_s = stamp - self._stamp
+        if not age_s <= self._holds_s:
+            return Event(self._name, stamp, (math.nan, age_s, self._quality, math.nan, 0.0))
+        values = (self._value, age_s, self._quality, math.nan, self._count)
+        return Event(self._name, stamp, values)
+
+
+def band_pass(low_hz: float, high_hz: float, length_s: float, rate: float) -> Array:
+    """Return a linear-phase band-pass, a sinc in a Hamming window, shape (n,) with n odd.
+
+    Its delay is ``(n - 1) / 2`` samples, its gain is 0 for a constant and 1 in the middle of the
+    band.
+    """
+    half = max(1, round(length_s * rate / 2))
+    n = np.arange(-half, half + 1)
+    window = np.hamming(len(n))
+
+    def low_pass(cut_hz: float) -> Array:
+        taps = np.sinc(2 * min(cut_hz, 0.49 * rate) / rate * n) * window
+        return taps / taps.sum()
+
+    taps = low_pass(high_hz) - low_pass(low_hz)
+    gain = abs((taps * np.exp(-1j * math.pi * (low_hz + high_hz) / rate * n)).sum())
+    return taps / gain
+
+
+class Fir:
+    """FIR filter for pieces of equal length; the first sample is assumed to have come before."""
+
+    def __init__(self, taps: Array) -> None:
+        self._taps = taps
+        self._before: Array | None = None
+
+    def take(self, values: Array) -> Array:
+        """Return as many values as were given, delayed by half of the filter's length."""
+        if self._before is None:
+            self._before = np.full(len(self._taps) - 1, values[0])
+        joined = np.concatenate([self._before, values])
+        self._before = joined[len(values) :]
+        return np.convolve(joined, self._taps, "valid")
+
+
+class Decimator:
+    """Averages neighbouring samples, down to a rate from `wanted_hz` to less than twice that.
+
+    Attributes
+    ----------
+    rate
+        Rate of the output, in Hz.
+    """
+
+    def __init__(self, rate: float, wanted_hz: float) -> None:
+        self._factor = max(1, math.floor(rate / wanted_hz))
+        self.rate = rate / self._factor
+        self._hops = Hops(self._factor)
+
+    def take(self, stamps: Array, values: Array) -> Iterator[tuple[float, float]]:
+        """Yield the stamp of the middle, and the mean, of each group."""
+        if self._factor == 1:
+            yield from zip(stamps.tolist(), values.tolist(), strict=True)
+            return  # nothing is dropped: all samples were given as they are
+        for times, group in self._hops.take(stamps, values):
+            yield (float(times[0]) + float(times[-1])) / 2, float(group.sum()) / self._factor

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_gateway.features import parameters as at
-from biosensor_gateway.features.filters import Decimator
-from biosensor_gateway.features.runs import Array, Event
-from biosensor_gateway.pulses.filters import MovingMean
+from biosensor_gateway.features.runs import Array, Decimator, Event
+from biosensor_gateway.pulses import MovingMean
 
 _MEDIAN = 0.6745
 """Median of the absolute value of normal noise, in standard deviations."""

@@ -20,8 +20,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
-from biosensor_gateway.features.runs import Array, Event, Hops, Runs
-from biosensor_gateway.features.state import BR_STATE, HR_STATE
+from biosensor_gateway.features.runs import BR_STATE, HR_STATE, Array, Event, Hops, Runs
 
 _PIECES = round(at.MOTION_WINDOW_S / at.MOTION_PIECE_S)
 

@@ -33,10 +33,9 @@ from bumble.att import ATT_DEFAULT_MTU, ATT_Error
 from bumble.gatt_client import CharacteristicProxy, DescriptorProxy
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
-from biosensor_gateway.simulation.advertising import Advertised, uuid_string
 from biosensor_gateway.simulation.bleak_pickers import standing_in
 from biosensor_gateway.simulation.central import Central, GattLink, Heard, Listener
-from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.radio import Advertised, Radio, uuid_string
 from biosensor_gateway.simulation.world import World
 
 _T = TypeVar("_T")

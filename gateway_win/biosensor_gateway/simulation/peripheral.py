@@ -18,8 +18,13 @@ from bumble.gatt_server import Server
 from bumble.hci import Address
 from bumble.keys import MemoryKeyStore
 
-from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
-from biosensor_gateway.simulation.radio import MAX_MTU, Radio, Transceiver
+from biosensor_gateway.simulation.radio import (
+    MAX_MTU,
+    Radio,
+    Transceiver,
+    pack_advertisement,
+    pack_name,
+)
 
 # bumble's emulated advertiser treats its interval, in units of 0.625 ms, as milliseconds.
 _BUMBLE_UNITS = 0.625

@@ -23,10 +23,9 @@ from biosensor_gateway.simulation.faults import (
     on_part,
     restart,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.virtual_device import SpecimenOptions, VirtualDevice
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 
 
 class PowerSwitch:

@@ -17,8 +17,7 @@ from biosensor_common.quantities import ChannelRole
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.events.announcer import Announcer, DeviceEvents
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets, differences
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
 from biosensor_gateway.streaming.stages import PauseGate, Plausibility

@@ -29,12 +29,16 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import connect_error, is_forgotten, request_error
-from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.ble_errors import (
+    Pairing,
+    connect_error,
+    is_forgotten,
+    request_error,
+)
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
-from biosensor_gateway.transports.deadlines import in_background, outlasting, within
 from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import Characteristic, LinkTap, What
+from biosensor_gateway.transports.threads import in_background, outlasting, within
 
 CONNECT_LIMIT_S = 20.0
 REQUEST_LIMIT_S = 5.0

@@ -15,8 +15,8 @@ from bleak.backends.device import BLEDevice
 from bleak.backends.scanner import AdvertisementData
 
 from biosensor_gateway.transports.ble_errors import late_scan, scan_error
-from biosensor_gateway.transports.deadlines import in_background, outlasting
 from biosensor_gateway.transports.nearby import Advertisement
+from biosensor_gateway.transports.threads import in_background, outlasting
 
 START_LIMIT_S = 10.0
 STOP_LIMIT_S = 2.0

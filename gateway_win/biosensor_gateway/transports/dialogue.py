@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from biosensor_gateway.transports.deadlines import in_background
 from biosensor_gateway.transports.link import Early
+from biosensor_gateway.transports.threads import in_background
 
 KEPT_READS = 8192
 """Reads that wait for a listener; a device may talk for half a minute before there is one."""

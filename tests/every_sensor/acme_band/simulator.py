@@ -12,12 +12,10 @@ from typing import Any, Unpack
 import numpy as np
 
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
-from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, lasting
-from biosensor_gateway.simulation.glue import glued
-from biosensor_gateway.simulation.oscillator import Oscillator
+from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, glued, lasting
 from biosensor_gateway.simulation.truth import NO_INTERVALS, ONE_RATE, Expected
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 
 _PERIOD_S = 0.02
 _ON_A_CABLE = "it knows two commands, and does as it is told"

@@ -16,8 +16,8 @@ from dbus_fast.message import Message
 from dbus_fast.signature import Variant
 
 from biosensor_common.errors import GatewayError, TransportError
-from biosensor_gateway.simulation.advertising import Advertised, uuid_string
 from biosensor_gateway.simulation.central import GattLink, Heard
+from biosensor_gateway.simulation.radio import Advertised, uuid_string
 from tests.rigs.bluez.errors import (
     BluezError,
     att_error,

@@ -16,8 +16,8 @@ from types import MappingProxyType
 import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
-from biosensor_gateway.devices.shimmer.simulator.memory import Memory
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block, Meter
+from biosensor_gateway.devices.shimmer.simulator.wire import Memory
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,

@@ -34,11 +34,10 @@ from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.xdf import verdict as judging
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
-from biosensor_gateway.recording.xdf.expectation import by_devices
 from biosensor_gateway.recording.xdf.recording import read_recording
-from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
+from biosensor_gateway.recording.xdf.salvage import outcome as salvage_outcome
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
-from biosensor_gateway.recording.xdf.verdict import judge
+from biosensor_gateway.recording.xdf.verdict import by_devices, judge
 
 MOST_MARKERS = 1000
 _log = structlog.get_logger("biosensor_gateway.page")
@@ -289,15 +288,15 @@ def _judged(path: Path, session: Session) -> Judged:
 
 def _salvaged(path: Path) -> Salvaged:
     outcome = salvage(path, salvaged_path(path))
-    said = list(salvage_printing.before_table(outcome))
+    said = list(salvage_outcome.before_table(outcome))
     if outcome.written is not None:
-        rows = salvage_printing.table(outcome)
-        headings = salvage_printing.HEADINGS
+        rows = salvage_outcome.table(outcome)
+        headings = salvage_outcome.HEADINGS
         said += [
             ", ".join(f"{name} {cell}" for name, cell in zip(headings, row, strict=True))
             for row in rows
         ]
-        said += salvage_printing.after_table(outcome)
+        said += salvage_outcome.after_table(outcome)
     return Salvaged(written=str(outcome.written or ""), said=said)
 
 

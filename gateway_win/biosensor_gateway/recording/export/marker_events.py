@@ -15,8 +15,8 @@ from biosensor_common.naming import AGENT, NODE
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import EVENTS
+from biosensor_gateway.recording.export.exporter import Timeline
 from biosensor_gateway.recording.export.runs import BAD_GAP, Gap
-from biosensor_gateway.recording.export.timeline import Timeline
 
 MARKERS = "markers"
 """Data name of the agent's own markers."""

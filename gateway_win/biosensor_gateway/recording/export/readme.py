@@ -10,8 +10,7 @@ from pathlib import Path
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.exporter import Clock, Order, Times
-from biosensor_gateway.recording.export.timeline import timeline
+from biosensor_gateway.recording.export.exporter import Clock, Order, Times, timeline
 
 README = "README.txt"
 _LONG = """\

@@ -53,10 +53,9 @@ from biosensor_gateway.recording.recorder.streams import (
 )
 from biosensor_gateway.recording.recorder.supervisor import END_S, launch
 from biosensor_gateway.recording.xdf.container import RecordingError
-from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import read_recording
-from biosensor_gateway.recording.xdf.verdict import check
+from biosensor_gateway.recording.xdf.verdict import ExpectedStream, check
 from biosensor_gateway.settings.places import warnings_of
 from biosensor_gateway.system import state_file
 

@@ -1,6 +1,6 @@
 """Removes one person from recordings, exports and bags, and verifies that nothing is left.
 
-:mod:`.traces` recognises a person's names and pieces of their data, :mod:`.recordings`,
-:mod:`.texts` and :mod:`.bags` rewrite files without the person, and :mod:`.work` searches folders,
+:mod:`.traces` recognises a person's names and pieces of their data and rewrites text files without
+the person, :mod:`.recordings` rewrites recordings, and :mod:`.work` searches folders and bags,
 plans the changes, executes the plan and searches the remaining files.
 """

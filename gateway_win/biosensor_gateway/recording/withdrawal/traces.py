@@ -1,23 +1,36 @@
-"""Traces of a person in files: names, and pieces of data to search for."""
+"""Finds the traces of a person in files, and rewrites text files, EDF and BDF without them."""
 
 from __future__ import annotations
 
+import gzip
+import json
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.settings.names import label
+from biosensor_gateway.system.new_file import new_file
 
 INSTEAD = "withdrawn"
 """Replaces the person's name in texts about others."""
 _SAMPLES = 8
 _FEWEST_VALUES = 4
 _MOST_PIECES = 400
+
+
+TABLES = (".csv", ".tsv", ".csv.gz", ".tsv.gz")
+NOTES = (".txt", ".md", ".log", ".vmrk", ".vhdr")
+LONGEST_JSON = 64_000_000
+EDF = (".bdf", ".edf")
+_HEAD, _HEAD_OF_SIGNAL = 256, 256
+_LABEL, _BEFORE_COUNTS = 16, 216
+_BLOCK_BYTES = 1 << 20
 
 
 class Person:
@@ -129,3 +142,154 @@ def blocks(parts: Iterable[bytes], overlap: int) -> Iterator[bytes]:
         block = rest + part
         yield block
         rest = block[-overlap:] if overlap else b""
+
+
+def is_table(path: Path) -> bool:
+    """Whether it is a table, compressed or not."""
+    return path.name.lower().endswith(TABLES)
+
+
+def is_text(path: Path) -> bool:
+    """Whether lines or objects can be removed from it."""
+    return is_table(path) or path.suffix.lower() in (*NOTES, ".json")
+
+
+def open_plain(path: Path) -> BinaryIO:
+    """Open a file, decompressing it if needed."""
+    with path.open("rb") as file:
+        is_packed = file.read(2) == b"\x1f\x8b"
+    return gzip.open(path, "rb") if is_packed else path.open("rb")  # type: ignore[return-value]
+
+
+def lines_of(path: Path, person: Person) -> int:
+    """Return the number of lines in a file that name a person."""
+    with open_plain(path) as file:
+        return sum(person.is_in_bytes(each) for each in _rows(file, path))
+
+
+def write_without(path: Path, target: Path, person: Person) -> None:
+    """Copy it without the lines, or JSON objects, that name a person.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read or written.
+    ValueError
+        If JSON cannot be read.
+    """
+    with open_plain(path) as file, new_file(target, like=path) as new:
+        kept = _of_json(file, person) if path.suffix == ".json" else _kept(file, path, person)
+        if path.suffix == ".gz":
+            with gzip.GzipFile("", "wb", 4, new, mtime=0) as packed:
+                packed.writelines(kept)
+        else:
+            new.writelines(kept)
+
+
+def _of_json(file: BinaryIO, person: Person) -> Iterator[bytes]:
+    pruned = person.pruned(json.loads(file.read(LONGEST_JSON).decode("utf-8", "replace")))
+    yield (json.dumps(pruned, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def _kept(file: BinaryIO, path: Path, person: Person) -> Iterator[bytes]:
+    return (each for each in _rows(file, path) if not person.is_in_bytes(each))
+
+
+def _rows(lines: Iterable[bytes], path: Path) -> Iterator[bytes]:
+    """Yield the rows of a table; a quoted cell may span several lines."""
+    if ".csv" not in path.name.lower():
+        yield from lines
+        return
+    row = b""
+    for line in lines:
+        row += line
+        if row.count(b'"') % 2 == 0:
+            yield row
+            row = b""
+    if row:
+        yield row
+
+
+class Layout(NamedTuple):
+    """Where an EDF or BDF file has text: in its header, and in parts of each record."""
+
+    head: int
+    record: int
+    spans: tuple[tuple[int, int], ...]
+
+
+def layout_of(file: BinaryIO, path: Path) -> Layout:
+    """Read the header of a file.
+
+    Raises
+    ------
+    ValueError
+        If it is neither EDF nor BDF.
+    """
+    file.seek(0)
+    head = file.read(_HEAD)
+    count = int(head[252:256])
+    signals = file.read(count * _HEAD_OF_SIGNAL)
+    width = 3 if path.suffix.lower() == ".bdf" else 2
+    begin = 0
+    spans: list[tuple[int, int]] = []
+    for number in range(count):
+        label = signals[number * _LABEL : (number + 1) * _LABEL]
+        at = count * _BEFORE_COUNTS + number * 8
+        end = begin + width * int(signals[at : at + 8])
+        if label.strip().endswith(b"Annotations"):
+            spans.append((begin, end))
+        begin = end
+    return Layout(_HEAD + count * _HEAD_OF_SIGNAL, begin, tuple(spans))
+
+
+def texts_of_edf(path: Path) -> Iterator[bytes]:
+    """Yield the header, and the annotations of each record.
+
+    Raises
+    ------
+    ValueError
+        If it is neither EDF nor BDF.
+    """
+    with path.open("rb") as file:
+        layout = layout_of(file, path)
+        file.seek(0)
+        yield file.read(layout.head)
+        while layout.record and (record := file.read(layout.record)):
+            for begin, end in layout.spans:
+                yield record[begin:end]
+
+
+def write_edf_without(path: Path, target: Path, person: Person) -> None:
+    """Copy it with a person's name replaced by a text of the same length.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read or written.
+    ValueError
+        If it is neither EDF nor BDF.
+    """
+    with path.open("rb") as file, new_file(target, like=path) as new:
+        layout = layout_of(file, path)
+        file.seek(0)
+        new.write(person.blanked(file.read(layout.head)))
+        while layout.record and (record := file.read(layout.record)):
+            masked = bytearray(record)
+            for begin, end in layout.spans:
+                masked[begin:end] = person.blanked(record[begin:end])
+            new.write(masked)
+
+
+def is_in_message(content: bytes, person: Person) -> bool:
+    """Whether a text in a message of ROS names a person.
+
+    In CDR, a text is preceded by its length in four bytes and followed by a zero byte.
+    """
+    for start, end in person.places(content):
+        begin = content.rfind(b"\0", 0, start) + 1
+        behind = content.find(b"\0", end)
+        told = int.from_bytes(content[max(0, begin - 4) : begin], "little")
+        if behind >= 0 and told == behind - begin + 1:
+            return True
+    return False

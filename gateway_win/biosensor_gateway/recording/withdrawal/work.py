@@ -1,4 +1,4 @@
-"""Plans a withdrawal in folders, carries the plan out, and proves that nothing is left."""
+"""Plans a withdrawal in folders and bags, carries it out, and proves that nothing is left."""
 
 from __future__ import annotations
 
@@ -10,19 +10,41 @@ from enum import StrEnum, unique
 from pathlib import Path
 from typing import BinaryIO
 
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
 from biosensor_gateway.recording.bag.opening import read_bag
 from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.export.bids.study import is_dataset
 from biosensor_gateway.recording.export.exporting import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
-from biosensor_gateway.recording.withdrawal import bags, recordings, texts
-from biosensor_gateway.recording.withdrawal.traces import Person, Pieces, blocks
+from biosensor_gateway.recording.withdrawal import recordings
+from biosensor_gateway.recording.withdrawal.traces import (
+    EDF,
+    Person,
+    Pieces,
+    blocks,
+    is_in_message,
+    is_text,
+    lines_of,
+    open_plain,
+    texts_of_edf,
+    write_edf_without,
+    write_without,
+)
 from biosensor_gateway.recording.xdf.container import RecordingError, open_recording
 
 _EXPORTED = frozenset(
     {".bdf", ".csv", ".db3", ".edf", ".eeg", ".gz", ".json", ".mcap", ".tsv", ".txt", ".vhdr"}
     | {".vmrk"}
 )
+
+
+_BLOCK_BYTES = 1 << 20
+_LONGEST_NAME = 256
+_NUMBERS = (".eeg",)
+_BAGS = (".mcap", ".db3", ".zstd")
+_METADATA = "metadata.yaml"
 
 
 @unique
@@ -89,7 +111,7 @@ class _Looking:
         elif is_dataset(place.parent) and self._is_theirs(place):
             self.files += sum(each.is_file() for each in place.rglob("*"))
             yield Step(place, Action.DELETE, "the folder of the person in a data set")
-        elif bags.is_bag(place):
+        elif _is_bag(place):
             self.files += sum(each.is_file() for each in place.rglob("*"))
             step = self._of_bag(place)
             if step is not None:
@@ -107,9 +129,9 @@ class _Looking:
                 return self._of_recording(path)
             if self._person.is_in(path.name):
                 return self._named(path)
-            if texts.is_text(path):
+            if is_text(path):
                 return self._of_text(path)
-            if path.suffix.lower() in texts.EDF:
+            if path.suffix.lower() in EDF:
                 return self._of_edf(path)
         except (OSError, RecordingError, ValueError) as error:
             return Step(path, Action.LOOK, f"it cannot be read: {error}")
@@ -143,7 +165,7 @@ class _Looking:
         return Step(path, Action.LOOK, "it is called after the person, and is of no known kind")
 
     def _of_text(self, path: Path) -> Step | None:
-        lines = texts.lines_of(path, self._person)
+        lines = lines_of(path, self._person)
         if not lines:
             return None
         if path.suffix == ".json":
@@ -152,7 +174,7 @@ class _Looking:
         return Step(path, Action.REWRITE, f"without {told} the person")
 
     def _of_edf(self, path: Path) -> Step | None:
-        told = sum(self._person.is_in_bytes(each) for each in texts.texts_of_edf(path))
+        told = sum(self._person.is_in_bytes(each) for each in texts_of_edf(path))
         if not told:
             return None
         return Step(path, Action.REWRITE, "with other letters in place of the person's name")
@@ -161,7 +183,7 @@ class _Looking:
         if self._is_theirs(path):
             return Step(path, Action.DELETE, "a bag of this person's recording")
         try:
-            own, others = bags.topics_of(path, self._person)
+            own, others = _topics_of(path, self._person)
         # The library raises many kinds of errors; an unreadable bag is reported.
         except Exception as error:  # noqa: BLE001 - any of a library's
             return Step(path, Action.LOOK, f"the bag cannot be read: {error}")
@@ -170,12 +192,6 @@ class _Looking:
         if not others:
             return Step(path, Action.DELETE, "all topics of it are of this person")
         return Step(path, Action.REWRITE, f"without {len(own)} topics of the person")
-
-
-_BLOCK_BYTES = 1 << 20
-_LONGEST_NAME = 256
-_NUMBERS = (".eeg",)
-_BAGS = (".mcap", ".db3", ".zstd")
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,13 +290,13 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
 
 def _rewrite(path: Path, person: Person) -> None:
     """Write a temporary file and replace the original, so a complete file always exists."""
-    write: Callable[[Path, Path, Person], None] = texts.write_without
+    write: Callable[[Path, Path, Person], None] = write_without
     if path.is_dir():
-        write = bags.write_without
+        write = _write_bag_without
     elif is_recording(path):
         write = recordings.write_without
-    elif path.suffix.lower() in texts.EDF:
-        write = texts.write_edf_without
+    elif path.suffix.lower() in EDF:
+        write = write_edf_without
     new = path.with_name(f".{path.name}.without")
     if path.is_dir():
         shutil.rmtree(new, ignore_errors=True)
@@ -328,11 +344,11 @@ def _is_named(path: Path, person: Person) -> bool:
         return recordings.is_named(path, person)
     if path.suffix in _BAGS:
         return any(
-            person.is_in(each.topic.name) or texts.is_in_message(each.content, person)
+            person.is_in(each.topic.name) or is_in_message(each.content, person)
             for each in read_bag(path, lambda _: None)
         )
-    if path.suffix.lower() in texts.EDF:
-        return any(map(person.is_in_bytes, texts.texts_of_edf(path)))
+    if path.suffix.lower() in EDF:
+        return any(map(person.is_in_bytes, texts_of_edf(path)))
     if path.suffix in _NUMBERS:
         return False
     return any(map(person.is_in_bytes, blocks(_content(path), _LONGEST_NAME)))
@@ -347,7 +363,7 @@ def _content(path: Path) -> Iterator[bytes]:
         for message in read_bag(path, lambda _: None):
             yield message.content
     else:
-        with texts.open_plain(path) as file:
+        with open_plain(path) as file:
             yield from _blocks_of(file)
 
 
@@ -355,3 +371,56 @@ def _blocks_of(file: BinaryIO) -> Iterator[bytes]:
     file.seek(0)
     while block := file.read(_BLOCK_BYTES):
         yield block
+
+
+def _is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag of ROS 2."""
+    return (folder / _METADATA).is_file()
+
+
+def _topics_of(folder: Path, person: Person) -> tuple[list[str], int]:
+    """Return a person's topics, and the number of other people's topics.
+
+    Raises
+    ------
+    Exception
+        Any of the library's, if it cannot be read.
+    """
+    with Reader(folder) as reader:
+        names = list(dict.fromkeys(each.topic for each in reader.connections))
+    own = [each for each in names if person.is_in(each)]
+    return own, len(names) - len(own)
+
+
+def _write_bag_without(folder: Path, target: Path, person: Person) -> None:
+    """Copy it without the person's topics, and without messages that name them.
+
+    Raises
+    ------
+    Exception
+        Any of the library's, if it cannot be read or written.
+    """
+    plugin = StoragePlugin.SQLITE3 if list(folder.glob("*.db3*")) else StoragePlugin.MCAP
+    made = target.with_name(f"{target.name}.made")
+    shutil.rmtree(made, ignore_errors=True)
+    try:
+        with Reader(folder) as reader, Writer(made, version=9, storage_plugin=plugin) as writer:
+            given: dict[int, Connection] = {}
+            for each in reader.connections:
+                if person.is_in(each.topic):
+                    continue
+                qos = getattr(each.ext, "offered_qos_profiles", [])
+                given[each.id] = writer.add_connection(
+                    each.topic,
+                    each.msgtype,
+                    msgdef=each.msgdef.data,
+                    rihs01=each.digest,
+                    offered_qos_profiles=qos,
+                )
+            for connection, unix_ns, content in reader.messages():
+                kept = given.get(connection.id)
+                if kept is not None and not is_in_message(content, person):
+                    writer.write(kept, unix_ns, content)
+        made.rename(target)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

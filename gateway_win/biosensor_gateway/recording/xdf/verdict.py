@@ -1,4 +1,4 @@
-"""Judges a recording as a whole, and says in a colour and sentences whether it can be trusted."""
+"""Judges a recording as a whole, by the streams it should have, and says if it can be trusted."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from enum import StrEnum, unique
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from biosensor_common import naming
+from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings, refusals
 from biosensor_gateway.recording.xdf.event_rules import judge_devices, without_pauses
-from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import (
     About,
     Finding,
@@ -28,6 +29,7 @@ from biosensor_gateway.recording.xdf.measuring import measure, seconds_text
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report, extent
 from biosensor_gateway.recording.xdf.stream_rules import judge_stream
+from biosensor_gateway.settings.models import DeviceSettings
 
 _MOST_DAMAGES = 10
 # The fastest messages in a lab's network take no longer; a larger delay may be a clock error.
@@ -430,3 +432,53 @@ def _sentence(report: Report, colour: Colour) -> str:
         return f"{what}{things} wrong or missing in the file"
     things = "1 thing" if count == 1 else f"{count} things"
     return f"{what}the file is intact, but {things} happened that the analysis must consider"
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedStream:
+    """A stream that should be there.
+
+    Attributes
+    ----------
+    source_id
+        Empty if only `name` is known, which may then be a name or a source_id.
+    must_have_samples
+        Whether samples are expected too; an event stream may be empty.
+    """
+
+    name: str
+    source_id: str = ""
+    must_have_samples: bool = False
+
+    def is_met_by(self, header: RecordedHeader) -> bool:
+        """Whether a recorded stream matches."""
+        if self.source_id:
+            return header.source_id == self.source_id
+        return self.name in (header.name, header.source_id)
+
+
+def by_name(names: Iterable[str]) -> tuple[ExpectedStream, ...]:
+    """Return expected streams, given by name or source_id; each must have samples."""
+    return tuple(ExpectedStream(name, must_have_samples=True) for name in names)
+
+
+def by_devices(devices: Iterable[DeviceSettings]) -> tuple[ExpectedStream, ...]:
+    """Return every stream of every enabled device in the settings.
+
+    Raises
+    ------
+    SpecError
+        If a sensor's declaration cannot be loaded.
+    """
+    expected: list[ExpectedStream] = []
+    for device in devices:
+        if device.enabled:
+            identity = device.identity
+            expected += [
+                ExpectedStream(
+                    naming.lsl_name(identity, stream.data_name),
+                    naming.source_id(identity, stream.data_name),
+                )
+                for stream in declared(device).streams
+            ]
+    return tuple(expected)

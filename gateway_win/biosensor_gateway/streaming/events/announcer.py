@@ -1,4 +1,4 @@
-"""Pushes events into their outlet, and heartbeats."""
+"""Makes events of what sinks and supervisors notice, and pushes them into their outlet."""
 
 from __future__ import annotations
 
@@ -6,20 +6,30 @@ import asyncio
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from biosensor_common.clocks import MonotonicStamps
+from biosensor_common.quantities import ChannelRole
 from biosensor_common.refusal import Refusals
 from biosensor_common.ros_clock import measure_clock_pair
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.outlets import log_errors, spare_outlet
+from biosensor_gateway.streaming.silence import Silence
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 TICK_S = 0.25
 LINGER_S = 0.25
 """How long the outlet stays after the last event, which LSL sends from a thread of its own."""
+SETTLE_S = 2.0
+"""Streams come back one after the other, each with its own count of what is missing."""
 
 
 class Announcer:
@@ -146,3 +156,298 @@ class Announcer:
 
     def _clock_pair(self) -> dict[str, object]:
         return measure_clock_pair(time.time_ns, self._clock).as_facts()
+
+
+def device_facts(identity: DeviceIdentity) -> dict[str, str]:
+    """Say which device an event is of, as every event of one does."""
+    worn = {"participant": identity.participant, "label": identity.label}
+    names = {"sensor": identity.sensor, "unit": identity.unit}
+    return names | {key: value for key, value in worn.items() if value}
+
+
+class DeviceEvents:
+    """Is told by one device's sink what happens; neither raises nor waits.
+
+    Of a paused device nothing is told that was measured, and no gap is followed. All times are
+    LSL times in seconds.
+
+    Parameters
+    ----------
+    announcer
+        Where the events go.
+    """
+
+    def __init__(
+        self,
+        identity: DeviceIdentity,
+        spec: SensorSpec,
+        clock: Clock,
+        announcer: Announcer,
+        *,
+        is_paused: bool,
+    ) -> None:
+        self._clock = clock
+        self._announcer = announcer
+        self._names = device_facts(identity)
+        self._gaps = GapWatch()
+        self._contact = ContactWatch(spec)
+        self._connections = 0
+        self._is_connected = False
+        self._is_paused = is_paused
+        if self._is_paused:
+            self._say(EventKind.PAUSED, facts={"kept": True})  # nothing is dropped: it is an event
+
+    @property
+    def is_worn(self) -> bool | None:
+        """Whether the sensor is on the body; None while that is not known."""
+        return self._contact.is_on if self._is_connected else None
+
+    @log_errors
+    def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
+        """Announce the connection, and what has changed with it: before and after, by name."""
+        self._is_connected = True
+        self._connections += 1
+        facts: dict[str, object] = {"connection": self._connections}
+        if info.firmware_version:
+            facts["firmware_version"] = info.firmware_version
+        self._say(EventKind.CONNECTED, facts=facts)  # nothing is dropped: it is an event
+        if changes:
+            # nothing is dropped: it is an event
+            self._say(EventKind.SETTINGS_CHANGED, facts={"changes": dict(changes)})
+
+    @log_errors
+    def dropped(self, reason: str) -> None:
+        """Announce the end of a connection, and the gap that it begins."""
+        self._is_connected = False
+        # nothing is dropped: it is an event
+        self._say(EventKind.DISCONNECTED, facts={"reason": reason})
+        if not self._is_paused:
+            self._say_gaps(self._gaps.interrupted())
+
+    @log_errors
+    def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        """Follow gaps, and whether the sensor is worn; of text there are stamps only."""
+        self._gaps.sampled(data_name, stamps[0], stamps[-1], self._clock())
+        for is_on, at in self._contact.changes(data_name, samples, stamps):
+            kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
+            # nothing is dropped: it is an event
+            self._say(kind, at, {"channel": self._contact.channel})
+
+    @log_errors
+    def lost(self, data_name: str, count: int, since_s: float) -> None:
+        """Add samples that are missing behind the one of `since_s` to a gap."""
+        if not self._is_paused:
+            self._gaps.lost(data_name, count, since_s)
+
+    @log_errors
+    def reanchored(self, cause: str, size_s: float | None, times: int = 1) -> None:
+        """Announce a jump of the stamps, or several together; None if its size is unknown.
+
+        Of several, the cause is the last one's and the size that of all.
+        """
+        facts: dict[str, object] = {"cause": cause}
+        if size_s is not None:
+            facts["seconds"] = round(size_s, 6)
+        if times > 1:
+            facts["times"] = times
+        self._say(EventKind.CLOCK_REANCHORED, facts=facts)  # nothing is dropped: it is an event
+
+    @log_errors
+    def fell_silent(self, silence: Silence) -> None:
+        """Announce streams that do not come, and what is done about it."""
+        facts = {
+            "streams": sorted(silence.streams),
+            "seconds": round(silence.seconds, 1),
+            "remedy": silence.remedy.value,
+            **({"why": silence.why} if silence.why else {}),
+        }
+        self._say(EventKind.STREAMS_SILENT, facts=facts)  # nothing is dropped: it is an event
+
+    @log_errors
+    def came_back(self, streams: frozenset[str]) -> None:
+        """Announce that they come again."""
+        # nothing is dropped: it is an event
+        self._say(EventKind.STREAMS_BACK, facts={"streams": sorted(streams)})
+
+    @log_errors
+    def paused(self) -> None:
+        """Announce the withdrawal; a gap ends with it."""
+        self._is_paused = True
+        now = self._clock()
+        self._say_gaps(self._gaps.cut_off(now), paused=True)
+        self._say(EventKind.PAUSED, now)  # nothing is dropped: it is an event
+
+    @log_errors
+    def resumed(self, send_from_s: float) -> None:
+        """Announce the end of a pause, and a gap if nothing can come yet."""
+        self._is_paused = False
+        self._contact.forget()
+        # nothing is dropped: it is an event
+        self._say(EventKind.RESUMED, facts={"send_from": round(send_from_s, 6)})
+        self._gaps.go_on(send_from_s)
+        if not self._is_connected and self._connections:
+            self._say_gaps(self._gaps.interrupted())
+
+    @log_errors
+    def tick(self, now: float) -> None:
+        """Announce gaps whose counts are complete."""
+        if not self._is_paused:
+            self._say_gaps(self._gaps.tick(now))
+
+    def _say_gaps(self, gaps: Iterable[Gap], *, paused: bool = False) -> None:
+        for gap in gaps:
+            if gap.until is None:
+                self._say(EventKind.GAP_START, gap.since)  # nothing is dropped: it is an event
+            else:
+                facts: dict[str, object] = {"lost": dict(gap.lost)}
+                # nothing is dropped: it is an event
+                self._say(
+                    EventKind.GAP_END, gap.until, facts | ({"paused": True} if paused else {})
+                )
+
+    def _say(
+        self, kind: EventKind, at: float | None = None, facts: Mapping[str, object] | None = None
+    ) -> None:
+        self._announcer.announce(kind, self._names | dict(facts or {}), at)
+
+
+class ContactWatch:
+    """Follows the first channel of one device that has the role of contact.
+
+    Attributes
+    ----------
+    channel
+        Its label, empty for a sensor that has none.
+    is_on
+        Whether it is on the body; None while that is not known.
+    """
+
+    def __init__(self, spec: SensorSpec) -> None:
+        first = next(spec.channels_of(ChannelRole.CONTACT), ("", 0, ""))
+        self._data_name, self._index, self.channel = first
+        self.is_on: bool | None = None
+
+    def forget(self) -> None:
+        """Take the next value as news, whatever it is."""
+        self.is_on = None
+
+    def changes(
+        self, data_name: str, samples: ArrayLike, stamps: Sequence[float]
+    ) -> Iterator[tuple[bool, float]]:
+        """Yield whether it is on the body, and since when, each time that this changes.
+
+        Parameters
+        ----------
+        data_name
+            Of any stream of the device.
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+        stamps : sequence of float, length n_samples
+        """
+        if data_name != self._data_name:
+            return  # nothing is dropped: another stream tells nothing of contact
+        values = np.asarray(samples, np.float64).reshape(len(stamps), -1)[:, self._index]
+        for value, stamp in zip(values.tolist(), stamps, strict=True):
+            # NaN is unknown.
+            if not math.isnan(value) and bool(value) != self.is_on:
+                self.is_on = bool(value)
+                yield self.is_on, stamp
+
+
+@dataclass(slots=True)
+class Gap:
+    """A time in which samples are missing; LSL times in seconds.
+
+    Attributes
+    ----------
+    since
+        Time of the newest sample before it.
+    until
+        Time of the first sample after it, None as long as there is none.
+    lost
+        Missing samples by data name, as far as they are counted.
+    """
+
+    since: float
+    until: float | None = None
+    lost: Counter[str] = field(default_factory=Counter[str])
+
+
+class GapWatch:
+    """Makes gaps of broken connections, and of samples that are missing within one."""
+
+    def __init__(self) -> None:
+        self._newest: float | None = None
+        self._begin = -math.inf
+        self._gap: Gap | None = None
+        self._is_interruption = False
+        self._is_announced = False
+        self._awaited: set[str] = set()
+        self._settled_s = math.inf
+
+    def sampled(self, data_name: str, first: float, last: float, now: float) -> None:
+        """Note samples of a stream by the times of the first and the last."""
+        gap = self._gap
+        if gap is not None and (
+            gap.until is None if self._is_interruption else data_name in self._awaited
+        ):
+            self._awaited.discard(data_name)
+            if gap.until is None:
+                self._settled_s = now + SETTLE_S
+            gap.until = max(first, gap.since, gap.until or -math.inf)
+        self._newest = last if self._newest is None else max(self._newest, last)
+
+    def lost(self, data_name: str, count: int, since: float) -> None:
+        """Note samples that are missing behind the one of `since`."""
+        since = max(since, self._begin)
+        if self._gap is None:
+            self._open(since, is_interruption=False)
+        assert self._gap is not None
+        if not self._is_announced:
+            self._gap.since = min(self._gap.since, since)
+        self._gap.lost[data_name] += count
+        self._awaited.add(data_name)
+
+    def interrupted(self) -> Iterator[Gap]:
+        """Begin a gap at the newest sample, unless nothing ever came; yield what to announce."""
+        if self._newest is None or (self._is_interruption and self._is_open):
+            return  # nothing is dropped: nothing has come that could be missed
+        yield from self._finished(self._newest)
+        self._open(self._newest, is_interruption=True)
+        yield from self._begun()
+
+    def tick(self, now: float) -> Iterator[Gap]:
+        """Yield a gap when its start is to be announced, and again when its end is."""
+        yield from self._begun()
+        if not self._is_open and now >= self._settled_s:
+            yield from self._finished(now)
+
+    def cut_off(self, at: float) -> Iterator[Gap]:
+        """End the gap that there is, if any, because nothing is expected any more."""
+        yield from self._finished(at)
+
+    def go_on(self, at: float) -> None:
+        """Expect samples again, from then on."""
+        self._newest = self._begin = at
+
+    @property
+    def _is_open(self) -> bool:
+        return self._gap is not None and self._gap.until is None
+
+    def _open(self, since: float, *, is_interruption: bool) -> None:
+        self._gap = Gap(since)
+        self._is_interruption = is_interruption
+        self._is_announced = False
+        self._awaited.clear()
+        self._settled_s = math.inf
+
+    def _begun(self) -> Iterator[Gap]:
+        if self._gap is not None and not self._is_announced:
+            self._is_announced = True
+            yield Gap(self._gap.since)
+
+    def _finished(self, at: float) -> Iterator[Gap]:
+        yield from self._begun()
+        gap, self._gap = self._gap, None
+        if gap is not None:
+            until = max(at, gap.since) if gap.until is None else gap.until
+            yield Gap(gap.since, until, gap.lost)

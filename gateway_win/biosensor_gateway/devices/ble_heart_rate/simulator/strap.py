@@ -36,12 +36,12 @@ from biosensor_gateway.simulation.faults import (
     on_part,
     restart,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio_device import RADIO_EFFECTS, PowerSwitch
 from biosensor_gateway.simulation.truth import NO_RATE, SAYS_WHAT_IT_IS, Expected, Truth
 from biosensor_gateway.simulation.virtual_device import Specimen, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import Oscillator
 
 _NO_COMMANDS = "without a control point there is no command to refuse or to answer late"
 

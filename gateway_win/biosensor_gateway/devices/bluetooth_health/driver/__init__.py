@@ -9,16 +9,15 @@ from contextlib import suppress
 from pydantic import Field
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_gateway.devices.ble_heart_rate.driver import Strap
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
-from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError, Pairing
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.4

@@ -10,15 +10,15 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from biosensor_gateway.devices.emotibit.simulator import wire
+from biosensor_gateway.devices.emotibit.simulator import rounds
 from biosensor_gateway.devices.emotibit.simulator.rounds import (
     ROUND_S,
     ROUNDS_EFFECTS,
+    Host,
     Measured,
     Round,
     Rounds,
 )
-from biosensor_gateway.devices.emotibit.simulator.wire import Host
 from biosensor_gateway.simulation.faults import (
     Effect,
     Effects,
@@ -29,11 +29,10 @@ from biosensor_gateway.simulation.faults import (
     level,
     on_part,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.truth import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOptions, VirtualDevice
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 from biosensor_gateway.system.clock import Clock
 
 # A host without a ping for this time is gone.
@@ -84,7 +83,7 @@ class _Wifi(asyncio.DatagramProtocol):
     """
 
     def __init__(
-        self, asked: Callable[[wire.Message, Address], None], host: str, port: int
+        self, asked: Callable[[rounds.Message, Address], None], host: str, port: int
     ) -> None:
         self._asked = asked
         self.host = host
@@ -138,13 +137,13 @@ class _Wifi(asyncio.DatagramProtocol):
     def tell(self, time_ms: int, tag: str, payload: list[str], address: Address) -> None:
         """Send a host a packet."""
         if self._transport is not None and self.is_there:
-            self._transport.sendto(wire.packet(time_ms, self._number, tag, payload), address)
+            self._transport.sendto(rounds.packet(time_ms, self._number, tag, payload), address)
             self._number += 1
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         """Pass on a host's packet, one per datagram as in the firmware."""
         if self.is_there:
-            self._asked(wire.heard(data.split(b"\n")[0]), (addr[0], addr[1]))
+            self._asked(rounds.heard(data.split(b"\n")[0]), (addr[0], addr[1]))
 
     def error_received(self, exc: Exception) -> None:
         """Ignore that a host is gone."""
@@ -321,7 +320,7 @@ class SimulatedEmotiBit(VirtualDevice):
         if self._host is None or self._sleeps:
             return
         place = 0
-        for packets in wire.datagrams(made.packets):
+        for packets in rounds.datagrams(made.packets):
             inside = range(place, place + len(packets))
             samples = [made.samples[each] for each in inside if each in made.samples]
             self._sending.send(self._host, b"".join(packets), samples)
@@ -342,18 +341,18 @@ class SimulatedEmotiBit(VirtualDevice):
             else:
                 self.truth.unsent(data_name, len(times))
 
-    def _asked(self, message: wire.Message, address: tuple[str, int]) -> None:
+    def _asked(self, message: rounds.Message, address: tuple[str, int]) -> None:
         if not self._stalled:
             self.world.loop.call_later(self._answer_delay_s, self._answer, message, address)
 
-    def _answer(self, message: wire.Message, address: tuple[str, int]) -> None:
+    def _answer(self, message: rounds.Message, address: tuple[str, int]) -> None:
         match message.tag:
-            case wire.HELLO:
+            case rounds.HELLO:
                 port = self._host.data_port if self._host is not None else -1
                 # A port other than the host's shows that another host uses it.
                 port = 3132 if self._refuses else port
-                self._tell(wire.HERE, ["DP", str(port), "DI", self.device], address)
-            case wire.CONNECT if self._host is None and not self._refuses:
+                self._tell(rounds.HERE, ["DP", str(port), "DI", self.device], address)
+            case rounds.CONNECT if self._host is None and not self._refuses:
                 control, data = message.behind("CP"), message.behind("DP")
                 if control is not None and data is not None:
                     self._host = Host(
@@ -361,7 +360,7 @@ class SimulatedEmotiBit(VirtualDevice):
                     )
                     self._host.pinged_s = self.world.clock()
                     self._host.connect(lambda: self._tell_pong(address))
-            case wire.PING if self._host is not None:
+            case rounds.PING if self._host is not None:
                 if message.behind("DP") == self._host.data_port:
                     self._host.pinged_s = self.world.clock()
                     self._tell_pong(address)
@@ -370,24 +369,24 @@ class SimulatedEmotiBit(VirtualDevice):
 
     def _tell_pong(self, address: tuple[str, int]) -> None:
         if self._host is not None:
-            self._tell(wire.PONG, ["DP", str(self._host.data_port)], address)
+            self._tell(rounds.PONG, ["DP", str(self._host.data_port)], address)
 
     def _tell(self, tag: str, payload: list[str], address: tuple[str, int]) -> None:
         if not self._stalled:
             self._wifi.tell(int(self._oscillator.now() * 1000), tag, payload, address)
 
-    def _obey(self, message: wire.Message) -> None:
+    def _obey(self, message: rounds.Message) -> None:
         """Execute a host's command, or record its time message."""
         if self._stalled:
             return
         match message.tag:
-            case wire.DISCONNECT:
+            case rounds.DISCONNECT:
                 self._leave()
-            case wire.NORMAL_POWER:
+            case rounds.NORMAL_POWER:
                 self._sleeps = False
-            case mode if mode in wire.QUIET:
+            case mode if mode in rounds.QUIET:
                 self._sleeps = True
-            case wire.TIME_LOCAL | wire.TIME_UTC | wire.ACKNOWLEDGED:
+            case rounds.TIME_LOCAL | rounds.TIME_UTC | rounds.ACKNOWLEDGED:
                 if self._host is not None:
                     noted = self._rounds.note(message.tag, list(message.payload))
                     self._sending.send(self._host, noted, ())

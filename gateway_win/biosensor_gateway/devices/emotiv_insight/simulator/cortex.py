@@ -67,7 +67,6 @@ from biosensor_gateway.simulation.faults import (
     level,
     on_part,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,
     TELLS_ITS_RATE,
@@ -76,7 +75,7 @@ from biosensor_gateway.simulation.truth import (
     Gap,
 )
 from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOptions, VirtualDevice
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 
 APP = App("virtual-app", "virtual-secret-0123456789")
 RELEASE = Release("4.8.32")

@@ -17,9 +17,9 @@ from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator.account import Session
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Columns, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Floats, Wearer
+from biosensor_gateway.simulation.world import Oscillator
 
 Sample = dict[str, Any]
 """Values by column; None for missing values."""

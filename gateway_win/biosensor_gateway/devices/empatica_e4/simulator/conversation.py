@@ -11,7 +11,7 @@ from math import inf
 
 from biosensor_gateway.devices.empatica_e4.simulator.wire import SUBSCRIPTIONS
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
-from biosensor_gateway.simulation.glue import Glue
+from biosensor_gateway.simulation.faults import Glue
 from biosensor_gateway.simulation.tcp_port import TcpPort, break_off
 
 _ROOM_BYTES = 1 << 20

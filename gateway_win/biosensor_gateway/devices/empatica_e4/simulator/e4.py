@@ -35,11 +35,11 @@ from biosensor_gateway.simulation.faults import (
     FaultKind,
     Untidiness,
     flag,
+    glued,
     lasting,
     level,
     on_part,
 )
-from biosensor_gateway.simulation.glue import glued
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.truth import ONE_RATE, Expected, LossTolerance, Truth
 from biosensor_gateway.simulation.virtual_device import (

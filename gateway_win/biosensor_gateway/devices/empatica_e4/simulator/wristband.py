@@ -28,10 +28,10 @@ from biosensor_gateway.devices.empatica_e4.simulator.wire import (
     WallClock,
     as_sent,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Specimen
 from biosensor_gateway.simulation.wearer import PULSE_TRANSIT_S, Floats, Wearer
+from biosensor_gateway.simulation.world import Oscillator
 
 Rows = list[tuple[float, ...]]
 

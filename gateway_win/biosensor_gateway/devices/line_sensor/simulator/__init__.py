@@ -33,10 +33,9 @@ from biosensor_gateway.simulation.faults import (
     flag,
     lasting,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import NO_INTERVALS, Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 
 _DIGITS = 4
 _NO_COMMANDS = "it takes no command and sends all the time"

@@ -14,8 +14,8 @@ from websockets.asyncio.connection import broadcast
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.protocol import State
 
+from biosensor_gateway.simulation.async_serial import PatientPort
 from biosensor_gateway.simulation.faults import Untidiness
-from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.tcp_port import LOOPBACK, KeptPort, break_off
 
 _BUFFER_BYTES = 4096

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
+from biosensor_gateway.devices.ble_heart_rate.driver import Strap
 from biosensor_gateway.devices.ble_session import BleSession
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.movesense.driver import protocol
@@ -37,7 +37,7 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.ble_errors import Pairing
 from biosensor_gateway.transports.nearby import Advertisement
 
 _REGULAR = frozenset({"ecg", *MOVEMENT})

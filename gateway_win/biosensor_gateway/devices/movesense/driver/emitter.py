@@ -29,8 +29,7 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     parse_temperature,
     parse_vectors,
 )
-from biosensor_gateway.devices.restarts import RestartCheck
-from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.devices.sink import RestartCheck, Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 1.0

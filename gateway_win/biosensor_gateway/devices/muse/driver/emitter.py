@@ -45,8 +45,7 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     parse_motion,
 )
 from biosensor_gateway.devices.muse.driver.sample_clock import PacketSeries, SampleClock
-from biosensor_gateway.devices.restarts import RestartCheck
-from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.devices.sink import RestartCheck, Sink
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import Notification
 

@@ -20,11 +20,11 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.ble_heart_rate.driver import DUE, Strap
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HEART_RATE_MEASUREMENT,
     HEART_RATE_SERVICE,
 )
-from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint, Measurements, Wanted
 from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
@@ -40,7 +40,7 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
+from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, Pairing, PairSetting
 from biosensor_gateway.transports.nearby import Advertisement
 
 ASK_AGAIN_FIRST_S = 1.0

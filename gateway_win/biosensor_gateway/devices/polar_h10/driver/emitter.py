@@ -17,8 +17,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     measurement_of,
     parse_frame,
 )
-from biosensor_gateway.devices.restarts import RestartCheck
-from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.devices.sink import RestartCheck, Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _NS = 1_000_000_000

@@ -28,8 +28,12 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     decode_choice,
     encode_settings,
 )
-from biosensor_gateway.devices.polar_h10.simulator.products import Product, Quirks
-from biosensor_gateway.devices.polar_h10.simulator.waveforms import Waveform, waveform
+from biosensor_gateway.devices.polar_h10.simulator.products import (
+    Product,
+    Quirks,
+    Waveform,
+    waveform,
+)
 
 _REPLY = 0xF0
 _STOPPED_BY_DEVICE = 0x01

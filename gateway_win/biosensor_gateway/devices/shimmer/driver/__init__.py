@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal, NamedTuple
 
+import numpy as np
 import structlog
 from pydantic import Field, field_validator
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_port_name, own_settings
 from biosensor_gateway.devices.shimmer import SPEC
-from biosensor_gateway.devices.shimmer.driver import calibration, commands, exg
-from biosensor_gateway.devices.shimmer.driver.calibration import Kinematic, Typical
+from biosensor_gateway.devices.shimmer.driver import calibration, messages
+from biosensor_gateway.devices.shimmer.driver import calibration as exg
+from biosensor_gateway.devices.shimmer.driver.calibration import (
+    Exg,
+    Kinematic,
+    Registers,
+    Typical,
+    Use,
+    electrodes_on,
+)
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer.driver.commands import divisor_for
 from biosensor_gateway.devices.shimmer.driver.connection import Prepared, ShimmerDriver
 from biosensor_gateway.devices.shimmer.driver.conversation import (
     SHIMMER3R,
@@ -26,15 +35,16 @@ from biosensor_gateway.devices.shimmer.driver.conversation import (
     make_right,
     refuse_if_left,
 )
-from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer.driver.exg import Exg, Registers, Use
 from biosensor_gateway.devices.shimmer.driver.messages import (
+    TICKS_PER_S,
     Calibration,
     ExgRegisters,
     Inquiry,
     PressureChip,
     PressureCoefficients,
+    divisor_for,
 )
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketEmitter
 from biosensor_gateway.devices.shimmer.driver.signals import (
     MOTION,
     SENSORS,
@@ -75,6 +85,7 @@ _CHIPS_OF_3R: Mapping[str, Typical] = {
     "gyro": calibration.LSM6DSV_GYRO,
     "mag": calibration.LIS2MDL_MAG,
 }
+QUALITY_PERIOD_S = 10.0
 
 
 async def _pressure_coefficients(talk: Conversation, kind: Kind) -> PressureCoefficients | None:
@@ -85,9 +96,9 @@ async def _pressure_coefficients(talk: Conversation, kind: Kind) -> PressureCoef
     TransportError
         As for :meth:`Conversation.ask`.
     """
-    asked = [commands.GET_BMP180_COEFFICIENTS, commands.GET_BMP280_COEFFICIENTS]
+    asked = [messages.GET_BMP180_COEFFICIENTS, messages.GET_BMP280_COEFFICIENTS]
     if kind.tells_pressure_chip:
-        asked = [commands.GET_PRESSURE_COEFFICIENTS]
+        asked = [messages.GET_PRESSURE_COEFFICIENTS]
     try:
         for command in asked:
             coefficients = await talk.ask(command, PressureCoefficients)
@@ -147,7 +158,7 @@ def typical_calibrations(
 
 async def _memory(talk: Conversation) -> bytes:
     try:
-        return (await talk.ask(commands.GET_ALL_CALIBRATION, Calibration)).data
+        return (await talk.ask(messages.GET_ALL_CALIBRATION, Calibration)).data
     except ProtocolError as error:
         _log.warning("the device does not tell its calibration", cause=str(error))
         return b""
@@ -253,15 +264,15 @@ def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
     if wanted.sensors is not None:
         on = [sensor(each, wanted.bits) for each in sorted(wanted.sensors)]
         if set(present.channels) != {channel for each in on for channel in each.channels}:
-            changes["sensors"] = commands.set_sensors(sum(each.mask for each in on))
+            changes["sensors"] = messages.set_sensors(sum(each.mask for each in on))
     if wanted.divisor not in (None, present.divisor):
-        changes["sampling rate"] = commands.set_sampling_rate(wanted.divisor)
+        changes["sampling rate"] = messages.set_sampling_rate(wanted.divisor)
     return changes
 
 
 async def _registers(talk: Conversation) -> Registers:
-    first = await talk.ask(commands.get_exg_registers(0), ExgRegisters)
-    second = await talk.ask(commands.get_exg_registers(1), ExgRegisters)
+    first = await talk.ask(messages.get_exg_registers(0), ExgRegisters)
+    second = await talk.ask(messages.get_exg_registers(1), ExgRegisters)
     return first.data.ljust(exg.REGISTERS, b"\0"), second.data.ljust(exg.REGISTERS, b"\0")
 
 
@@ -273,7 +284,7 @@ async def _set_exg_up(
         # It measures, but the values are meaningless.
         _log.warning("the expansion board is no ExG board", port=name, board=board)
     gain = wanted.gain or exg.DEFAULT_GAIN[use]
-    rate_hz = commands.TICKS_PER_S / present.divisor
+    rate_hz = messages.TICKS_PER_S / present.divisor
     right = exg.registers_for(use, gain, rate_hz, lead_off=wanted.lead_off)
     changes = _exg_changes(await _registers(talk), right)
     for command in changes.values():
@@ -284,7 +295,7 @@ async def _set_exg_up(
 
 def _exg_changes(present: Registers, right: Registers) -> dict[str, bytes]:
     return {
-        f"ExG chip {chip + 1}": commands.set_exg_registers(chip, right[chip])
+        f"ExG chip {chip + 1}": messages.set_exg_registers(chip, right[chip])
         for chip in (0, 1)
         if not exg.are_same(present[chip], right[chip])
     }
@@ -394,3 +405,79 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
 
 recognise = by_port_name("shimmer", r"Shimmer3R?-([0-9A-Fa-f]{4})(?:-BT)?")
 DRIVER = DriverEntry(Shimmer3Settings, _make, recognise=recognise)
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """The setup of a device.
+
+    Attributes
+    ----------
+    layout
+        Layout of the channels in a packet.
+    divisor
+        The sample rate is 32768 Hz divided by it.
+    signals
+        Streams in a packet.
+    status_at
+        Positions of the status of both ExG chips; None without lead-off detection, so there is no
+        ``quality``.
+    denied
+        What the device refuses and why, by data name.
+    """
+
+    layout: Layout
+    divisor: int
+    signals: tuple[Signal, ...]
+    status_at: tuple[int, int] | None = None
+    denied: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate."""
+        return TICKS_PER_S / self.divisor
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Data names of the streams in a packet."""
+        return tuple(signal.data_name for signal in self.signals)
+
+
+@dataclass(slots=True)
+class _Told:
+    """The last emitted electrode state, and its device time."""
+
+    quality: tuple[float, ...] | None = field(default=None)
+    time_s: float = 0.0
+
+
+class ShimmerEmitter(PacketEmitter):
+    """Converts packets to samples; one instance per device, over all its connections."""
+
+    def __init__(self, sink: Sink) -> None:
+        super().__init__(sink, "shimmer")
+        self._measurement: Measurement | None = None
+        self._told = _Told()
+
+    def started(self, measurement: Measurement) -> None:
+        """Prepare for packets of a new connection."""
+        self._measurement = measurement
+        self._expect(measurement.divisor, measurement.streams)
+        self._told = _Told()
+
+    def _emit(self, batch: Batch) -> None:
+        assert self._measurement is not None
+        raw = np.array(batch.rows, np.float64)
+        for signal in self._measurement.signals:
+            self._sink.emit(signal.data_name, signal.convert(raw[:, signal.at]), batch.times)
+        if self._measurement.status_at is not None:
+            self._emit_quality(batch, self._measurement.status_at)
+
+    def _emit_quality(self, batch: Batch, status_at: tuple[int, int]) -> None:
+        for row, time_s in zip(batch.rows, batch.times, strict=True):
+            on = electrodes_on(row[status_at[0]], row[status_at[1]])
+            quality = (float(all(on)), *on)
+            is_due = time_s - self._told.time_s >= QUALITY_PERIOD_S
+            if quality != self._told.quality or is_due:
+                self._told = _Told(quality, time_s)
+                self._sink.emit("quality", [quality], [time_s])

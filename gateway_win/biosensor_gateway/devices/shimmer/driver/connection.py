@@ -12,7 +12,7 @@ import structlog
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected
-from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver import messages
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation, Kind, identify
 from biosensor_gateway.devices.shimmer.driver.messages import (
@@ -155,11 +155,11 @@ class ShimmerDriver:
     async def _is_there(self) -> bool:
         assert self._kind is not None
         if self._kind.has_status:
-            return await self._talk.poll(commands.GET_STATUS, Status) is not None
-        return await self._talk.poll(commands.GET_HARDWARE, Hardware) is not None
+            return await self._talk.poll(messages.GET_STATUS, Status) is not None
+        return await self._talk.poll(messages.GET_HARDWARE, Hardware) is not None
 
     async def _ask_for_the_battery(self) -> None:
         assert self._kind is not None
         while self._kind.has_status:
             await asyncio.sleep(BATTERY_PERIOD_S)
-            await self._talk.poll(commands.GET_BATTERY, BatteryReading)
+            await self._talk.poll(messages.GET_BATTERY, BatteryReading)

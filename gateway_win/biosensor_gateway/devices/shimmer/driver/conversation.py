@@ -10,12 +10,13 @@ from typing import NamedTuple, TypeVar
 import structlog
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
-from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver import messages
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.commands import STOP_STREAMING, CrcMode
 from biosensor_gateway.devices.shimmer.driver.messages import (
+    STOP_STREAMING,
     Ack,
     BatteryReading,
+    CrcMode,
     DaughterCard,
     ExpansionPower,
     Firmware,
@@ -41,10 +42,10 @@ SETTLE_S = 0.05
 
 _ReplyT = TypeVar("_ReplyT", bound=Reply)
 _BARRIERS: tuple[tuple[bytes, type[Reply]], ...] = (
-    (commands.GET_HARDWARE, Hardware),
-    (commands.GET_FIRMWARE, Firmware),
-    (commands.GET_EXPANSION_POWER, ExpansionPower),
-    (commands.GET_GSR_RANGE, GsrRange),
+    (messages.GET_HARDWARE, Hardware),
+    (messages.GET_FIRMWARE, Firmware),
+    (messages.GET_EXPANSION_POWER, ExpansionPower),
+    (messages.GET_GSR_RANGE, GsrRange),
 )
 
 # The device may still be streaming from an earlier connection, in any format.
@@ -196,12 +197,12 @@ class Conversation:
         """Enable checksums; raises like `ask`."""
         # The answer to this command already has a checksum.
         self._protocol.crc = mode
-        await self.tell(commands.set_crc(mode))
+        await self.tell(messages.set_crc(mode))
 
     async def start_streaming(self, layout: Layout, divisor: int) -> None:
         """Start streaming; raises like `ask`."""
         self._protocol.expect_data(layout, divisor)
-        await self.tell(commands.START_STREAMING)
+        await self.tell(messages.START_STREAMING)
 
     async def stream(self, listener: Callable[[Sequence[Stamped]], None]) -> None:
         """Pass on all messages since `open`, grouped by read.
@@ -215,7 +216,7 @@ class Conversation:
 
     async def close(self) -> None:
         """Stop the device without waiting for it, and close the link."""
-        self._link.write(commands.STOP_STREAMING)
+        self._link.write(messages.STOP_STREAMING)
         await self._dialogue.close()
         await self._link.close()
 
@@ -236,7 +237,7 @@ class Conversation:
         barriers = [barrier for barrier in _BARRIERS if barrier[0] != unanswered]
         for question, answer in barriers[:RESYNC_ATTEMPTS]:
             # The device may still wait for lost arguments, and would take this command as one.
-            self._link.write(commands.TEST_CONNECTION)
+            self._link.write(messages.TEST_CONNECTION)
             try:
                 if await self._exchange(question, answer) is not None:
                     return
@@ -343,15 +344,15 @@ async def identify(talk: Conversation, name: str) -> Kind:
     TransportError
         As for :meth:`Conversation.ask`.
     """
-    hardware = await talk.ask(commands.GET_HARDWARE, Hardware)
-    firmware = await talk.ask(commands.GET_FIRMWARE, Firmware)
+    hardware = await talk.ask(messages.GET_HARDWARE, Hardware)
+    firmware = await talk.ask(messages.GET_FIRMWARE, Firmware)
     kind = Kind(hardware.version, firmware)
     fault = _unsupported(kind)
     if fault:
         raise ProtocolError(ProtocolReason.UNSUPPORTED, f"{name}: {fault}")
     talk.use_form(kind.form)
     if kind.has_bare_status:
-        await talk.tell(commands.NO_ACK_BEFORE_STATUS)
+        await talk.tell(messages.NO_ACK_BEFORE_STATUS)
     if kind.has_crc:
         await talk.use_crc(CrcMode.FULL)
     return kind
@@ -388,9 +389,9 @@ async def ask_for_the_state(talk: Conversation, kind: Kind) -> dict[str, str]:
         As for :meth:`Conversation.ask`, except that the battery may be refused.
     """
     if kind.has_status:
-        await talk.ask(commands.GET_STATUS, Status)
+        await talk.ask(messages.GET_STATUS, Status)
         try:
-            await talk.ask(commands.GET_BATTERY, BatteryReading)
+            await talk.ask(messages.GET_BATTERY, BatteryReading)
         except ProtocolError as error:
             if error.reason is not ProtocolReason.REFUSED:
                 raise
@@ -407,7 +408,7 @@ async def expansion_board(talk: Conversation, name: str) -> int | None:
         As for :meth:`Conversation.ask`.
     """
     try:
-        card = await talk.ask(commands.GET_DAUGHTER_CARD, DaughterCard)
+        card = await talk.ask(messages.GET_DAUGHTER_CARD, DaughterCard)
     except ProtocolError as error:
         _log.warning("the expansion board is unknown", port=name, cause=str(error))
         return None
@@ -433,12 +434,12 @@ async def make_right(
     TransportError
         As for :meth:`Conversation.ask`.
     """
-    present = await talk.ask(commands.INQUIRY, Inquiry)
+    present = await talk.ask(messages.INQUIRY, Inquiry)
     changes = changes_to(present)
     for command in changes.values():
         await talk.tell(command)
     if changes:
-        present = await talk.ask(commands.INQUIRY, Inquiry)
+        present = await talk.ask(messages.INQUIRY, Inquiry)
         refuse_if_left(changes_to(present), name)
     return present
 

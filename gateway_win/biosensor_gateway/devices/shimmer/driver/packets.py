@@ -11,8 +11,7 @@ import numpy as np
 from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.shimmer.driver.calibration import ADC_MAX, ADC_VOLTS
-from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
+from biosensor_gateway.devices.shimmer.driver.messages import TICKS_PER_S, BatteryReading, Packet
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog

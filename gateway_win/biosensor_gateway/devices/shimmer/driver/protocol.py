@@ -18,15 +18,16 @@ from collections import deque
 from dataclasses import replace
 
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.messages import (
     IN_STREAM,
     Ack,
+    CrcMode,
     Message,
     Nack,
     Packet,
     ReplyForm,
     Stamped,
+    checksum,
     decode_reply,
     reply_size,
 )

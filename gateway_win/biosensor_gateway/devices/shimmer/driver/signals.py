@@ -13,11 +13,13 @@ import numpy as np
 from biosensor_gateway.devices.shimmer.driver.calibration import (
     STANDARD_GRAVITY_MS2,
     Block,
+    Exg,
     Floats,
     Kinematic,
+    Use,
+    microvolts,
 )
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, microvolts
 from biosensor_gateway.devices.shimmer.driver.messages import PressureChip, PressureCoefficients
 
 Compensation = Callable[[Floats, Floats], tuple[Floats, Floats]]

@@ -16,7 +16,6 @@ from typing import ClassVar
 import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
-from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
 from biosensor_gateway.devices.shimmer.simulator.sensors import (
     CHANNELS_16,
     CHANNELS_24,
@@ -45,7 +44,12 @@ from biosensor_gateway.devices.shimmer.simulator.sensors import (
     voltages,
 )
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block
-from biosensor_gateway.devices.shimmer.simulator.wire import OLDER_SHIMMER3, SHIMMER3R
+from biosensor_gateway.devices.shimmer.simulator.wire import (
+    OLDER_SHIMMER3,
+    SHIMMER3R,
+    Flash,
+    Memory,
+)
 from biosensor_gateway.simulation.faults import Effects, FaultKind, Untidiness
 from biosensor_gateway.simulation.truth import (
     NO_INTERVALS,

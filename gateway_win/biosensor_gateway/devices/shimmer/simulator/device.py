@@ -14,7 +14,6 @@ import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
-from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
 from biosensor_gateway.devices.shimmer.simulator.streaming import (
     Meter,
     Sample,
@@ -28,18 +27,18 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     Command,
     CommandReader,
     Firmware,
+    Flash,
+    Memory,
     Opcode,
     channels_of,
     in_unknown_kind,
     sealed,
 )
-from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, lasting
-from biosensor_gateway.simulation.glue import glued
-from biosensor_gateway.simulation.oscillator import Oscillator
-from biosensor_gateway.simulation.patient_port import PatientPort
+from biosensor_gateway.simulation.async_serial import PatientPort
+from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, glued, lasting
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 
 _TX_QUEUE_BYTES = 256
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})

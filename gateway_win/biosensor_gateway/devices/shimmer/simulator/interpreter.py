@@ -10,21 +10,19 @@ from collections.abc import Callable
 from typing import Protocol
 
 from biosensor_gateway.devices.shimmer.simulator import wire
-from biosensor_gateway.devices.shimmer.simulator.memory import (
-    BMP180,
-    BMP280,
-    REGISTERS,
-    Flash,
-    Memory,
-)
 from biosensor_gateway.devices.shimmer.simulator.wire import (
     ACK,
+    BMP180,
+    BMP280,
     IN_STREAM,
     NACK,
+    REGISTERS,
     SHIMMER3R,
     TICKS_PER_S,
     Command,
     Firmware,
+    Flash,
+    Memory,
     Opcode,
     channels_of,
 )

@@ -15,8 +15,8 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     Model,
     data_packet,
 )
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.wearer import Floats
+from biosensor_gateway.simulation.world import Oscillator
 from biosensor_gateway.system.clock import Clock
 
 # Earlier samples are not sent.

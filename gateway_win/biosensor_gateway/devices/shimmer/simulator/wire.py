@@ -1,4 +1,4 @@
-"""Encodes a Shimmer's messages, including the data packets of each model, and parses commands.
+"""Encodes a Shimmer's messages and data packets, parses commands, and holds its memory.
 
 It was written only from notes on Shimmer's public firmware and shares no code with the decoder, so
 that a mistake in either shows as a difference.
@@ -7,6 +7,7 @@ that a mistake in either shows as a difference.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum, unique
 from types import MappingProxyType
 from typing import NamedTuple
@@ -18,6 +19,12 @@ TICKS_PER_S = 32768
 TICKS_MODULUS = 1 << 24
 _CRC_POLYNOMIAL = 0x1021
 _CRC_START = 0xB0CA
+REGISTERS = 10
+"""Number of registers of each ExG chip."""
+BMP180, BMP280 = 0, 1
+_CARD_LENGTH = 2048
+# Low-noise accelerometer: offset 2253, 92 counts per m/s^2, mounting; the other blocks unset.
+_LN_ACCEL_ALONE = bytes.fromhex("08cd08cd08cd005c005c005c009c009c000000009c").ljust(84, b"\xff")
 
 
 @unique
@@ -342,3 +349,74 @@ def _encoded(channel: int, value: int, model: Model) -> bytes:
     width = model.widths.get(channel, 2)
     order = "big" if channel in model.big_endian else "little"
     return (value % (1 << 8 * width)).to_bytes(width, order)
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Data written in the factory.
+
+    Attributes
+    ----------
+    card
+        Number, revision and special revision of the expansion board.
+    calibration
+        Blocks of 21 bytes: low-noise accelerometer, gyroscope, magnetometer, wide-range
+        accelerometer; two more on a Shimmer3R.
+    pressure_chip, pressure_coefficients
+        0 BMP180, 1 BMP280, 2 BMP390, 3 BMP581, and its coefficients.
+    """
+
+    model: Model = SHIMMER3
+    card: tuple[int, int, int] = (48, 4, 0)
+    calibration: bytes = _LN_ACCEL_ALONE
+    pressure_chip: int = BMP280
+    pressure_coefficients: bytes = b"\xff" * 24
+
+    @property
+    def page(self) -> bytes:
+        """The memory of the expansion board."""
+        return bytes(self.card).ljust(_CARD_LENGTH, b"\xff")
+
+
+@dataclass
+class Flash:
+    """Settings that a Shimmer keeps without power.
+
+    Attributes
+    ----------
+    name
+        Name of the unit, at most 12 ASCII characters.
+    sensors
+        Sensor mask of 24 bits.
+    divider
+        Ticks of 1/32768 s between two samples.
+    setup
+        Configuration bytes, seven on a Shimmer3R; the fourth contains the expansion power (bit 0)
+        and the range of the skin conductance (bits 1 to 3).
+    exg
+        Ten registers of each ExG chip.
+    """
+
+    name: str = "Shimmer_4E5F"
+    sensors: int = 0x000080
+    divider: int = 640
+    setup: bytearray = field(default_factory=lambda: bytearray.fromhex("01ff0100"))
+    exg: list[bytearray] = field(default_factory=lambda: [bytearray(REGISTERS) for _ in (1, 2)])
+
+    @property
+    def expansion_power(self) -> int:
+        """Whether the probe is powered, 0 or 1."""
+        return self.setup[3] & 1
+
+    @expansion_power.setter
+    def expansion_power(self, on: int) -> None:
+        self.setup[3] = self.setup[3] & ~1 | (1 if on else 0)
+
+    @property
+    def gsr_range(self) -> int:
+        """0 to 3 for a fixed resistor, 4 for auto-range."""
+        return self.setup[3] >> 1 & 7
+
+    @gsr_range.setter
+    def gsr_range(self, value: int) -> None:
+        self.setup[3] = self.setup[3] & ~0x0E | min(value, 4) << 1

@@ -30,8 +30,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     with_wrong_check,
 )
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
-from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, flag, lasting
-from biosensor_gateway.simulation.glue import glued
+from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, flag, glued, lasting
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock

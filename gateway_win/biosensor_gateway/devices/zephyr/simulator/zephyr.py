@@ -28,11 +28,10 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     summary_v2,
 )
 from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, lasting, level
-from biosensor_gateway.simulation.oscillator import Oscillator
 from biosensor_gateway.simulation.truth import ONE_RATE, Expected, LossTolerance, Truth
 from biosensor_gateway.simulation.virtual_device import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 from biosensor_gateway.system.clock import Clock
 
 CENTRE_COUNTS = 512

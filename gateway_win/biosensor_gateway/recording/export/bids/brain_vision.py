@@ -16,7 +16,7 @@ import numpy as np
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.bids.tables import write_text
+from biosensor_gateway.recording.export.bids.file_names import write_text
 
 _UNITS = {"microvolts": "µV", "uV": "µV", "millivolts": "mV", "volts": "V"}
 _KINDS = {"INT_16": np.dtype("<i2"), "IEEE_FLOAT_32": np.dtype("<f4")}

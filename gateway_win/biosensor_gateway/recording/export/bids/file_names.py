@@ -1,9 +1,10 @@
-"""Determines the BIDS kind of a stream by its LSL type, and creates names for folders and files."""
+"""Determines the BIDS kind of a stream, names folders and files, and writes text and JSON files."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto, unique
 from pathlib import Path
@@ -12,18 +13,6 @@ from typing import TypeVar
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.settings.names import label
-
-
-@unique
-class Kind(Enum):
-    """Kinds of signals for which BIDS has separate folders or sidecars."""
-
-    EEG = auto()
-    EMG = auto()
-    GAZE = auto()
-    MOTION = auto()
-    OTHER = auto()
-
 
 # Includes types of other programs; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
 _MOTION_TYPES: Mapping[str, str] = {
@@ -37,6 +26,22 @@ _MOTION_TYPES: Mapping[str, str] = {
     ContentType.MOCAP.lower(): "MISC",
     "imu": "MISC",
 }
+Key = TypeVar("Key", bound=Hashable)
+NOTHING = "n/a"
+"""BIDS notation for a missing value."""
+
+
+@unique
+class Kind(Enum):
+    """Kinds of signals for which BIDS has separate folders or sidecars."""
+
+    EEG = auto()
+    EMG = auto()
+    GAZE = auto()
+    MOTION = auto()
+    OTHER = auto()
+
+
 _BY_TYPE: Mapping[str, Kind] = {
     "eeg": Kind.EEG,
     "emg": Kind.EMG,
@@ -57,9 +62,6 @@ def motion_type(stream: Stream) -> str:
 
 def _plain(stream: Stream) -> str:
     return "".join(each for each in stream.header.content_type.lower() if each.isalnum())
-
-
-Key = TypeVar("Key", bound=Hashable)
 
 
 def labels(names: Mapping[Key, Sequence[str]]) -> dict[Key, str]:
@@ -144,3 +146,50 @@ class Entities:
         name = "_".join(f"{key}-{value}" for key, value in named.items() if value)
         folders = [f"{key}-{named[key]}" for key in ("sub", "ses") if named[key]]
         return Path(*folders, datatype, f"{name}_{suffix}")
+
+
+def write_json(path: Path, content: Mapping[str, object]) -> None:
+    """Write a sidecar.
+
+    Raises
+    ------
+    OSError
+        If it exists or cannot be written.
+    """
+    write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+
+
+def write_rows(path: Path, rows: Iterable[Sequence[str]]) -> None:
+    """Write a small table with its column names first; see :func:`line`.
+
+    Raises
+    ------
+    OSError
+        If it exists or cannot be written.
+    """
+    write_text(path, "".join(map(line, rows)))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text with unchanged line ends.
+
+    Raises
+    ------
+    OSError
+        If it exists or cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Headers and texts may contain unpaired surrogates.
+    with path.open("x", encoding="utf-8", errors="replace", newline="\n") as file:
+        file.write(text)
+
+
+def line(cells: Sequence[str]) -> str:
+    """Return a row of a table, without empty cells and without tabs or line ends in cells."""
+    return "\t".join(map(cell, cells)) + "\n"
+
+
+def cell(text: str) -> str:
+    """Return text as one cell of a table."""
+    clean = "".join(each if each.isprintable() else " " for each in text)
+    return " ".join(clean.split()) or NOTHING

@@ -16,7 +16,7 @@ import numpy as np
 from biosensor_common.errors import SpecError
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.bids import sidecars
-from biosensor_gateway.recording.export.bids.tables import NOTHING
+from biosensor_gateway.recording.export.bids.file_names import NOTHING
 from biosensor_gateway.recording.export.tables import unique
 
 X, Y, PUPIL = "x_coordinate", "y_coordinate", "pupil_size"

@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.export.bids.tables import NOTHING
+from biosensor_gateway.recording.export.bids.file_names import NOTHING
 from biosensor_gateway.recording.export.grid import Grid, Rows, part_of, write_rows
 from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
 from biosensor_gateway.recording.export.timing import Part

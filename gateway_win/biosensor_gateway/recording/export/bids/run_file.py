@@ -16,18 +16,22 @@ from biosensor_gateway.recording.export.bids.brain_vision import (
     is_small,
     write_header,
 )
-from biosensor_gateway.recording.export.bids.file_names import Entities
+from biosensor_gateway.recording.export.bids.file_names import (
+    NOTHING,
+    Entities,
+    write_json,
+    write_rows,
+)
 from biosensor_gateway.recording.export.bids.regular import RegularTable, fill
-from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
 from biosensor_gateway.recording.export.edf.bdf import RATES_HZ, Channel
-from biosensor_gateway.recording.export.edf.file import (
+from biosensor_gateway.recording.export.edf.exporter import (
     INSTEAD,
     Given,
     Holes,
     channels_of,
     write_stretch,
 )
-from biosensor_gateway.recording.export.exporter import Order, Times
+from biosensor_gateway.recording.export.exporter import Order, Timeline, Times
 from biosensor_gateway.recording.export.runs import (
     LONGEST_JOINED_S,
     MOST_RUNS,
@@ -35,7 +39,6 @@ from biosensor_gateway.recording.export.runs import (
     Stretch,
     stretches,
 )
-from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.export.timing import Part, Timing
 from biosensor_gateway.recording.xdf.measuring import is_exact
 

@@ -9,7 +9,7 @@ from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.bids.regular import RegularTable
-from biosensor_gateway.recording.export.timeline import Timeline
+from biosensor_gateway.recording.export.exporter import Timeline
 from biosensor_gateway.recording.export.timing import Timing
 
 TIMESTAMP = "timestamp"

@@ -17,7 +17,15 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.bids import sidecars
 from biosensor_gateway.recording.export.bids.brain_vision import is_exact as has_exact_numbers
-from biosensor_gateway.recording.export.bids.file_names import Entities, Kind, kind_of, motion_type
+from biosensor_gateway.recording.export.bids.file_names import (
+    NOTHING,
+    Entities,
+    Kind,
+    kind_of,
+    motion_type,
+    write_json,
+    write_rows,
+)
 from biosensor_gateway.recording.export.bids.gaze import Eye, eyes_of
 from biosensor_gateway.recording.export.bids.regular import (
     RegularTable,
@@ -40,8 +48,7 @@ from biosensor_gateway.recording.export.bids.sidecars import (
     columns,
     unit,
 )
-from biosensor_gateway.recording.export.bids.tables import NOTHING, write_json, write_rows
-from biosensor_gateway.recording.export.exporter import Order, SampleCount, Times
+from biosensor_gateway.recording.export.exporter import Order, SampleCount, Timeline, Times
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     LONGEST_JOINED_S,
@@ -52,7 +59,6 @@ from biosensor_gateway.recording.export.runs import (
     section,
 )
 from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
-from biosensor_gateway.recording.export.timeline import Timeline
 from biosensor_gateway.recording.export.timing import Timing, find_timing
 from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact
 from biosensor_gateway.recording.xdf.pace import Cuts

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_gateway.recording.export.bids.dataset import BIDS_VERSION, README
-from biosensor_gateway.recording.export.bids.tables import NOTHING, line, write_json, write_text
+from biosensor_gateway.recording.export.bids.file_names import NOTHING, line, write_json, write_text
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 

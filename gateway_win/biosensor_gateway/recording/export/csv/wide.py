@@ -1,36 +1,50 @@
-"""Exports a folder with a table per stream: one row per sample, one column per channel."""
+"""Exports tables in CSV: one per stream, or a wide one per rate with all streams side by side."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.choice import Chosen, merged
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export import tables
-from biosensor_gateway.recording.export.csv.by_rate import table_names, write_by_rate
 from biosensor_gateway.recording.export.exporter import (
     Clock,
+    Missing,
     Order,
     Progress,
     SampleCount,
+    Timeline,
     on_clock,
+    timeline,
 )
+from biosensor_gateway.recording.export.grid import Grid, write_rows
 from biosensor_gateway.recording.export.marker_events import (
     MarkerEvent,
     gap_event,
     in_order,
     is_left_out,
     marker_events,
+    markers,
 )
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, batches, gap_text, has_even_times
-from biosensor_gateway.recording.export.tables import MARKERS, file_names, rows_of_numbers
-from biosensor_gateway.recording.export.timeline import Timeline, timeline
+from biosensor_gateway.recording.export.tables import (
+    MARKERS,
+    file_names,
+    rows_of_numbers,
+    tidied,
+    unique,
+)
+from biosensor_gateway.recording.export.timing import find_timing
+from biosensor_gateway.recording.xdf.measuring import cuts_of
 
 _MICROSECONDS = 6
 CONTENTS = "streams.json"
@@ -55,6 +69,12 @@ all_...Hz: all streams of one rate side by side. Rows have equal steps; a sample
 that is nearest to its time, nothing is interpolated, and a row in which nothing was measured is
 left out. marker is what happened at that row, or since the one before.
 """
+MARKER = "marker"
+# Number of rows written at once.
+_BLOCK = 4096
+_MOST_ROWS = 1e15
+"""Behind more, a float64 no longer tells one row from the next."""
+Array = NDArray[np.float64]
 
 
 class WideCsv:
@@ -201,3 +221,225 @@ def _described(stream: Stream, clock: Clock, samples: int, file: str) -> dict[st
             ),
         ],
     }
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A stream in a table: its runs if it has even times, and its real rate."""
+
+    stream: Stream
+    runs: Runs | None
+    rate_hz: float
+
+    def samples(self, chosen: Chosen) -> Iterator[Samples]:
+        """Yield its samples."""
+        return batches(chosen, self.stream) if self.runs is None else self.runs.samples()
+
+
+class _Cells:
+    """Collects rows of numbers; see :class:`.Rows`.
+
+    Attributes
+    ----------
+    parts
+        Blocks of values, or numbers of empty rows.
+    """
+
+    def __init__(self) -> None:
+        self.parts: list[Array | int] = []
+
+    def write(self, samples: Samples, count: int) -> None:
+        """See :class:`.Rows`."""
+        values = np.asarray(samples.values)[:count]
+        is_float = values.dtype.kind == "f"
+        self.parts.append(tidied(values) if is_float else values.astype(np.float64))
+
+    def leave_empty(self, rows: int, width: int) -> None:
+        """See :class:`.Rows`."""
+        del width
+        self.parts.append(rows)
+
+
+class _Column:
+    """The cells of one stream, block by block."""
+
+    def __init__(self, samples: Iterator[Samples], rate_hz: float, width: int) -> None:
+        self.width = width
+        self._cells = _Cells()
+        self.grid = Grid(self._cells, 0.0, rate_hz)
+        self._steps = write_rows(self.grid, samples)
+        self._waiting: deque[tuple[int, Array]] = deque()
+        self._find_more()
+
+    @property
+    def next_row(self) -> int | None:
+        """Row of its next sample; None at the end."""
+        return self._waiting[0][0] if self._waiting else None
+
+    def put(self, begin: int, into: Array, has_sample: NDArray[np.bool_]) -> None:
+        """Copy the samples of a block of rows to it.
+
+        Parameters
+        ----------
+        begin
+            First row.
+        into : ndarray of float64, shape (n_rows, n_channels)
+        has_sample : ndarray of bool, shape (n_rows,)
+        """
+        end = begin + len(into)
+        while self.next_row is not None and self.next_row < end:
+            row, values = self._waiting.popleft()
+            count = min(len(values), end - row)
+            into[row - begin : row - begin + count] = values[:count]
+            has_sample[row - begin : row - begin + count] = True
+            if count < len(values):
+                self._waiting.appendleft((row + count, values[count:]))
+            elif not self._waiting:
+                self._find_more()
+
+    def _find_more(self) -> None:
+        while not self._waiting and next(self._steps, None) is not None:
+            parts, self._cells.parts = self._cells.parts, []
+            row = self.grid.last_row + 1
+            row -= sum(each if isinstance(each, int) else len(each) for each in parts)
+            for part in parts:
+                if isinstance(part, int):
+                    row += part
+                else:
+                    self._waiting.append((row, part))
+                    row += len(part)
+
+
+def table_names(chosen: Chosen) -> dict[float, str]:
+    """Return the name, without suffix, of the table of each rate in a recording."""
+    rates = {each.header.rate for each in chosen.streams if _is_signal(each)}
+    return {rate: f"all_{rate:g}Hz" for rate in sorted(rates)}
+
+
+def _is_signal(stream: Stream) -> bool:
+    return stream.header.is_regular and not stream.header.is_markers
+
+
+def write_by_rate(
+    chosen: Chosen, order: Order, names: Sequence[str], target: Path, *, is_packed: bool
+) -> list[str]:
+    """Write a table for each rate; return notes for the user.
+
+    Parameters
+    ----------
+    names
+        Names of the streams, used as prefixes of the columns.
+
+    Raises
+    ------
+    OSError
+        If a table cannot be written.
+    """
+    notes: list[str] = []
+    called = {each.number: name for each, name in zip(chosen.streams, names, strict=True)}
+    happened = sorted(markers(chosen))
+    for rate, table in table_names(chosen).items():
+        found = [each for each in chosen.streams if _is_signal(each) and each.header.rate == rate]
+        members = [_member(chosen, order, each, notes) for each in found]
+        kept = [each for each in members if each is not None]
+        if kept:
+            path = target / f"{table}{'.csv.gz' if is_packed else '.csv'}"
+            with tables.table_file(path, is_packed=is_packed) as file:
+                notes += [
+                    f"{path.name}: {told}"
+                    for told in _write_table(file, chosen, order, kept, called, happened)
+                ]
+    return notes
+
+
+def _member(chosen: Chosen, order: Order, stream: Stream, notes: list[str]) -> _Member | None:
+    """Return a stream's part of a table; None, with a note, if it cannot be in one."""
+    runs = Runs(chosen, stream, order.times) if has_even_times(stream, order.times) else None
+    if runs is None:
+        cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
+    else:
+        cuts = runs.cuts
+    given = _Member(stream, runs, 0.0).samples(chosen)
+    timing = find_timing((each.times for each in given), stream.header, cuts, np.inf)
+    if timing is None:
+        return None
+    why = stream.clock_error or ("its time steps back" if len(timing.parts) > 1 else "")
+    if not why and timing.rows > _MOST_ROWS:
+        why = "its stamps are too far apart"
+    if why:
+        told = f"{stream.header.name}: in no wide table, because {why}; its own table contains it"
+        notes.append(Missing(told))
+        return None
+    return _Member(stream, runs, timing.rate_hz)
+
+
+def _write_table(
+    file: BinaryIO,
+    chosen: Chosen,
+    order: Order,
+    members: Sequence[_Member],
+    called: Mapping[int, str],
+    happened: Sequence[tuple[float, str]],
+) -> Iterator[str]:
+    """Write one table; yield sentences about the distances between samples and rows."""
+    # At the fastest real rate, each sample gets its own row.
+    rate_hz = max(each.rate_hz for each in members)
+    line = timeline(chosen, order.clock)
+    zero_s = line.zero_s
+    columns = [
+        _Column(
+            (replace(some, times=some.times - zero_s) for some in each.samples(chosen)),
+            rate_hz,
+            each.stream.header.channel_count,
+        )
+        for each in members
+    ]
+    heads = [
+        f"{called[each.stream.number]}.{name}"
+        for each in members
+        for name in tables.columns(each.stream)
+    ]
+    lead = [tables.SECONDS, tables.time_column(order.clock)]
+    file.write(tables.quoted([unique([*lead, *heads, MARKER])]))
+    told = deque((round((time_s - zero_s) * rate_hz), text) for time_s, text in happened)
+    while rows := [each.next_row for each in columns if each.next_row is not None]:
+        begin = min(rows)
+        values = np.full((_BLOCK, sum(each.width for each in columns)), np.nan)
+        has_sample = np.zeros(_BLOCK, bool)
+        at = 0
+        for each in columns:
+            each.put(begin, values[:, at : at + each.width], has_sample)
+            at += each.width
+        kept = np.flatnonzero(has_sample)
+        times = zero_s + (begin + kept) / rate_hz
+        since = np.round(line.since_zero(times), _MICROSECONDS)
+        lead_times = np.column_stack((since, on_clock(chosen, order.clock, times)))
+        text = rows_of_numbers(lead_times, values[kept])
+        file.write(_with_markers(text, begin + kept, told))
+    away_s = max(each.grid.displacement.largest for each in columns) / rate_hz
+    yield (
+        f"{len(members)} {'stream' if len(members) == 1 else 'streams'} in rows of {rate_hz:.9g} "
+        f"Hz; a sample is at most {round(away_s * 1e3, 3):g} ms from the time of its row"
+    )
+    if moved := sum(each.grid.displacement.moved for each in columns):
+        yield f"{moved} samples are not in the row of their time, as it was taken"
+    if told:
+        markers_came = "1 marker came" if len(told) == 1 else f"{len(told)} markers came"
+        yield f"{markers_came} after its last row: {tables.MARKERS} alone has them"
+
+
+def _with_markers(text: bytes, rows: NDArray[np.int64], told: deque[tuple[int, str]]) -> bytes:
+    """Return lines with the markers at each row, or before it if they have no row."""
+    here: dict[int, list[str]] = {}
+    while told and told[0][0] <= rows[-1]:
+        row, marker = told.popleft()
+        here.setdefault(int(np.searchsorted(rows, row)), []).append(marker)
+    if not here:
+        return text.replace(b"\n", b",\n")
+    lines = text.splitlines()
+    for place, line in enumerate(lines):
+        happened = here.get(place)
+        # Without the line end that `quoted` adds.
+        cell = tables.quoted([["; ".join(happened)]])[:-1] if happened else b""
+        lines[place] = line + b"," + cell + b"\n"
+    return b"".join(lines)
