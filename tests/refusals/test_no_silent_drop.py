@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.refusals.drops import EXCUSE, drops, is_answer
-from tests.refusals.rooms import PATTERNS, ROOT, data_rooms, reports_of
+from tests.refusals.rooms import PATTERNS, ROOT, data_rooms, reports_of, source_of
 
 ROOMS = data_rooms()
 SEEDS = range(20)
@@ -32,7 +32,7 @@ def test_no_room_is_forgotten_when_modules_move(pattern: str) -> None:
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_a_data_room_drops_nothing_unsaid(room: Path) -> None:
-    all_found = drops(room.read_text(), reports_of(room))
+    all_found = drops(source_of(room), reports_of(room))
     found = [f"{room.name}:{each.line}: {each.what}" for each in all_found]
     assert not found, (
         f"{', '.join(found)}: report a member of Refusal (biosensor_common/refusal.py) by `refuse`"
@@ -42,7 +42,7 @@ def test_a_data_room_drops_nothing_unsaid(room: Path) -> None:
 
 def test_an_excuse_says_why() -> None:
     for room in ROOMS:
-        for line in room.read_text().splitlines():
+        for line in source_of(room).splitlines():
             if EXCUSE in line:
                 assert len(line.partition(EXCUSE)[2].split()) >= 2, f"{room.name}: {line.strip()}"
 
@@ -52,7 +52,7 @@ def test_an_excuse_says_why() -> None:
 def test_three_drops_at_places_of_a_seed_are_found(kind: str, seed: int) -> None:
     chance = random.Random(f"{kind} {seed}")
     for room in chance.sample([each for each in ROOMS if kind in each.as_posix()], 3):
-        source = room.read_text()
+        source = source_of(room)
         statement = chance.choice(_statements(source))
         what = chance.choice(sorted(_KINDS))
         seeded, begin, end = _seeded(source, statement, _KINDS[what])

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from biosensor_common.refusal import Refusal
 from biosensor_gateway.devices.shimmer.driver import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer.driver.calibration import Exg, Kinematic, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
@@ -111,6 +112,16 @@ def test_what_it_measured_unheard_is_lost(sink: EmitterSink, unheard_s: float, l
     emitter.kept_measuring_until(ARRIVAL_S + unheard_s)
     emitter.take([packet(1)])
     assert sink.losses.get("ecg", 0) == lost
+
+
+def test_a_packet_that_came_twice_is_said_to_be_left_out(sink: EmitterSink) -> None:
+    emitter = measuring(sink)
+    emitter.take([packet(0), packet(1), packet(1), packet(2)])
+    assert sink.times["ecg"] == [0, PERIOD_S, 2 * PERIOD_S]
+    assert sink.losses == {}
+    assert sink.refusals.count(Refusal.LEFT_OUT) == len(
+        ("acc_low_noise", "ecg", "pressure", "temp")
+    )
 
 
 def test_a_lost_packet_is_lost_to_all_its_streams(sink: EmitterSink) -> None:

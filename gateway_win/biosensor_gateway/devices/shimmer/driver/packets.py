@@ -191,6 +191,7 @@ class PacketEmitter(ABC):
         for packet, arrival_s in packets:
             placed = self._timeline.place(packet.ticks, arrival_s)
             if placed is None:
+                self._sink.left_out(len(self._streams), "their packet came twice")
                 continue
             if self._measured_until_s is not None and not placed.restarted:
                 self._count_unheard(self._measured_until_s)
@@ -212,16 +213,17 @@ class PacketEmitter(ABC):
 
     def _count_unheard(self, until_s: float) -> None:
         if self._divisor is None or self._newest_arrival_s is None:
-            return
+            return  # nothing is dropped: no packet came before the gap, from which to count
         count = round((until_s - self._newest_arrival_s) * TICKS_PER_S / self._divisor)
         if count > 0:
             for data_name in self._streams:
                 self._sink.lost(data_name, count)
+            # nothing is dropped: they were lost before, and are counted above
             self._log.warning("samples were lost in a gap", estimated_samples=count)
 
     def _pass_on(self, batch: list[tuple[Packet, float, float]]) -> None:
         if not batch or self._divisor is None:
-            return
+            return  # nothing is dropped: packets come only once a rate is set
         times = [time_s for _, time_s, _ in batch]
         self._newest_arrival_s = batch[-1][2]
         self._sink.observe(times[-1], self._newest_arrival_s)
