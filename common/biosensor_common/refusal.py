@@ -161,6 +161,16 @@ class Refusal(Enum):
     NOT_SENT = _standing("not_sent", "{why}; it is not sent", _ERROR)
     NO_NUMBER = _standing("no_number", "no numbers yet: its messages contained none")
     OTHER_TYPE = _standing("other_type", "{types} is also published on it; only {sent} is sent")
+    MIXED = _standing(
+        "mixed",
+        "{publishers} publishers of it are known: their messages are mixed in one stream, and how "
+        "many are lost on the way is unknown; give each a topic of its own",
+    )
+    SENT_TWICE = _standing(
+        "sent_twice",
+        "another ros_to_lsl also sends it, or was killed less than half a minute ago: recordings "
+        "have each message twice; end one of them",
+    )
     NEW_CHANNELS = _passing(
         "new_channels",
         "its sequences have changed: {channels} channels now; the stream {name} continues as a "

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from rclpy.qos import QoSProfile
 
 from biosensor_common.refusal import Refusal, Refusals
 from lsl_to_ros.ros_to_lsl import bridge, outlets
@@ -89,6 +90,35 @@ def other_type(patch: pytest.MonkeyPatch) -> Shown:
     topic = sent(patch, PoseStamped)
     publishers: Any = [fake(topic_type=f"geometry_msgs/msg/{x}") for x in ("PoseStamped", "Pose")]
     Topic._tell_others(fake(bridge=topic.bridge), publishers, topic.kind.name)
+    return entry(topic)
+
+
+@provokes(Refusal.MIXED)
+def mixed(patch: pytest.MonkeyPatch) -> Shown:
+    pose = PoseStamped()
+    topic = sent(patch, PoseStamped, pose)
+    publishers: Any = [
+        fake(
+            topic_type=topic.kind.name,
+            node_namespace="/",
+            node_name=name,
+            qos_profile=QoSProfile(depth=1),
+        )
+        for name in ("robot_a", "robot_b")
+    ]
+    known = fake(
+        kind=topic.kind, bridge=topic.bridge, _subscription=None, _tell_others=lambda *_: None
+    )
+    Topic.follow(known, publishers)
+    return entry(topic)
+
+
+@provokes(Refusal.SENT_TWICE)
+def sent_twice(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped, PoseStamped())
+    node = fake(get_name=lambda: "ros_to_lsl")
+    node.get_subscriptions_info_by_topic = lambda _: [fake(node_name="ros_to_lsl")] * 2
+    RosToLsl._tell_sent_twice(node, fake(name="/topic", bridge=topic.bridge, is_subscribed=True))
     return entry(topic)
 
 

@@ -48,7 +48,12 @@ from tests.rigs.recorded_topics import RecordedPublisher
 def facts(*, has_unix_stamps: bool = False, unfit: int = 0, **told: Any) -> StreamFacts:
     """Return what is known of a stream of markers that is all right, but for what is told."""
     header = SimpleNamespace(rate=0.0, identity=SimpleNamespace(sensor="psychopy"))
-    bridge: Any = SimpleNamespace(header=header, last_stamp=1.0, has_unix_stamps=has_unix_stamps)
+    bridge: Any = SimpleNamespace(
+        header=header,
+        last_stamp=1.0,
+        has_unix_stamps=has_unix_stamps,
+        counters=SimpleNamespace(away=""),
+    )
     refusals = Refusals()
     if unfit:
         refusals.refuse(Refusal.UNFIT, unfit, why="it is too large")

@@ -431,15 +431,16 @@ class Growth:
         own_started_s
             When this agent began, in LSL s; None if there is none, or this is unknown.
         """
-        for each in self._streams.values():
-            if each.log is None:
-                continue
-            own_s = own_started_s if each.header.source_id == source_id else None
-            since_s = each.log.other_agent_since(own_s)
+        logs = [(each.header, each.log) for each in self._streams.values() if each.log]
+        for header, log in logs:
+            own_s = own_started_s if header.source_id == source_id else None
+            since_s = log.other_agent_since(own_s)
             if since_s is not None:
-                at = _clock_time(since_s, each.log)
-                text = f"from {at} on {OF_ANOTHER_AGENT}; stop it and record again"
-                yield Finding(Level.ERROR, "another-agent", each.header.name, text)
+                text = (
+                    f"from {_clock_time(since_s, log)} on {OF_ANOTHER_AGENT}; stop it and record "
+                    "again"
+                )
+                yield Finding(Level.ERROR, "another-agent", header.name, text)
 
     @property
     def _length_s(self) -> float:

@@ -131,6 +131,8 @@ class RosToLsl(Node):
         for each in self._topics.values():
             if is_to_ask_all or each.kind is None:
                 self._follow(graph, each)
+            if is_to_ask_all:
+                self._tell_sent_twice(each)
         if monotonic() > self._missed_s:
             self._missed_s = math.inf
             self._say_missing(graph)
@@ -169,6 +171,13 @@ class RosToLsl(Node):
         if topic.kind is not None and not was_known and not topic.bridge.fault:
             # nothing is dropped: it begins
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
+
+    def _tell_sent_twice(self, topic: Topic) -> None:
+        """Report that another node of this program sends a topic, as when it was started twice."""
+        readers = self.get_subscriptions_info_by_topic(topic.name)
+        of_program = sum(each.node_name in {PROGRAM, self.get_name()} for each in readers)
+        is_twice = of_program > topic.is_subscribed and not topic.bridge.fault
+        topic.bridge.refusals.hold(Refusal.SENT_TWICE, is_twice)
 
     def _is_met(self, graph: Graph, topic: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
         """Whether a topic's publishers were seen long enough to know their nodes."""

@@ -144,6 +144,11 @@ class Bridge:
         return own
 
     @property
+    def sends_numbers(self) -> bool:
+        """Whether it is one stream of numbers."""
+        return any(isinstance(each, NumberSender) for each in self._senders)
+
+    @property
     def is_received(self) -> bool:
         """Whether any of the streams has a receiver."""
         outlets = [each.outlet for each in self._senders]

@@ -189,6 +189,11 @@ class Topic:
         return self.bridge.request.topic
 
     @property
+    def is_subscribed(self) -> bool:
+        """Whether it is subscribed to now."""
+        return self._subscription is not None
+
+    @property
     def wants_offset(self) -> bool:
         """Whether its publisher's clock should be measured."""
         return any(each.wants_offset for each in self.bridge.stampings)
@@ -204,7 +209,10 @@ class Topic:
             self._connect(first.topic_type, str(first.topic_type_hash), quality_of(publishers))
         elif publishers and self.kind is not None:
             self._tell_others(publishers, self.kind.name)
-            quality = quality_of([p for p in publishers if p.topic_type == self.kind.name])
+            of_kind = [p for p in publishers if p.topic_type == self.kind.name]
+            is_mixed = len(of_kind) > 1 and self.bridge.sends_numbers
+            self.bridge.refusals.hold(Refusal.MIXED, is_mixed, publishers=len(of_kind))
+            quality = quality_of(of_kind)
             if self._subscription is not None and quality != self.quality:
                 self._say(f"its publishers are {quality} now, and so is the subscription")
                 self._subscribe(quality)
