@@ -240,6 +240,7 @@ class Refusal(Enum):
 
     # Features of streams.
     NO_FEATURES = _standing("no_features", "{why}")
+    WRONG_RATE = _standing("wrong_rate", "{why}")
     STAMPS_LEFT_OUT = _passing("stamps_left_out", "{why}")
     NO_FINITE_VALUE = _passing(
         "no_finite_value",

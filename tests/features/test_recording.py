@@ -187,6 +187,31 @@ def test_a_stream_whose_features_another_one_gives_is_named(tmp_path: Path) -> N
     )
 
 
+@pytest.mark.parametrize("header_hz", [65.0, 260.0])
+def test_a_wrong_rate_in_a_header_costs_no_beat(tmp_path: Path, header_hz: float) -> None:
+    path = tmp_path / "study.xdf"
+    signal, beats = signals.ecg(130, 40)
+    stamps: list[float] = (BEGIN_S + np.arange(len(signal)) / 130).tolist()
+    header = made.stream_header(1, "amp", kind="ECG", rate=header_hz, desc=_described("mV"))
+    rows = signal[:, np.newaxis].tolist()
+    path.write_bytes(made.xdf(header, made.samples(1, "float32", rows, stamps)))
+    told = json.loads(CliRunner().invoke(_COMMAND, [str(path), "--json"]).output)
+    (count,) = [count for name, count in told["streams"].items() if name.endswith("-beats")]
+    assert count == pytest.approx(len(beats), abs=3)
+    (remark,) = told["remarks"]
+    assert remark.startswith(f"amp: its header says {header_hz:g} Hz; it is taken as 130 Hz, that")
+
+
+def test_stamps_in_milliseconds_are_no_silence(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    stamps: list[float] = (1e3 * (BEGIN_S + np.arange(2600) / 130)).tolist()
+    header = made.stream_header(1, "amp", kind="ECG", rate=130.0, desc=_described("mV"))
+    path.write_bytes(made.xdf(header, made.samples(1, "float32", [[0.5]] * 2600, stamps)))
+    result = CliRunner().invoke(_COMMAND, [str(path)])
+    assert isinstance(result.exception, ConfigError)
+    assert "'amp' has 0.13 Hz; features of ECG need 80" in str(result.exception)
+
+
 def test_a_recording_gives_what_comes_live_to_the_last_bit(recording: Path) -> None:
     result = CliRunner().invoke(_COMMAND, [str(recording), "--json"])
     assert result.exit_code == 0, result.output

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pylsl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pylsl import util
@@ -30,6 +30,7 @@ from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.even_stamps import EvenStamps
 from biosensor_gateway.features.live import DUPLICATE_S, SETTLED_S, SILENT_S, Live
 from biosensor_gateway.features.outputs import TYPES
+from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import (
     FeatureError,
     FeatureReason,
@@ -40,7 +41,7 @@ from biosensor_gateway.features.sources import (
     judge,
     stream_info,
 )
-from tests.features import signals
+from tests.features import hearts, signals
 from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, measured, overlaps, without
 
 # What a header must say, and what is told of one that does not.
@@ -116,6 +117,49 @@ def test_what_ratios_tell_needs_no_unit(kind: str) -> None:
     assert source.scale == 1.0
 
 
+@pytest.mark.parametrize("kind", ["ECG", "PPG", "Respiration"])
+@pytest.mark.parametrize("unit", ["\N{MICRO SIGN}V", "%\N{DEGREE SIGN}", "a\nb", "x" * 300])
+def test_a_unit_that_no_header_of_ours_has_is_no_hindrance(kind: str, unit: str) -> None:
+    source = judge("Amp", "", _header(kind, unit))
+    assert source is not None
+    for feature in source.features:
+        for channel in feature.stream.channels:
+            assert channel.unit.isascii()
+
+
+@pytest.mark.parametrize("header_hz", [100.0, 260.0])
+@given(st.lists(st.integers(0, 900), max_size=5))
+@settings(max_examples=4, deadline=None)
+def test_a_wrong_rate_in_a_header_is_told_and_the_true_one_taken(
+    header_hz: float, sizes: list[int]
+) -> None:
+    beats = hearts.regular(72.0, 60.0)
+    signal = hearts.ecg_of(beats, 130.0, 60.0)[:, np.newaxis]
+    stamps = 1000.0 + np.arange(len(signal)) / 130.0
+    computer = _judged(_header("ECG", rate=header_hz)).new_computer()
+    events: list[Event] = []
+    begin = 0
+    for end in [*np.cumsum(sizes).tolist(), len(stamps)]:
+        events += computer.take(stamps[begin:end], signal[begin:end])
+        begin = max(begin, end)
+    events += computer.finish()
+    # It takes a while until the rate is certain.
+    found = np.array([each.stamp for each in events if each.feature == "beats"])
+    wanted = 1000.0 + beats[(beats > 25.0) & (beats < 58.0)]
+    assert np.abs(found[:, np.newaxis] - wanted).min(axis=0).max() < 0.1
+    assert computer.remark() == (
+        f"ECG Amp 1: its header says {header_hz:g} Hz, and its samples come at 130 Hz, "
+        "which is taken"
+    )
+
+
+def test_a_rate_that_is_of_no_use_is_told() -> None:
+    computer = _judged(_header("ECG")).new_computer()
+    # A sender whose stamps are milliseconds.
+    computer.take(1e6 + np.arange(4000) / 0.13, np.ones((4000, 1)))
+    assert "samples come at 0.13 Hz; features need 80 to 50000 Hz" in computer.remark()
+
+
 def test_a_type_that_nothing_is_computed_of_is_passed_over() -> None:
     assert judge("EEG", "", _header("EEG")) is None
 
@@ -152,7 +196,7 @@ def test_the_header_tells_origin_algorithm_version_window_and_delay() -> None:
     xml = stream_info(source, source.features[1]).as_xml()
     assert "<derived_from>ECG Amp 1</derived_from>" in xml
     assert "<algorithm>Hamilton 2002" in xml
-    assert "<version>5</version>" in xml
+    assert "<version>6</version>" in xml
     assert "<window_s>10.0</window_s>" in xml
     assert "<delay_s>0.3</delay_s>" in xml
     # An interval of at most 2 s, the delay, and a lump of 3 s.

@@ -209,6 +209,12 @@ def stamps_left_out(patch: pytest.MonkeyPatch) -> Shown:
     return features(patch, "ECG", "microvolts", [NOW_S, NOW_S - 5.0, NOW_S + 0.1, NOW_S + 0.2], 1.0)
 
 
+@provokes(Refusal.WRONG_RATE)
+def wrong_rate(patch: pytest.MonkeyPatch) -> Shown:
+    stamps = (NOW_S + np.arange(1600) / 90.0).tolist()
+    return features(patch, "ECG", "microvolts", stamps, 1.0)
+
+
 @provokes(Refusal.NO_FINITE_VALUE)
 def no_finite_value(patch: pytest.MonkeyPatch) -> Shown:
     return features(patch, "ECG", "microvolts", [NOW_S, NOW_S + 0.01, NOW_S + 0.02], math.inf)

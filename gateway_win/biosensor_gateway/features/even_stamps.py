@@ -21,6 +21,7 @@ SECTION_S, FEWEST = 3.0, 64
 """Length of a section. In a stream with bursts, a section waits for the one that follows it."""
 SECTIONS = 20
 """Number of sections from which the line is computed."""
+_SECTIONS_FOR_RATE = 4
 _AT_ONCE = 0.1
 """Part of a period within which two stamps count as equal."""
 _MOST_SLEW = 0.005
@@ -39,12 +40,15 @@ class EvenStamps:
     ----------
     pace
         Pace of the newest samples; None while stamps are passed unchanged.
+    rate_hz
+        Rate of the newest samples; None while there are too few to say.
     """
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
         self._section = max(FEWEST, math.ceil(SECTION_S * rate))
         self.pace: Pace | None = None
+        self.rate_hz: float | None = None
         self._is_held = False
         self._last = -math.inf
         self._passed = 0
@@ -55,11 +59,16 @@ class EvenStamps:
         self._waiting: list[tuple[Array, Array]] = []
         self._next: float | None = None
 
+    @property
+    def room(self) -> int:
+        """Number of samples to the end of the section."""
+        return self._section - self._count
+
     def take(self, stamps: Array, values: Array) -> tuple[Array, Array]:
         """Take samples; return those that are ready, shapes (n,) and (n, n_channels)."""
         ready: list[tuple[Array, Array]] = []
         while len(stamps):
-            room = self._section - self._count
+            room = self.room
             part = stamps[:room], values[:room]
             stamps, values = stamps[room:], values[room:]
             self._count += len(part[0])
@@ -119,6 +128,8 @@ class EvenStamps:
         if np.count_nonzero(np.isfinite(history)) < FEWEST // 2:
             return None  # nothing is dropped: what is waited for is kept
         pace = find_pace(history, self._rate)
+        if len(history) >= _SECTIONS_FOR_RATE * self._section:
+            self.rate_hz = 1 / pace.period_s
         return None if pace.burst == 1 and not pace.overlap_s else pace
 
     def _even(self, history: Array, begin: int, stamps: Array) -> Array:

@@ -84,6 +84,7 @@ class Link:
         self.has_received = False
         self._computer = source.new_computer(witnesses)
         self._told = self._gone = self._told_gone = self._told_values = 0
+        self._told_rate = ""
         # nothing is dropped: what is given up is counted in `read` and told by `remarks`
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
 
@@ -124,6 +125,9 @@ class Link:
     def remarks(self) -> list[Remark]:
         """Return what was left out since the last call; wrong stamps when their count doubles."""
         found: list[Remark] = []
+        if (why := self._computer.rate_remark) != self._told_rate:
+            self._told_rate = why
+            found.append((Refusal.WRONG_RATE, 1, why))
         if self._computer.left_out > self._told:
             new = self._computer.left_out - self._told // 2
             self._told = 2 * self._computer.left_out

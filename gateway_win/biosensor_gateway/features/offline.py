@@ -28,7 +28,7 @@ from biosensor_gateway.features.sources import (
     stream_info,
 )
 from biosensor_gateway.features.witnesses import Witnesses
-from biosensor_gateway.recording.contents.opening import open_contents, with_rates
+from biosensor_gateway.recording.contents.opening import open_contents, with_true_rates
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.system.new_file import new_file
@@ -76,11 +76,11 @@ def compute(path: Path, target: Path) -> Computed:
         If the recording cannot be read.
     """
     with open_contents(path) as contents:
-        streams, remarks = with_rates(contents.streams, {})
+        streams, remarks = with_true_rates(contents.streams)
         pairs, refused = _sources(streams)
         if not any(source.features for _, source in pairs):
             why = "; ".join(refused) or "it has no stream of a type that features are of"
-            why += contents.why_incomplete
+            why += "".join(f"; {each}" for each in remarks) + contents.why_incomplete
             raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {why}")
         try:
             with new_file(target, like=path) as file:

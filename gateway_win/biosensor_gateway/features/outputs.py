@@ -16,7 +16,7 @@ from biosensor_gateway.features.quality import REASONS
 from biosensor_gateway.features.runs import BR_STATE, HR_STATE
 from biosensor_gateway.features.skin import smoothing_delay_s
 
-VERSION = "5"
+VERSION = "6"
 """Version of all algorithms; it changes whenever a value may differ for the same samples."""
 
 

@@ -230,3 +230,5 @@ RATES_HZ = {
     "Accelerometer": (4.0, 50000.0),
 }
 """Below it, what is to be found is not in the signal."""
+WRONG_RATE = 0.1
+"""Of a rate in another program's header: by what part it may be off and is still believed."""

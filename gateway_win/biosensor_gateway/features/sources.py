@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
@@ -12,16 +13,16 @@ import numpy as np
 import pylsl
 
 from biosensor_common import naming
-from biosensor_common.errors import GatewayError
+from biosensor_common.errors import GatewayError, SpecError
 from biosensor_common.lsl_header import append_children, describe
 from biosensor_common.quantities import ChannelFormat, ContentType, Unit
-from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
+from biosensor_common.spec import IRREGULAR, ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import BLOCK, PREFIX, Replay, StreamHeader, mark_as_replay
 from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.even_stamps import EvenStamps
 from biosensor_gateway.features.outputs import READ_TYPES, VERSION, Feature, features_of
-from biosensor_gateway.features.runs import Array, Event
+from biosensor_gateway.features.runs import Array, Event, Runs
 from biosensor_gateway.features.witnesses import Beside, Motion, Warmth, Witness, Witnesses
 
 
@@ -61,6 +62,7 @@ _SCALES: dict[str, dict[str, float]] = {
 their streams need no unit."""
 _ANY = "arbitrary"
 """Unit of features of a stream without a unit."""
+_MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 _AXES = 3
 _NOT_LIT = "ambient"
 _SKIN = "skin"
@@ -132,7 +134,9 @@ class Computer:
             witnesses.setdefault(source.key, self._witness)
         self._beside = Beside(witnesses, *source.key)
         self._wanted = {each.name for each in source.features}
+        self._rate = header.rate
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
+        self._earlier: list[Runs] = []
         self._channels = source.columns.stop - source.columns.start
         self._even_stamps = EvenStamps(header.rate) if header.foreign and header.rate > 0 else None
 
@@ -141,9 +145,32 @@ class Computer:
         if not len(stamps):
             return []  # nothing is dropped: there is nothing
         scaled = self._source.scaled(values)
-        if self._even_stamps is not None:
-            stamps, scaled = self._even_stamps.take(stamps, scaled)
-        return self._computed(stamps, scaled)
+        if self._even_stamps is None:
+            return self._computed(stamps, scaled)
+        events: list[Event] = []
+        while len(stamps):
+            # A section at a time, so that results do not depend on how the stream is cut.
+            room = self._even_stamps.room
+            events += self._computed(*self._even_stamps.take(stamps[:room], scaled[:room]))
+            stamps, scaled = stamps[room:], scaled[room:]
+            if self._is_rate_wrong(self._even_stamps.rate_hz):
+                events += self._begin_again(self._even_stamps)
+        return events
+
+    def _is_rate_wrong(self, rate_hz: float | None) -> bool:
+        return rate_hz is not None and abs(rate_hz / self._rate - 1) > at.WRONG_RATE
+
+    def _begin_again(self, even_stamps: EvenStamps) -> list[Event]:
+        """Begin a new run at the rate that the samples have, whatever the header says."""
+        header = self._source.header
+        self._rate = even_stamps.rate_hz or self._rate
+        if not self._is_rate_usable:
+            return []  # nothing is dropped: `rate_remark` says that it is of no use
+        events = self._computed(*even_stamps.finish(self._channels))
+        self._earlier.append(self._runs)
+        self._runs = new_runs(header.content_type, self._rate, foreign=header.foreign)
+        self._even_stamps = EvenStamps(self._rate)
+        return events
 
     def _computed(self, stamps: Array, scaled: Array) -> list[Event]:
         if not len(stamps):
@@ -166,22 +193,40 @@ class Computer:
     @property
     def left_out(self) -> int:
         """Number of samples left out for their stamps, plus the number of steps back."""
-        return self._runs.left_out + self._runs.steps_back
+        return sum(each.left_out + each.steps_back for each in (*self._earlier, self._runs))
 
     @property
     def without_value(self) -> int:
         """Number of samples left out because a value was infinite or too large."""
-        return self._runs.without_value
+        return sum(each.without_value for each in (*self._earlier, self._runs))
+
+    @property
+    def rate_remark(self) -> str:
+        """What is wrong with the rate in the header; empty if nothing is."""
+        header_hz = self._source.header.rate
+        if self._rate == header_hz:
+            return ""
+        text = f"its header says {header_hz:g} Hz, and its samples come at {self._rate:.4g} Hz"
+        if self._is_rate_usable:
+            return f"{text}, which is taken"
+        low, high = at.RATES_HZ[self._source.header.content_type]
+        return f"{text}; features need {low:g} to {high:g} Hz"
+
+    @property
+    def _is_rate_usable(self) -> bool:
+        low, high = at.RATES_HZ.get(self._source.header.content_type, (0.0, math.inf))
+        return low <= self._rate <= high
 
     def remark(self) -> str:
         """Return what was wrong with the stamps so far; empty if nothing was."""
-        parts: list[str] = []
+        parts = [self.rate_remark] if self.rate_remark else list[str]()
         if self._even_stamps is not None and self._even_stamps.pace is not None:
             rate_hz = 1 / self._even_stamps.pace.period_s
             parts.append(f"stamped when it came, so it got even stamps, at {rate_hz:.4g} Hz")
-        if count := self._runs.steps_back:
+        runs = (*self._earlier, self._runs)
+        if count := sum(each.steps_back for each in runs):
             parts.append(f"its stamps stepped back {_times(count)}, where everything began again")
-        if count := self._runs.left_out:
+        if count := sum(each.left_out for each in runs):
             samples = "1 sample was" if count == 1 else f"{count} samples were"
             parts.append(f"{samples} left out, for stamps that did not follow the ones before")
         return f"{self._source.name}: {'; '.join(parts)}" if parts else ""
@@ -205,10 +250,17 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     _require_rate(name, header)
     scale = _scale(name, header, columns)
     data_name = _ros_name(header.data_name)
-    features = features_of(
-        kind, data_name, header.units[columns.start].strip() or _ANY, header.rate
-    )
+    features = features_of(kind, data_name, _unit(header.units[columns.start]), header.rate)
     return Source(name, source_id, header, _identity(header), features, columns, scale)
+
+
+def _unit(text: str) -> str:
+    """Return a unit for a header of ours, which takes ASCII only, of one that may be any text."""
+    unit = text.strip().translate(_MICRO)
+    try:
+        return ChannelSpec("any", unit).unit
+    except SpecError:
+        return _ANY
 
 
 def _is_of_skin(header: StreamHeader) -> bool:
@@ -351,7 +403,7 @@ def stream_info(source: Source, feature: Feature) -> pylsl.StreamInfo:
 
         <features>
           <derived_from>polar_h10-…-ecg</derived_from> <source_id>…</source_id>
-          <algorithm>…</algorithm> <version>5</version>
+          <algorithm>…</algorithm> <version>6</version>
           <window_s>10.0</window_s> <delay_s>0.3</delay_s> <holds_s>5.3</holds_s>
         </features>
 

@@ -11,9 +11,10 @@ from pathlib import Path
 from biosensor_gateway.recording.contents.stream import IndexedStream, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
-from biosensor_gateway.recording.xdf.measuring import first_of, may_have_rate
-from biosensor_gateway.recording.xdf.pace import rate_of
+from biosensor_gateway.recording.xdf.measuring import first_of, is_exact, may_have_rate
+from biosensor_gateway.recording.xdf.pace import find_pace, rate_of
 from biosensor_gateway.recording.xdf.recording import StreamSorter
+from biosensor_gateway.recording.xdf.stream_rules import MIN_SAMPLES_FOR_RATE, WRONG_RATE
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,36 @@ def estimated_rate(stream: Stream) -> float | None:
     if not may_have_rate(stream.header):
         return None
     return rate_of(first_of(samples.stamps for samples in stream.blocks()))
+
+
+def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list[str]]:
+    """Return streams as if headers named the rates that they have, and what is to be said of it.
+
+    Other than `with_rates`, it also replaces a rate of another program's header that is wrong.
+    """
+    rated, notes = with_rates(streams, {})
+    found: list[Stream] = []
+    for stream in rated:
+        nominal_hz, true_hz = stream.header.rate, _true_rate(stream)
+        if true_hz is None or abs(true_hz / nominal_hz - 1) <= WRONG_RATE:
+            found.append(stream)
+            continue
+        found.append(stream.with_rate(true_hz))
+        notes.append(
+            f"{stream.header.name}: its header says {nominal_hz:g} Hz; it is taken as "
+            f"{true_hz:.6g} Hz, that of a line through its stamps"
+        )
+    return tuple(found), notes
+
+
+def _true_rate(stream: Stream) -> float | None:
+    header = stream.header
+    if not header.is_regular or header.is_markers or is_exact(header) or stream.order_error:
+        return None
+    stamps = first_of(samples.stamps for samples in stream.blocks())
+    if len(stamps) < MIN_SAMPLES_FOR_RATE:
+        return None
+    return 1.0 / find_pace(stamps, header.rate).period_s
 
 
 def with_rates(
