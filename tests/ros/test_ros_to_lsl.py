@@ -206,6 +206,11 @@ def ros_status(ros: Ros, topic: str) -> Any:
     return ros.status(topic)
 
 
+def said_of(ros: Ros, topic: str) -> str:
+    status = ros.status(topic)
+    return status.message if status else ""
+
+
 def test_publishers_of_another_quality_are_heard_too(
     ros: Ros, streams: Streams, start_node: Start
 ) -> None:
@@ -221,6 +226,17 @@ def test_publishers_of_another_quality_are_heard_too(
     # Two publishers count each for itself.
     ros.until(lambda: ros_value(ros, "/level", "lost") == "unknown", "that nobody knows")
     assert ros_value(ros, "/level", "quality_of_service") == "best effort, volatile"
+    ros.until(lambda: "mixed in one stream" in said_of(ros, "/level"), "that they are mixed")
+
+
+def test_a_node_that_was_started_twice_says_so(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    ros.publish(lambda: Float64(data=1.0), "/level")
+    start_node(*arguments("/level"), module=MODULE)
+    streams.open("level").until(lambda: said_of(ros, "/level") == "sending", "one that sends")
+    start_node(*arguments("/level"), module=MODULE)
+    ros.until(lambda: "another ros_to_lsl also sends it" in said_of(ros, "/level"), "another one")
 
 
 def test_text_beside_numbers_is_a_stream_of_markers_of_its_changes(
