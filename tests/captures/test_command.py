@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from tests.rigs.kept_logging import kept_logging
 from tests.zephyr import recorded_capture
 
+LIMIT_S = 120.0
 SECRET = "00:07:80:5A:3E:7E"
 Command = Callable[..., int]
 
@@ -135,3 +137,26 @@ def test_a_replay_reports_each_stream(
     assert (ecg["samples"] % 63, ecg["lost"], ecg["refused"]) == (0, 0, 0)
     assert ecg["samples"] > 1000
     assert ecg["least_s"] <= ecg["median_s"] <= ecg["most_s"]
+
+
+# Run after the command in its process: what a stream of it has.
+SESSION = """
+import sys
+from contextlib import suppress
+import pylsl
+from biosensor_gateway.cli.app import app
+with suppress(SystemExit):
+    app()()
+print(pylsl.StreamOutlet(pylsl.StreamInfo("a", "b", 1)).get_info().session_id(), file=sys.stderr)
+"""
+
+
+@pytest.mark.nightly
+def test_a_live_replay_is_in_the_session_of_the_settings(device: Capture, tmp_path: Path) -> None:
+    file, settings = tmp_path / f"a{ENDING}", tmp_path / "settings.toml"
+    file.write_bytes(packed(device.model_copy(update={"events": device.events[:20]})))
+    settings.write_text('[lsl]\nsession_id = "lab7"\n')
+    words = ("capture", "replay", str(file), "--live", "--settings", str(settings))
+    command = (sys.executable, "-c", SESSION, *words)
+    done = subprocess.run(command, capture_output=True, check=True, timeout=LIMIT_S)
+    assert done.stderr.decode().splitlines()[-1] == "lab7"

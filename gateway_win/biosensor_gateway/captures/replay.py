@@ -194,9 +194,9 @@ def replay(
         return runner.run(_replayed(capture, clock, make))
 
 
-def live_outlets() -> None:
+def live_outlets(lsl: LslOverrides) -> None:
     """Configure LSL for live replays; to be called before any other use of LSL."""
-    configure_lsl(LslOverrides())
+    configure_lsl(lsl)
 
 
 def replay_settings(capture: Capture) -> DeviceSettings:

@@ -13,7 +13,12 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.app import QuickGroup
-from biosensor_gateway.cli.options import JsonOption, SettingsOption, chosen_devices
+from biosensor_gateway.cli.options import (
+    JsonOption,
+    SettingsOption,
+    chosen_devices,
+    settings_or_defaults,
+)
 from biosensor_gateway.cli.output import ask, can_ask, console, say, table_of_names
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs
@@ -99,12 +104,13 @@ def replay(
     live: Annotated[
         bool, typer.Option("--live", help="As long as it took, as streams of LSL.")
     ] = False,
+    settings: SettingsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run captures through their drivers, at once or live; exit code 1 if one has a problem.
 
     The report says what was decoded, dropped and refused, and by how much the
-    stamps are before the arrivals.
+    stamps are before the arrivals. With --live, the LSL section of the settings holds.
     """
     from biosensor_gateway.captures.file import read  # only then, as above
     from biosensor_gateway.captures.replay import replay as replayed
@@ -113,7 +119,7 @@ def replay(
     if live:
         from biosensor_gateway.captures.replay import live_outlets
 
-        live_outlets()
+        live_outlets(settings_or_defaults(settings).lsl.overrides)
     reports: dict[str, Report] = {}
     for path in _each(files):
         capture = read(path)
