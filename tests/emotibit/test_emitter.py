@@ -8,6 +8,7 @@ from collections.abc import Generator, Sequence
 import numpy as np
 import pytest
 
+from biosensor_common.refusal import Refusal
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
 from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, TIMES_MS, Packet, Tag
@@ -85,6 +86,7 @@ def test_a_copy_of_a_datagram_is_passed_over(sender: Sender) -> None:
         sender.take(made, 1000 + 40 * count)
         sender.take(made, 1000 + 40 * count)
     assert sender.sink.values("acc") == list(range(20))
+    assert sender.sink.refusals.count(Refusal.LEFT_OUT) == 3 * 20
 
 
 def test_datagrams_that_overtook_each_other_are_put_right(sender: Sender) -> None:

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
+from biosensor_common.refusal import Refusal
 from biosensor_gateway.devices.empatica_e4 import SPEC
 from biosensor_gateway.devices.empatica_e4.driver.emitter import (
     BRIDGED_S,
@@ -130,6 +131,7 @@ def test_a_line_that_comes_twice_is_one_sample(bench: LinkedEmitter) -> None:
     for after_s in (0.0, 0.0, 1 / 64, 1 / 64, 2 / 64):
         bench.take(Stream.BVP, after_s, 7.0)
     assert bench.sink.times["bvp"] == [UNIX_S + k / 64 for k in range(3)]
+    assert bench.sink.refusals.count(Refusal.LEFT_OUT) == 2
     # A stamp that two streams share is no repetition.
     bench.take(Stream.HR, 1.0, 60.0)
     bench.take(Stream.IBI, 1.0, 1.0)

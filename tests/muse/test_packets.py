@@ -109,6 +109,14 @@ def test_a_channel_that_never_comes_is_waited_for_only_at_first() -> None:
     assert not fed(assembler, (2, 9), (0, 9))
 
 
+def test_what_comes_twice_or_too_late_is_counted() -> None:
+    assembler = RowAssembler(2, 3)
+    rows = fed(assembler, (0, 1), (0, 1), (1, 1), (1, 1), (0, 2), (0, 3), (1, 2), (1, 3))
+    assert assembler.late == 3 * 3
+    assert [each.number for each in rows] == [1, 2, 3]
+    assert np.isnan(rows[1].samples[:, 1]).all()
+
+
 def test_what_was_held_of_an_earlier_connection_is_gone() -> None:
     assembler = RowAssembler(2, 3)
     fed(assembler, (0, 7))

@@ -351,7 +351,11 @@ class EmotiBitEmitter:
             self._observed_s = max(measured)
             self._sink.observe(self._observed_s, arrival_s)
         for packet, time_s in timed:
+            before = self._order.left_out
             self._use(self._order.take(packet, time_s))
+            if self._order.left_out > before:
+                why = "their packet came twice, or after it was counted as lost"
+                self._sink.left_out(len(packet.payload), why)
 
     def _use(self, packets: Iterable[Ordered]) -> None:
         for packet, time_s, is_behind_gap in packets:

@@ -176,9 +176,15 @@ class InOrder:
     """Returns packets in the order of their numbers, without repetitions.
 
     Datagrams may overtake each other, so packets after a missing number wait for it.
+
+    Attributes
+    ----------
+    left_out
+        Number of packets that came twice, or after they were counted as lost.
     """
 
     def __init__(self) -> None:
+        self.left_out = 0
         self._numbers = PacketTimeline(NUMBERS)
         self._waiting: dict[int, _Waiting] = {}
         self._newest_s = self._handed_out_s = -inf
@@ -200,7 +206,8 @@ class InOrder:
             ready = [*self.end(), self._hand_out(packet, time_s, is_behind_gap=True)]
         else:
             self._newest_s = max(self._newest_s, time_s)
-            self._waiting.setdefault(place, _Waiting(packet, time_s, self._newest_s))
+            waiting = _Waiting(packet, time_s, self._newest_s)
+            self.left_out += self._waiting.setdefault(place, waiting) is not waiting
         while self._waiting and self._is_ripe(min(self._waiting)):
             ready.append(self._hand_out_first())
         return ready
@@ -219,6 +226,7 @@ class InOrder:
         # Other late packets are repetitions, or arrive after they were counted as lost.
         first, first_s = self._first or (place, packet.time_s)
         if place >= first or place in self._early or self._newest_s > first_s + PATIENCE_S:
+            self.left_out += 1
             return []
         self._early.add(place)
         return [packet]

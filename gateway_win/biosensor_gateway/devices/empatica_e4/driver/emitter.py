@@ -146,7 +146,10 @@ class E4Emitter:
         arrival_s
             LSL time of arrival.
         """
-        fresh = [sample for sample in samples if self._is_new(sample)]
+        came = list(samples)
+        fresh = [sample for sample in came if self._is_new(sample)]
+        if len(fresh) < len(came):
+            self._sink.left_out(len(came) - len(fresh), "they came twice")
         clocked = [sample.time_s for sample in fresh if sample.stream in _CLOCKED]
         if clocked:
             self._sink.observe(max(clocked), arrival_s)

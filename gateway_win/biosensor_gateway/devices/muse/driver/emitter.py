@@ -87,9 +87,15 @@ class RowAssembler:
         Maximum number of channels.
     samples
         Samples per packet.
+
+    Attributes
+    ----------
+    late
+        Number of samples whose packets came twice, or after their rows were returned.
     """
 
     def __init__(self, channels: int, samples: int) -> None:
+        self.late = 0
         self._channels, self._samples = channels, samples
         self._held: dict[int, Floats] = {}
         self._number, self._arrival_s = 0, 0.0
@@ -101,10 +107,11 @@ class RowAssembler:
         if packet.number == self._given_out:
             # Too late or repeated: the rows with this number were already returned.
             self._absent[channel] = 0
-            # nothing is dropped: this moment has its rows, and says NaN where they were late
-            return []
+            self.late += self._samples
+            return []  # nothing is dropped: `late` counts it
         if self._held and packet.number == self._number and channel in self._held:
-            return []  # nothing is dropped: it came before
+            self.late += self._samples
+            return []  # nothing is dropped: `late` counts it
         complete: list[Rows] = []
         if self._held and packet.number != self._number:
             complete.append(self._give_out())
@@ -232,6 +239,7 @@ class ClassicEmitter:
                 inputs[:, 0] = samples[:, len(EEG)]
                 streams["aux"] = inputs
             self._emit(self._eeg, number, streams, newest_s)
+        self._report_late(self._electrodes)
         return True
 
     def _take_diode(self, channel: int, data: bytes, arrival_s: float) -> bool:
@@ -240,7 +248,13 @@ class ClassicEmitter:
             return False
         for number, samples, newest_s in self._diodes.take(channel, packet, arrival_s):
             self._emit(self._light, number, {"ppg": samples}, newest_s)
+        self._report_late(self._diodes)
         return True
+
+    def _report_late(self, rows: RowAssembler) -> None:
+        late, rows.late = rows.late, 0
+        if late:
+            self._sink.left_out(late, "their packet came twice, or after those of its moment")
 
     def _take_axes(self, name: str, unit: float, data: bytes, arrival_s: float) -> bool:
         packet = parse_motion(data, unit)
