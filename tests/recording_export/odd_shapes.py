@@ -381,6 +381,71 @@ def _participants() -> list[bytes]:
     return [_signal(_even(), 1, "P1 ecg"), _signal(_even(), 3, "P1 ECG"), _events()]
 
 
+def _stamps_in(unit_s: float) -> list[bytes]:
+    """Stamps of a sender that does not count in seconds, beside some of one that does."""
+    clock = [(BEGIN_S, 0.0), (BEGIN_S + 20.0, 0.0)]
+    return [
+        _signal(_even() / unit_s, clock=clock),
+        _signal(_even(), 3, "eeg", kind="EEG"),
+        _events(),
+    ]
+
+
+def _begun_again_unmeasured() -> list[bytes]:
+    """The sender was started again, and the recorder measured no clock."""
+    stamps = np.concatenate([_even(count=1300), 3.0 + np.arange(1300) / RATE])
+    return [_signal(stamps, clock=[]), _events()]
+
+
+def _recorded_again() -> list[bytes]:
+    """The outlet was made again, so that its stream is in the file twice, one after the other."""
+    return [
+        _signal(_even(count=1300), source_id="same"),
+        _signal(_even(begin=12.0, count=1040), 3, source_id="same"),
+        _events(),
+    ]
+
+
+def _whole_numbers() -> list[bytes]:
+    eight = [[each % 256 - 128] for each in range(COUNT)]
+    sixteen = [[each * 37 % 65536 - 32768] for each in range(COUNT)]
+    long = [[(1 << 40) + each] for each in range(COUNT)]
+    return [
+        _signal(_even(), 1, "bytes", values=eight, fmt="int8", kind="EEG"),
+        _signal(_even(), 3, "words", values=sixteen, fmt="int16", kind="EEG"),
+        _signal(_even(), 4, "long", values=long, fmt="int64", kind="EEG"),
+        _events(),
+    ]
+
+
+def _two_of_one_name() -> list[bytes]:
+    """Two streams of markers with one name, and numbers in one of them."""
+    stamps = [BEGIN_S + each for each in (0.5, 1.6, 2.6)]
+    numbers = (
+        made.stream_header(3, "events", kind="Markers", fmt="int32"),
+        made.samples(3, "int32", [[1], [2], [3]], stamps),
+        made.footer(3, 3),
+    )
+    return [_signal(_even()), _events(), *numbers]
+
+
+def _many_texts() -> list[bytes]:
+    """Thousands of markers in half a second, many of them longer than EDF can have them."""
+    texts = [f"{each} {'y' * (each % 300)}" for each in range(3000)]
+    return [_signal(_even()), _events(texts, stamps=[BEGIN_S + 10 + k / 6000 for k in range(3000)])]
+
+
+SEPARATORS = ("a\u2028b", "c\x85d", "e\x0bf", "g\x1ch", "i\x0cj", "k|l;m\tn", "\ufeffp", "q\r")
+
+
+def _code_page() -> list[bytes]:
+    """Header and marker of a program that sends the characters of Windows."""
+    header = _raw_header(1, _xml("utf-8", "Größe").decode().encode("cp1252"))
+    text = made.samples(2, "string", [["fuenf!"]], [BEGIN_S + 1]).replace(b"fuenf!", b"f\xfcnf!!")
+    marker = made.stream_header(2, "events", kind="Markers", fmt="string") + text
+    return [header, _chunks(1, _even().tolist(), _wave(COUNT)), made.footer(1, COUNT), marker]
+
+
 Made = Callable[[], list[bytes]]
 
 SHAPES: dict[str, Made] = {
@@ -436,6 +501,30 @@ SHAPES: dict[str, Made] = {
     "very few samples": _one_of_each_count,
     "only intervals": _slow_pulse,
     "names that differ by case": _participants,
+    "stamps from before 0": lambda: [
+        _signal(_even() - 1010.0),
+        _events(stamps=[-9.5, -8.5, 1.0]),
+    ],
+    "stamps in milliseconds": lambda: _stamps_in(1e-3),
+    "stamps in microseconds": lambda: _stamps_in(1e-6),
+    "twice the rate": lambda: [_signal(_even(), rate=2 * RATE), _events()],
+    "half the rate": lambda: [_signal(_even(), rate=RATE / 2), _events()],
+    "a clock that began again, unmeasured": _begun_again_unmeasured,
+    "a stream that was recorded again": _recorded_again,
+    "whole numbers": _whole_numbers,
+    "two streams of markers of one name": _two_of_one_name,
+    "very many markers": _many_texts,
+    "odd separators": lambda: [_signal(_even()), _events(SEPARATORS)],
+    "markers in no order": lambda: [
+        _signal(_even()),
+        _events(stamps=[BEGIN_S + each for each in (3.0, 1.0, 2.0)]),
+    ],
+    "characters of Windows": _code_page,
+    "a stream without a name": lambda: [_signal(_even(), name="", source_id=""), _events()],
+    "a unit that is not ASCII": lambda: [
+        _signal(_even(), desc=_channels(["lead"], ["µV"])),
+        _events(),
+    ],
 }
 
 

@@ -106,7 +106,7 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
     ReplayError
         If the recording cannot be played; see its reasons.
     typer.Exit
-        With code 1, at the end, if a stream was left out.
+        With code 1, at the end, if a stream or a sample was left out.
     """
     from biosensor_common.lsl.network import configure_lsl
 
@@ -136,7 +136,7 @@ def _play(wanted: Wanted, stopping: threading.Event) -> bool:
                 player.run(stopping)
         for sentence in playback.ended(player, was_stopped=stopping.is_set()):
             say(sentence)
-        return not player.left_out
+        return player.is_whole
 
 
 @contextmanager

@@ -269,6 +269,16 @@ class Stream:
         return order_error(self.header, self._course, self.sample_count)
 
     @cached_property
+    def steps_far_back(self) -> int:
+        """How often its time steps back by more than a second, at the ends of chunks."""
+        found = self._indexed.end_stamps()
+        places = zip(found, self._indexed.places(), strict=True)
+        if self.clock.restarts:
+            times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]
+            found = np.concatenate([np.empty(0), *times])
+        return Course.of([found.ravel()]).far_back
+
+    @cached_property
     def _course(self) -> Course:
         return Course.of([self._indexed.end_stamps().ravel()])
 

@@ -36,6 +36,8 @@ _BLANK = {
     "v6data_port": "0",
     "v6service_port": "0",
 }
+NAMELESS = "nameless"
+"""Name of a stream that was recorded without one, which LSL does not offer."""
 
 
 def played_description(header: RecordedHeader, source_id: str, replay: Replay) -> str:
@@ -46,7 +48,7 @@ def played_description(header: RecordedHeader, source_id: str, replay: Replay) -
     """
     root = ET.Element("info")
     fields = {
-        "name": header.name,
+        "name": header.name or NAMELESS,
         "type": header.content_type,
         "channel_count": str(header.channel_count),
         "channel_format": header.format.value,
@@ -167,7 +169,7 @@ class PlayedOutlet:
             raise ReplayError(ReplayReason.NO_OUTLET, message)
         self.tap: Tap | None = None
         try:
-            info = _info(played_description(header, source_id, replay))
+            info = played_info(header, source_id, replay)
             self._outlet, self._format = LslOutlet(info), header.format
         except RuntimeError as error:
             message = f"LSL cannot offer the stream {header.name!r} ({error})"
@@ -194,7 +196,15 @@ class PlayedOutlet:
         return self._outlet.have_consumers()
 
 
-def _info(description: str) -> pylsl.StreamInfo:
+def played_info(header: RecordedHeader, source_id: str, replay: Replay) -> pylsl.StreamInfo:
+    """Return LSL's description of a stream to play.
+
+    Raises
+    ------
+    RuntimeError
+        If LSL does not accept it.
+    """
+    description = played_description(header, source_id, replay)
     function = lib.lsl_streaminfo_from_xml
     function.restype, function.argtypes = ctypes.c_void_p, (ctypes.c_char_p,)
     info = pylsl.StreamInfo(handle=function(description.encode()))

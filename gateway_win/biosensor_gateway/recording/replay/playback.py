@@ -9,6 +9,7 @@ from pathlib import Path
 
 from biosensor_common.lsl.network import search
 from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.replay.outlet import NAMELESS
 from biosensor_gateway.recording.replay.player import Order, Player, Progress
 from biosensor_gateway.recording.replay.source import (
     ReplayError,
@@ -148,7 +149,19 @@ def damaged(damages: Sequence[Damage]) -> Iterator[str]:
 
 
 def left_out(player: Player) -> Iterator[str]:
-    """Yield warnings about streams that are not played."""
+    """Yield warnings about streams and samples that are not played, or not as recorded."""
+    for each in player.streams:
+        name = each.header.name
+        if each.untimed:
+            samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
+            yield f"warning: {name}: {samples} not played, for their stamps are no number"
+        if each.steps_far_back:
+            yield (
+                f"warning: {name}: its time steps back {_times(each.steps_far_back)}; what follows "
+                "is sent at once, until the time before is reached again"
+            )
+        if not name:
+            yield f"warning: a stream without a name is played as {NAMELESS!r}"
     for each in player.left_out:
         yield (
             f"warning: {each.header.name} is not played, because {each.clock_error}; --streams "
@@ -190,6 +203,10 @@ def ended(player: Player, *, was_stopped: bool) -> Iterator[str]:
         f"{progress.sent} samples were sent: half of them within {median:.1f} ms of their time, "
         f"99 % within {most:.1f} ms, all within {1e3 * late.most_s:.1f} ms."
     )
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _streams(count: int) -> str:

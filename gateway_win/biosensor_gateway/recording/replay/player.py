@@ -121,6 +121,11 @@ class Player:
         self._position_s = self.begin_s
 
     @property
+    def is_whole(self) -> bool:
+        """Whether all samples of the selected streams are played."""
+        return not self.left_out and not any(each.untimed for each in self.streams)
+
+    @property
     def damages(self) -> tuple[Damage, ...]:
         """Parts of the recording that cannot be played."""
         return self._chosen.contents.damages

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -227,9 +229,11 @@ class _Conversion:
         self._bag = bag
         self._chosen = chosen
         contents = chosen.contents
-        self._wall = contents.wall or _no_wall_clock()
+        self._wall = contents.wall or _no_wall_clock(chosen)
         self._begin_s = max(chosen.begin_s, contents.begin_s)
         self._timeless: dict[int, int] = {}
+        self._latest_ns: dict[int, int] = {}
+        self._moved: Counter[int] = Counter()
         self._is_told = False
         names = names_of(contents.streams)
         self._topics = {
@@ -264,8 +268,21 @@ class _Conversion:
             return None
         if not self._is_told:
             self._tell_origin(int(unix_ns[0]))
+        self._note_order(stream, unix_ns)
         self._topics[stream.number].write(unix_ns, kept.values)
         return int(unix_ns[0])
+
+    def _note_order(self, stream: Stream, unix_ns: NDArray[np.int64]) -> None:
+        """Count samples whose message comes earlier in the bag than in the recording."""
+        ends = unix_ns if stream.meaning.message_type.is_text else unix_ns[-1:]
+        latest = np.maximum.accumulate(
+            np.concatenate([[self._latest_ns.get(stream.number, 0)], ends])
+        )
+        is_earlier = ends < latest[:-1]
+        if is_earlier.any():
+            every = len(unix_ns) // len(ends)
+            self._moved[stream.number] += every * int(np.count_nonzero(is_earlier))
+        self._latest_ns[stream.number] = int(latest[-1])
 
     def _tell_origin(self, begin_ns: int) -> None:
         """Write the data for an import of the bag, at the time of the first sample."""
@@ -290,17 +307,25 @@ class _Conversion:
         """Yield sentences about what the bag lacks or contains only roughly."""
         wall = self._chosen.contents.wall
         if wall is None:
+            moved_s = int(self._wall.offsets_ns[0]) // NS_PER_S
+            moved = f", moved by {moved_s} s, for ROS has no time before 0," if moved_s else ""
             yield (
                 "the time of day of the recording is unknown, so the bag's times are those of "
-                "the LSL clock and begin in 1970"
+                f"the LSL clock{moved} and begin in 1970"
             )
         elif wall.doubt:
             yield f"the time of day of the bag's messages {wall.doubt}"
         for stream in self._chosen.streams:
             topics, name = self._topics[stream.number], stream.header.name
             if missing := self._timeless.get(stream.number):
-                said = f"{missing} samples of {name} are not in it: their timestamp is not valid"
-                yield said if topics.written else Missing(said)
+                samples = "1 sample" if missing == 1 else f"{missing} samples"
+                are = "is" if missing == 1 else "are"
+                yield Missing(f"{samples} of {name} {are} not in it: their timestamp is not valid")
+            if moved := self._moved[stream.number]:
+                yield (
+                    f"{name}: its time steps back, and a bag is in the order of time, so {moved} "
+                    "of its samples come earlier in it than in the recording"
+                )
             if topics.unfit.count:
                 yield (
                     f"{topics.unfit.count} samples of {name} are on {topics.topics[0]} only: "
@@ -308,5 +333,8 @@ class _Conversion:
                 )
 
 
-def _no_wall_clock() -> WallClock:
-    return WallClock("none", 0.0, np.zeros(1), np.zeros(1, np.int64))
+def _no_wall_clock(chosen: Chosen) -> WallClock:
+    """Return the LSL clock, moved by whole seconds if it shows times before 0."""
+    begins = [found[0] for each in chosen.streams if (found := each.ends())]
+    moved_s = max((math.ceil(-each) for each in begins if -MAX_TIME_S < each < 0), default=0)
+    return WallClock("none", 0.0, np.zeros(1), np.array([moved_s * NS_PER_S]))

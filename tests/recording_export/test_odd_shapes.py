@@ -1,0 +1,176 @@
+"""Odd recordings as a replay and by way of a bag: all is there, or it is said what is not."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from biosensor_common.stream_header import Replay
+from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import Outcome
+from biosensor_gateway.recording.replay import playback
+from biosensor_gateway.recording.replay.outlet import played_info
+from biosensor_gateway.recording.replay.player import Order, Player, Timeline, Track
+from biosensor_gateway.recording.replay.source import ReplayError, opened
+from biosensor_gateway.recording.xdf.container import RecordingError
+from tests.recording_export import odd_shapes
+from tests.xdf.checking import read
+
+FILES = odd_shapes.files()
+
+
+class _Sent:
+    """In place of an outlet; LSL's own is in the tests of replays."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def block(self, samples: Samples, _stamps: NDArray[np.float64]) -> _Sent:
+        self._samples = samples
+        return self
+
+    def push(self, begin: int, end: int) -> None:
+        self.times += self._samples.times[begin:end].tolist()
+
+
+def _written(shape: str, folder: Path) -> Path:
+    name, data = FILES[shape]
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+def _played(player: Player) -> list[int]:
+    """Play without waiting; return how many samples of each stream were sent."""
+    sent = [_Sent() for _ in player.streams]
+    pairs = zip(sent, player.streams, strict=True)
+    tracks = [Track(each, stream.blocks()) for each, stream in pairs]  # type: ignore[arg-type]
+    timeline = Timeline(0.0, player.begin_s, 1.0)
+    while tracks and (track := min(tracks, key=lambda each: each.due_s)).due_s < math.inf:
+        track.send(track.due_s, timeline)
+    for each, stream in zip(sent, player.streams, strict=True):
+        times = [time for block in stream.blocks() for time in block.times.tolist()]
+        assert each.times == times
+    return [len(each.times) for each in sent]
+
+
+@pytest.mark.parametrize("shape", FILES)
+def test_a_replay_sends_each_sample_or_says_why_not(shape: str, tmp_path: Path) -> None:
+    path = _written(shape, tmp_path)
+    try:
+        with opened(path) as contents:
+            player = Player(choose(contents, Wish()), Order(), "hash")
+            said = [*playback.damaged(player.damages), *playback.left_out(player)]
+            counts = _played(player)
+            for stream, source_id in zip(player.streams, player.own_ids, strict=True):
+                _is_offered(stream, source_id)
+            held = {each.number: each.sample_count for each in contents.streams}
+            lacking = [
+                stream.header.name
+                for stream, count in zip(player.streams, counts, strict=True)
+                if count < held[stream.number]
+            ] + [each.header.name for each in player.left_out]
+            for name in lacking:
+                assert any(name in sentence for sentence in said), (name, said)
+            assert player.is_whole == (not lacking)
+    except (RecordingError, ReplayError) as error:
+        assert str(error).strip()
+
+
+def _is_offered(stream: Stream, source_id: str) -> None:
+    """See that LSL takes the header."""
+    header = stream.header
+    replay = Replay("file.xdf", source_id, header.rate, 1.0, 0.0)
+    info = played_info(header, source_id, replay)
+    assert info.name() == (header.name or "nameless")
+    assert info.channel_count() == header.channel_count
+    assert info.nominal_srate() == header.rate
+
+
+def _exported(path: Path) -> Outcome:
+    return export(path, Task(["mcap"], Wish()), lambda _name, _s: lambda _done: None)
+
+
+Content = dict[str, tuple[list[float], list[str]]]
+
+
+def _content(path: Path) -> Content:
+    """Times and values of each stream, in the order of time."""
+    found: Content = {}
+    with open_contents(path) as contents:
+        for stream in contents.streams:
+            rows = [
+                (time, repr(tuple(row)))
+                for block in stream.blocks()
+                for time, row in zip(
+                    block.times.tolist(),
+                    block.values if isinstance(block.values, list) else block.values.tolist(),
+                    strict=True,
+                )
+            ]
+            # Of one time, a bag may have the samples in another order.
+            rows.sort(key=lambda each: (round(each[0], 5), each[1]))
+            key = f"{stream.number} {stream.header.name}"
+            found[key] = [time for time, _ in rows], [row for _, row in rows]
+    return found
+
+
+# Stamps that none of the clock offsets is about.
+WILD = {"clock offsets of years"}
+
+
+@pytest.mark.parametrize("shape", [each for each in FILES if each not in WILD])
+def test_by_way_of_a_bag_each_sample_comes_back_or_it_is_said(shape: str, tmp_path: Path) -> None:
+    path = _written(shape, tmp_path)
+    try:
+        outcome = _exported(path)
+    except RecordingError as error:
+        assert str(error).strip()
+        return
+    (bag,) = outcome.written
+    notes = [*bag.notes, *outcome.clock_notes]
+    again = tmp_path / "again.xdf"
+    imported = import_bag(bag.path, again)
+    assert not imported.damages
+    before, after = _content(path), _content(again)
+    assert len(after) == len(before)
+    for (name, (times, values)), (told_times, told_values) in zip(
+        before.items(), after.values(), strict=True
+    ):
+        bare = name.partition(" ")[2]
+        if len(told_times) < len(times):
+            assert any(bare in note for note in notes), (name, notes)
+            assert not outcome.is_whole
+            continue
+        assert told_times == pytest.approx(times, abs=2e-6)
+        assert told_values == values
+
+
+def test_a_replay_says_what_it_does_with_time_that_steps_back(tmp_path: Path) -> None:
+    path = _written("a clock that began again, unmeasured", tmp_path)
+    with opened(path) as contents:
+        (sentence,) = playback.left_out(Player(choose(contents, Wish()), Order(), "hash"))
+    assert sentence.startswith("warning: ecg: its time steps back once; what follows is sent at")
+
+
+def test_a_bag_says_that_it_has_another_order(tmp_path: Path) -> None:
+    path = _written("markers in no order", tmp_path)
+    (bag,) = _exported(path).written
+    assert any("so 2 of its samples come earlier in it" in note for note in bag.notes)
+
+
+def test_times_before_0_are_moved_in_a_bag_and_come_back(tmp_path: Path) -> None:
+    path = _written("stamps from before 0", tmp_path)
+    (bag,) = _exported(path).written
+    assert any("moved by 10 s, for ROS has no time before 0" in note for note in bag.notes)
+    import_bag(bag.path, tmp_path / "again.xdf")
+    again = read((tmp_path / "again.xdf").read_bytes())
+    assert [each.sample_count for each in again.streams] == [odd_shapes.COUNT, 3]
