@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import pyxdf
-from typer import Typer
+from typer import Exit, Typer
 from typer.testing import CliRunner
 
 from biosensor_common import naming
@@ -25,6 +25,7 @@ from biosensor_gateway.devices.emotibit import SPEC as EMOTIBIT
 from biosensor_gateway.devices.empatica_e4 import SPEC as EMPATICA_E4
 from biosensor_gateway.features.outputs import features_of
 from tests.features import signals
+from tests.recording_export.study import ecg_values, ours
 from tests.xdf import xdf_file as made
 
 _COMMAND = Typer()
@@ -73,6 +74,29 @@ def test_beats_are_of_the_stream_that_has_samples(tmp_path: Path, empty: str, fu
     counts = {each["info"]["name"][0]: len(each["time_stamps"]) for each in _loaded(str(target))}
     (beats,) = (count for name, count in counts.items() if name.endswith("-beats"))
     assert beats > 30
+
+
+def test_whose_it_may_not_be_is_said_of_a_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "sub-P07_task-rest.xdf"
+    beats = [
+        {"event": "heartbeat", "lsl_time": at, "agent_started": started}
+        for at, started in ((1003.0, 900.0), (1008.0, 900.0), (1012.0, 950.0))
+    ]
+    texts = [[json.dumps(each)] for each in beats]
+    stamps = 1000 + np.arange(2600) / 130
+    path.write_bytes(
+        made.xdf(
+            ours(1, "polar_h10", "ecg", ecg_values(2600), stamps, "P01"),
+            ours(2, "gateway", "events", texts, [1003.0, 1008.0, 1012.0], ""),
+        )
+    )
+    with pytest.raises(Exit):
+        compute_recording(path, tmp_path / "features.csv", print_json=False)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "from 12.0 s on it is of another agent" in said
+    assert "the file is called P07, but its sensors are worn by P01" in said
 
 
 def test_motion_of_a_recording_is_that_of_its_accelerometer(tmp_path: Path) -> None:

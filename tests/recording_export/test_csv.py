@@ -22,6 +22,7 @@ from hypothesis.extra import numpy as arrays
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.recording_export.bids_shapes import SHAPES
@@ -325,6 +326,19 @@ def test_integers_of_64_bits_lose_nothing() -> None:
     assert rows_of_numbers(np.array([1.0]), values) == (
         b"1.0,9223372036854775807,-9223372036854775808\n"
     )
+
+
+def test_data_of_another_agent_are_told_and_not_well(exported: Exporting) -> None:
+    beats = [[1003.0, 900.0], [1008.0, 900.0], [1012.0, 950.0]]
+    texts = [
+        {"event": "heartbeat", "lsl_time": at, "agent_started": started} for at, started in beats
+    ]
+    outcome = exported(paused_recording(*acc(1000, 1020), more=texts), "csv")
+    assert not outcome.is_whole
+    (told,) = (each for each in sentences(outcome) if "another agent" in each)
+    assert told.startswith("gateway-lab_x2Dpc-events: from 12.0 s on it is of another agent")
+    (readme,) = outcome.written[0].path.rglob("README.txt")
+    assert "another person's" in " ".join(readme.read_text().split())
 
 
 def test_a_pause_is_told_where_gaps_are(exported: Exporting) -> None:

@@ -363,10 +363,10 @@ def test_another_agent_is_told_from_one_that_was_started_again(
         assert verdict(report).colour is Colour.RED
 
 
-def paused_recording(*stamps: float) -> bytes:
+def paused_recording(*stamps: float, more: Sequence[object] = ()) -> bytes:
     """Return a recording of a strap's acceleration, which was paused from 5 to 8 s."""
     changes = [event("paused", 1005.0), event("resumed", 1008.0)]
-    texts = [[json.dumps(each)] for each in (heartbeat(**STREAMING), *changes)]
+    texts = [[json.dumps(each)] for each in (heartbeat(**STREAMING), *changes, *more)]
     return x.xdf(
         own_header(1, strap("P01"), "acc"),
         x.samples(1, "float32", [[0.0, 0.0, 0.0]] * len(stamps), [*stamps]),

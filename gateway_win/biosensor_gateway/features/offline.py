@@ -30,6 +30,7 @@ from biosensor_gateway.features.sources import (
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import open_contents, with_true_rates
 from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.participants import compare_file
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.system.new_file import new_file
 
@@ -47,9 +48,10 @@ class Computed:
     refused
         Why a stream of a suitable type has no features; sentences.
     remarks
-        Problems with the stamps of other streams, and what could not be read; sentences.
+        Problems with the stamps of other streams, what could not be read, and whose data may be
+        another person's; sentences.
     is_whole
-        Whether all of the recording could be read.
+        Whether all of the recording could be read, and is of one agent.
     """
 
     written: Path
@@ -108,9 +110,12 @@ def compute(path: Path, target: Path) -> Computed:
             for each, _ in pairs
             for span in each.clock.doubtful_spans
         ]
+        others = contents.of_other_agents
+        mismatch = compare_file(path, (each.header.identity for each in contents.streams))
+        remarks += [*others, *([mismatch.sentence] if mismatch else [])]
         if contents.damages:
             remarks.append(f"not all of {path} can be read{contents.why_incomplete}")
-        is_whole = not contents.damages
+        is_whole = not (contents.damages or others)
         return Computed(target, counts, tuple(refused), tuple(remarks), is_whole)
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from math import inf
 from pathlib import Path
 
 from biosensor_gateway.recording.contents.stream import IndexedStream, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
+from biosensor_gateway.recording.xdf.event_rules import other_agent_told
 from biosensor_gateway.recording.xdf.measuring import first_of, is_exact, may_have_rate
 from biosensor_gateway.recording.xdf.pace import find_pace, rate_of
 from biosensor_gateway.recording.xdf.recording import StreamSorter
@@ -44,6 +46,24 @@ class Contents:
     begin_s: float
     end_s: float
     wall: WallClock | None
+
+    @property
+    def of_other_agents(self) -> list[str]:
+        """From when on which events are another agent's, whose data may be another person's."""
+        found: list[str] = []
+        for stream, texts, ahead_s in self.events:
+            told = other_agent_told(texts, self.begin_s - ahead_s)
+            found += [f"{stream.header.name}: {told}"] if told else []
+        return found
+
+    @property
+    def events(self) -> Iterator[tuple[Stream, list[str], float]]:
+        """Agents' streams of events with their texts, and by how much their clock is behind."""
+        for stream in self.streams:
+            blocks = list(stream.blocks(-inf, inf)) if stream.header.is_events else []
+            texts = [str(text) for block in blocks for (text,) in block.values]
+            if texts:
+                yield stream, texts, float(blocks[0].times[0] - blocks[0].stamps[0])
 
     @property
     def why_incomplete(self) -> str:

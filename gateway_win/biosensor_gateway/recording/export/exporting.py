@@ -116,7 +116,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
             participant,
             task.times,
             task.is_wide,
-            notes := (*_clock_notes(chosen, task), *_pause_notes(chosen, recorded)),
+            notes := (*_clock_notes(chosen, task), *_event_notes(chosen, recorded)),
         )
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
@@ -217,8 +217,10 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             )
 
 
-def _pause_notes(chosen: Chosen, recorded: Mapping[str, DeviceIdentity | None]) -> Iterator[str]:
+def _event_notes(chosen: Chosen, recorded: Mapping[str, DeviceIdentity | None]) -> Iterator[str]:
     """Yield a note about each sensor that was paused, whose gaps are told as missing samples.
+
+    And about data of another agent, which may be another person's.
 
     Parameters
     ----------
@@ -228,13 +230,9 @@ def _pause_notes(chosen: Chosen, recorded: Mapping[str, DeviceIdentity | None]) 
     contents = chosen.contents
     found = (recorded.get(each.header.source_id) for each in chosen.streams)
     devices = tuple(dict.fromkeys(each for each in found if each is not None))
-    for each in contents.streams:
-        if each.header.is_events:
-            blocks = list(each.blocks(-math.inf, math.inf))
-            texts = [str(text) for block in blocks for (text,) in block.values]
-            if texts:
-                ahead_s = float(blocks[0].times[0] - blocks[0].stamps[0])
-                yield from pauses_told(texts, devices, contents.begin_s - ahead_s)
+    for _, texts, ahead_s in contents.events:
+        yield from pauses_told(texts, devices, contents.begin_s - ahead_s)
+    yield from map(Missing, contents.of_other_agents)
 
 
 def _targets(

@@ -123,6 +123,18 @@ def pauses_told(
             yield f"{_named(device)} was {said}: what is missing then was not sent, and is not lost"
 
 
+def other_agent_told(texts: Sequence[str], begin_s: float) -> str:
+    """Return from when on a recording is of another agent; empty if it is not.
+
+    Parameters
+    ----------
+    texts, begin_s
+        As for `pauses_told`.
+    """
+    since_s = EventLog.of(texts, ()).other_agent_since()
+    return "" if since_s is None else f"from {since_s - begin_s:.1f} s on {OF_ANOTHER_AGENT}"
+
+
 def _is_beside(stream: Measured, events: Measured) -> bool:
     header = stream.stream.header
     return header.is_of_agent and header.hostname == events.stream.header.hostname
