@@ -56,7 +56,8 @@ class Interface:
         add_files(router, session)
         add_capture(router, self._capturing)
         self.app = new_app()
-        self.app.include_router(router)
+        # `include_router` would build each route and its models once more.
+        self.app.router.routes.extend(router.routes)
 
     async def run(self) -> None:
         """Watch the recording, markers, features and web experiments until cancelled."""
