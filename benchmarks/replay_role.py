@@ -9,16 +9,16 @@ import time
 from pathlib import Path
 
 from benchmarks.child import Orders, say
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.replay.player import Player, PlayOptions
 
 
 def main() -> None:
     path, speed = Path(sys.argv[1]), float(sys.argv[2])
     orders = Orders()
     with open_contents(path) as contents:
-        player = Player(choose(contents, Wish()), Order(speed=speed), "bench")
+        player = Player(choose(contents, Selection()), PlayOptions(speed=speed), "bench")
         player.offer()
         say("offered")
         while orders.poll() is None and not orders.closed.is_set():

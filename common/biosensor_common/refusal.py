@@ -253,7 +253,7 @@ class Refusal(Enum):
         self.sentence = sentence
         self.stands = stands
 
-    def told(self, /, count: int = 1, **facts: object) -> str:
+    def message(self, /, count: int = 1, **facts: object) -> str:
         """Return the sentence with its placeholders filled in."""
         is_one = count == 1
         nouns = {each: f"{count} {each[: -1 if is_one else None]}" for each in _NOUNS}
@@ -262,7 +262,7 @@ class Refusal(Enum):
 
     def cause(self, **facts: object) -> str:
         """Return the part of the sentence after the colon."""
-        return self.told(1, **facts).partition(": ")[2]
+        return self.message(1, **facts).partition(": ")[2]
 
 
 LATELY_S = 10.0
@@ -300,7 +300,7 @@ class Refused:
     @property
     def sentence(self) -> str:
         """The sentence for the user."""
-        return self.what.told(self.count, **self.facts)
+        return self.what.message(self.count, **self.facts)
 
     @property
     def sentence_about(self) -> str:
@@ -352,7 +352,7 @@ class Refusals:
             is_to_say = self._is_to_say(what, about, before, now)
         if self._say is not None and is_to_say:
             whose = about or self._about
-            sentence = what.told(count, **facts)
+            sentence = what.message(count, **facts)
             self._say(f"{whose}: {sentence}" if whose else sentence)
 
     def _is_to_say(self, what: Refusal, about: str, before: Refused | None, now: float) -> bool:

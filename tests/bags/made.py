@@ -17,7 +17,7 @@ from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
@@ -65,9 +65,9 @@ def described(labels: Sequence[str], units: Sequence[str]) -> ET.Element:
     return desc
 
 
-def to_bag(recording: Path, bag: Path, wish: Wish = Wish()) -> Outcome:  # noqa: B008
+def to_bag(recording: Path, bag: Path, selection: Selection = Selection()) -> Outcome:  # noqa: B008
     """Export a recording as `xdf export --to mcap` does."""
-    task = Task(("mcap",), wish, output=bag)
+    task = Task(("mcap",), selection, output=bag)
     return export(recording, task, lambda _name, _s: lambda _done: None)
 
 

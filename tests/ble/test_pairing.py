@@ -18,8 +18,8 @@ from biosensor_gateway.transports.ble_errors import (
     EARLY_DROP_S,
     AttError,
     Pairing,
+    PairMode,
     PairSetting,
-    Wish,
 )
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
@@ -32,17 +32,17 @@ PLATFORMS = ("win32", "linux", "darwin")
 
 
 @pytest.mark.parametrize(
-    ("value", "wish"),
+    ("value", "mode"),
     [("auto", "auto"), ("yes", "yes"), ("no", "no"), (True, "yes"), (False, "auto")],
 )
-def test_the_setting_is_a_wish_or_a_switch(value: object, wish: Wish) -> None:
-    assert TypeAdapter[Wish](PairSetting).validate_python(value) == wish
+def test_the_setting_is_a_mode_or_a_switch(value: object, mode: PairMode) -> None:
+    assert TypeAdapter[PairMode](PairSetting).validate_python(value) == mode
 
 
 @pytest.mark.parametrize("value", ["", "true", 1, None])
 def test_nothing_else_is_one(value: object) -> None:
     with pytest.raises(ValidationError):
-        TypeAdapter[Wish](PairSetting).validate_python(value)
+        TypeAdapter[PairMode](PairSetting).validate_python(value)
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
@@ -89,11 +89,11 @@ def test_windows_pairs_first_after_an_early_drop(after_s: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wish", "platform", "after_s"),
+    ("mode", "platform", "after_s"),
     [("auto", "win32", EARLY_DROP_S), ("no", "win32", 0.0), ("auto", "linux", 0.0)],
 )
-def test_no_other_drop_means_anything(wish: Wish, platform: str, after_s: float) -> None:
-    pairing = Pairing(wish, platform)
+def test_no_other_drop_means_anything(mode: PairMode, platform: str, after_s: float) -> None:
+    pairing = Pairing(mode, platform)
     pairing.note_drop(after_s)
     assert not pairing.comes_first
 

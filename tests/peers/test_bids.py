@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.bids.study import Study
 from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.exporting import Task, export
@@ -50,7 +50,9 @@ def _validated(dataset: Path) -> list[dict[str, Any]]:
 def _exported(tmp_path: Path, shape: str) -> Path:
     path = tmp_path / "study.xdf"
     path.write_bytes(SHAPES[shape])
-    (written,) = export(path, Task(["bids"], Wish()), lambda _name, _s: lambda _done: None).written
+    (written,) = export(
+        path, Task(["bids"], Selection()), lambda _name, _s: lambda _done: None
+    ).written
     return written.path
 
 
@@ -76,7 +78,7 @@ def test_the_validator_finds_no_error_in_the_data_set_of_a_study(tmp_path: Path)
         recording.write_bytes(made.xdf(h10(1, person)))
 
         def export_to(place: Path, recording: Path = recording) -> Outcome:
-            task = Task(["bids"], Wish(), output=place)
+            task = Task(["bids"], Selection(), output=place)
             return export(recording, task, lambda _name, _s: lambda _done: None)
 
         Study(root).add(recording, export_to)
@@ -113,7 +115,9 @@ def test_pandas_reads_every_bit(tmp_path: Path) -> None:
 def test_mne_reads_the_samples_of_eeg_and_what_happened(tmp_path: Path) -> None:
     path = tmp_path / "sub-p01_task-walk_eeg.xdf"
     path.write_bytes(eeg())
-    (written,) = export(path, Task(["bids"], Wish()), lambda _name, _s: lambda _done: None).written
+    (written,) = export(
+        path, Task(["bids"], Selection()), lambda _name, _s: lambda _done: None
+    ).written
     assert [each for each in _validated(written.path) if each["severity"] == "error"] == []
     found = json.loads(_run("python", str(PEERS / "eeg_reads.py"), str(written.path), "eeg"))
     assert [each["rate"] for each in found] == [pytest.approx(250.0)] * 2
@@ -153,6 +157,6 @@ def test_mne_reads_the_samples_of_emg_and_where_a_gap_is(tmp_path: Path) -> None
 def test_the_validator_finds_no_error_with_even_times(shape: str, tmp_path: Path) -> None:
     path = tmp_path / "study.xdf"
     path.write_bytes(SHAPES[shape])
-    task = Task(["bids"], Wish(), times=Times.EVEN)
+    task = Task(["bids"], Selection(), times=Times.EVEN)
     (written,) = export(path, task, lambda _name, _s: lambda _done: None).written
     assert [each for each in _validated(written.path) if each["severity"] == "error"] == []

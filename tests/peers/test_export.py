@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
 from tests.recording_export.study import BEGIN_S, ecg_values, study
@@ -42,8 +42,8 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
     path = tmp_path_factory.mktemp("export") / "study.xdf"
     path.write_bytes(study())
     formats = ("csv", "csv-long.gz", "kubios", "ledalab")
-    export(path, Task(formats, Wish()), lambda _name, _s: lambda _done: None)
-    export(path, Task(["edf"], Wish(), clock=Clock.WALL), lambda _name, _s: lambda _done: None)
+    export(path, Task(formats, Selection()), lambda _name, _s: lambda _done: None)
+    export(path, Task(["edf"], Selection(), clock=Clock.WALL), lambda _name, _s: lambda _done: None)
     wanted = {name: (kind, str(path.parent / file)) for name, (kind, file) in FILES.items()}
     done = subprocess.run(
         [

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporting import Task, export
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
 from tests.recording_export.study import study
@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
     """A recording with its exports."""
     path = tmp_path / "study.xdf"
     path.write_bytes(study())
-    export(path, Task(FORMATS, Wish()), lambda _name, _s: lambda _done: None)
+    export(path, Task(FORMATS, Selection()), lambda _name, _s: lambda _done: None)
     return tmp_path
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.xdf.measuring import summarise_offsets
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
@@ -103,7 +103,7 @@ def test_many_streams_come_in_the_order_of_time(path: Path) -> None:
     parts = _numbers(1, "a", 100.0, 40) + _numbers(2, "b", 103.1, 40)
     path.write_bytes(made.xdf(parts))
     with open_contents(path) as contents:
-        merged = [(s.number, float(b.times[0])) for s, b in choose(contents, Wish()).merged()]
+        merged = [(s.number, float(b.times[0])) for s, b in choose(contents, Selection()).merged()]
     assert [first for _, first in merged] == sorted(first for _, first in merged)
     assert {number for number, _ in merged} == {1, 2}
 
@@ -180,7 +180,7 @@ def test_a_span_of_time_is_cut_out(path: Path, begin: str, end: str, expected: i
         made.xdf(_numbers(1, "a", 100.0, 40) + _events(2, "gateway", {100.0: unix_ns}))
     )
     with open_contents(path) as contents:
-        chosen = choose(contents, Wish(streams=["a"], begin=begin, end=end))
+        chosen = choose(contents, Selection(streams=["a"], begin=begin, end=end))
         found = sum(len(each) for each in chosen.samples(chosen.streams[0]))
     # The recording begins with the event, which is 10 ms before the numbers' second sample.
     assert found == expected
@@ -200,29 +200,31 @@ def test_one_person_can_be_cut_out(path: Path) -> None:
     )
     path.write_bytes(made.xdf(content))
     with open_contents(path) as contents:
-        assert [each.number for each in choose(contents, Wish(participant="P2")).streams] == [2]
-        assert [each.number for each in choose(contents, Wish(without="P2")).streams] == [1, 3]
-        assert len(choose(contents, Wish(streams=["polar_*/ecg"])).streams) == 3
+        assert [each.number for each in choose(contents, Selection(participant="P2")).streams] == [
+            2
+        ]
+        assert [each.number for each in choose(contents, Selection(without="P2")).streams] == [1, 3]
+        assert len(choose(contents, Selection(streams=["polar_*/ecg"])).streams) == 3
 
 
 @pytest.mark.parametrize(
-    ("wish", "words"),
+    ("selection", "words"),
     [
-        (Wish(streams=["b*"]), "no stream 'b*'"),
-        (Wish(participant="P9"), "nobody is called 'P9'"),
-        (Wish(without="P9"), "nobody is called 'P9'"),
-        (Wish(begin="soon"), "'soon' is no time"),
-        (Wish(begin="5", end="4"), "is not after"),
-        (Wish(begin="2026-03-14T10:30:00"), "does not contain the time of day"),
+        (Selection(streams=["b*"]), "no stream 'b*'"),
+        (Selection(participant="P9"), "nobody is called 'P9'"),
+        (Selection(without="P9"), "nobody is called 'P9'"),
+        (Selection(begin="soon"), "'soon' is no time"),
+        (Selection(begin="5", end="4"), "is not after"),
+        (Selection(begin="2026-03-14T10:30:00"), "does not contain the time of day"),
     ],
 )
-def test_a_wrong_wish_is_one_sentence(path: Path, wish: Wish, words: str) -> None:
+def test_a_wrong_wish_is_one_sentence(path: Path, selection: Selection, words: str) -> None:
     path.write_bytes(made.xdf(_numbers(1, "a", 100.0, 8)))
     with (
         open_contents(path) as contents,
         pytest.raises(ConfigError, match=re.escape(words)) as caught,
     ):
-        choose(contents, wish)
+        choose(contents, selection)
     assert caught.value.reason is ConfigReason.WRONG_VALUE
     assert "\n" not in str(caught.value)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.contents.choice import BATCH, Wish
+from biosensor_gateway.recording.contents.choice import BATCH, Selection
 from biosensor_gateway.recording.export.exporter import Clock, Times
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
@@ -31,7 +31,7 @@ def exported(tmp_path: Path) -> Exporting:
     def run(
         content: bytes,
         *formats: str,
-        wish: Wish = Wish(),  # noqa: B008 - it cannot be changed
+        selection: Selection = Selection(),  # noqa: B008 - it cannot be changed
         clock: Clock = Clock.LSL,
         output: Path | None = None,
         times: Times = Times.RECORDED,
@@ -39,7 +39,7 @@ def exported(tmp_path: Path) -> Exporting:
     ) -> Outcome:
         path = tmp_path / "study.xdf"
         path.write_bytes(content)
-        task = Task(formats, wish, clock=clock, output=output, times=times, batch=batch)
+        task = Task(formats, selection, clock=clock, output=output, times=times, batch=batch)
         return export(path, task, lambda _name, _s: lambda _done: None)
 
     return run

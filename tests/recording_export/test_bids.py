@@ -20,12 +20,12 @@ from hypothesis import strategies as st
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.bids.dataset import BidsDataset
 from biosensor_gateway.recording.export.bids.file_names import labels
 from biosensor_gateway.recording.export.bids.study import ADDED, Study
-from biosensor_gateway.recording.export.exporter import Clock, Order
+from biosensor_gateway.recording.export.exporter import Clock, ExportOptions
 from biosensor_gateway.recording.export.exporting import Task, export, recordings_in
 from biosensor_gateway.recording.export.grid import place
 from biosensor_gateway.recording.export.outcome import Outcome, Written
@@ -57,8 +57,8 @@ from tests.xdf import xdf_file as made
 # A BIDS dataset has every sample of a recording, bit for bit and at its time.
 
 
-def _dataset(exported: Exporting, content: bytes, **wish: str) -> Path:
-    return exported(content, "bids", wish=Wish(**wish)).written[0].path  # type: ignore[arg-type]
+def _dataset(exported: Exporting, content: bytes, **selection: str) -> Path:
+    return exported(content, "bids", selection=Selection(**selection)).written[0].path  # type: ignore[arg-type]
 
 
 def _float32(texts: list[str]) -> np.ndarray:
@@ -254,15 +254,17 @@ def test_unix_time_is_counted_from_the_same_zero(tmp_path: Path) -> None:
     signal = stream(1, "a", numbers(8), times(8, 4.0), rate=4.0)
     path.write_bytes(b"XDF:" + made.chunk(1, header) + signal)
     with open_contents(path) as contents:
-        chosen = choose(contents, Wish())
-        BidsDataset().write(chosen, Order(Clock.WALL, "study"), tmp_path / "out", lambda _: None)
+        chosen = choose(contents, Selection())
+        BidsDataset().write(
+            chosen, ExportOptions(Clock.WALL, "study"), tmp_path / "out", lambda _: None
+        )
     table = read(tmp_path / "out", "recording-a_physio")
     assert table.sidecar["TimeZero"]["Date"] == "2026-03-14T09:30:00.000000+00:00"
     assert table.of("timestamp") == [str(n / 4) for n in range(8)]
 
 
 @pytest.mark.parametrize(
-    ("name", "order", "expected"),
+    ("name", "options", "expected"),
     [
         ("study", {}, "sub-p7_task-study_"),
         ("sub-x9_ses-S1_task-walk_run-002_beh", {}, "sub-p7_ses-S1_task-walk_run-002_"),
@@ -270,13 +272,13 @@ def test_unix_time_is_counted_from_the_same_zero(tmp_path: Path) -> None:
     ],
 )
 def test_a_name_in_the_manner_of_bids_is_kept(
-    name: str, order: dict[str, str], expected: str, tmp_path: Path
+    name: str, options: dict[str, str], expected: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "some.xdf"
     path.write_bytes(SHAPES["irregular only"])
     with open_contents(path) as contents:
-        chosen = choose(contents, Wish())
-        wanted = replace(Order(Clock.LSL, name), **order)
+        chosen = choose(contents, Selection())
+        wanted = replace(ExportOptions(Clock.LSL, name), **options)
         BidsDataset().write(chosen, wanted, tmp_path / "out", lambda _: None)
     assert find(tmp_path / "out", "*_physioevents.json").name.startswith(expected)
 
@@ -284,7 +286,7 @@ def test_a_name_in_the_manner_of_bids_is_kept(
 def test_a_task_that_is_no_label_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "some.xdf"
     path.write_bytes(SHAPES["irregular only"])
-    task = Task(["bids"], Wish(), task="go away")
+    task = Task(["bids"], Selection(), task="go away")
     with pytest.raises(ConfigError, match="'go away' cannot be the task") as caught:
         export(path, task, lambda _name, _s: lambda _done: None)
     assert caught.value.reason is ConfigReason.WRONG_VALUE
@@ -605,7 +607,7 @@ def _recording(folder: Path, person: str, name: str = "", count: int = 0) -> Pat
 
 def _add(root: Path, recording: Path, whose: Whose | None = None) -> Outcome | None:
     def export_to(place: Path) -> Outcome:
-        task = Task(("bids",), Wish(), output=place, whose=whose)
+        task = Task(("bids",), Selection(), output=place, whose=whose)
         return export(recording, task, lambda _name, _s: lambda _done: None)
 
     return Study(root).add(recording, export_to)

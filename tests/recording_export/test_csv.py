@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import sentences
@@ -72,14 +72,16 @@ def test_the_time_of_day(exported: Exporting) -> None:
 
 
 def test_one_person_alone(exported: Exporting) -> None:
-    outcome = exported(study(), "csv-long", wish=Wish(participant="P2"))
+    outcome = exported(study(), "csv-long", selection=Selection(participant="P2"))
     _, *rows = _rows(outcome.written[0].path.read_bytes())
     assert {row[1] for row in rows} == {"P2"}
     assert len(rows) == 80
 
 
 def test_a_span_of_time(exported: Exporting) -> None:
-    outcome = exported(study(), "csv-long", wish=Wish(streams=["*ecg"], begin="1", end="2.5"))
+    outcome = exported(
+        study(), "csv-long", selection=Selection(streams=["*ecg"], begin="1", end="2.5")
+    )
     _, *rows = _rows(outcome.written[0].path.read_bytes())
     assert len(rows) == 195
     assert min(float(row[0]) for row in rows) >= BEGIN_S + 1
@@ -138,7 +140,7 @@ def test_every_sample_is_read_back(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "study.xdf")
         path.write_bytes(content)
-        outcome = export(path, Task([name], Wish()), lambda _name, _s: lambda _done: None)
+        outcome = export(path, Task([name], Selection()), lambda _name, _s: lambda _done: None)
         target = outcome.written[0].path
         file = target if is_long else target / ("a.csv.gz" if is_packed else "a.csv")
         packed = file.read_bytes()
@@ -273,7 +275,7 @@ def test_why_nothing_can_be_read_is_said(exported: Exporting) -> None:
 @pytest.mark.parametrize("name", ["kubios", "ledalab", "edf"])
 def test_a_format_without_anything_for_it_is_one_sentence(name: str, exported: Exporting) -> None:
     with pytest.raises(RecordingError, match="nothing was written") as caught:
-        exported(study(), name, wish=Wish(streams=["*markers"]))
+        exported(study(), name, selection=Selection(streams=["*markers"]))
     assert caught.value.reason is RecordingReason.EMPTY
     assert "\n" not in str(caught.value)
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.cli import xdf
 from biosensor_gateway.cli.features import features
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.edf.bdf import (
     Annotation,
     annotation_records,
@@ -199,7 +199,7 @@ def test_the_command_takes_the_rate_of_a_stream_whose_header_names_none(
     outcome = CliRunner().invoke(xdf.app, [*command, *options])
     assert outcome.exit_code == 0, outcome.output
     assert said in outcome.output
-    # The wish makes it a signal; its stamps say how fast it is.
+    # The rate asked for makes it a signal; its stamps say how fast it is.
     (signal,) = read_bdf(next((tmp_path / "study_edf").glob("*.bdf"))).signals
     assert signal.sampling_frequency == pytest.approx(10, rel=0.15)
 
@@ -258,7 +258,7 @@ def test_every_format_takes_what_it_can(shape: str, times: Times, tmp_path: Path
     for format_ in FORMATS:
         place = tmp_path / format_
         place.mkdir()
-        task = Task([format_], Wish(), output=place, times=times, is_wide=True)
+        task = Task([format_], Selection(), output=place, times=times, is_wide=True)
         try:
             outcome = export(path, task, lambda _name, _s: lambda _done: None)
         except RecordingError as error:

@@ -21,10 +21,16 @@ from typer.testing import CliRunner
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.cli import xdf as command
-from biosensor_gateway.recording.contents.choice import Chosen, Wish
+from biosensor_gateway.recording.contents.choice import Chosen, Selection
 from biosensor_gateway.recording.export import exporting
 from biosensor_gateway.recording.export.csv import wide
-from biosensor_gateway.recording.export.exporter import FORMATS, Clock, Order, Progress, Times
+from biosensor_gateway.recording.export.exporter import (
+    FORMATS,
+    Clock,
+    ExportOptions,
+    Progress,
+    Times,
+)
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome, Written, outcome_json, sentences
 from biosensor_gateway.recording.participants import Whose
@@ -57,7 +63,7 @@ class _Failing:
         self._error = error
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         target.mkdir()
         (target / "half").write_text("half")
@@ -163,7 +169,7 @@ def test_a_disk_that_is_nearly_full_is_left_alone(
 
 def test_what_is_not_in_it_is_not_written(exported: Exporting, tmp_path: Path) -> None:
     with pytest.raises(RecordingError) as caught:
-        exported(WHOLE, "csv", wish=Wish(begin="9:00:00"))
+        exported(WHOLE, "csv", selection=Selection(begin="9:00:00"))
     assert caught.value.reason is RecordingReason.EMPTY
     with pytest.raises(ConfigError, match="time of day"):
         exported(WHOLE, "csv", clock=Clock.WALL)
@@ -200,10 +206,11 @@ def test_who_may_not_read_the_recording_may_not_read_the_tables(
 
 # An export says whose data it writes where the recording's name and its sensors differ.
 def exported(folder: Path, content: bytes, participant: str, *formats: str,
-             wish: Wish = Wish(), whose: Whose | None = None) -> Outcome:  # fmt: skip  # noqa: B008
+             selection: Selection = Selection(),  # noqa: B008 - it cannot be changed
+             whose: Whose | None = None) -> Outcome:  # fmt: skip
     path = folder / f"sub-{participant}_ses-S001_task-walk_run-001_beh.xdf"
     path.write_bytes(content)
-    task = Task(formats or ("bids",), wish, whose=whose)
+    task = Task(formats or ("bids",), selection, whose=whose)
     return export(path, task, lambda _name, _s: lambda _done: None)
 
 
@@ -250,8 +257,8 @@ def test_what_agrees_is_not_spoken_of(participant: str, tmp_path: Path) -> None:
 
 
 def test_only_what_is_written_counts(tmp_path: Path) -> None:
-    wish = Wish(participant="p01")
-    assert exported(tmp_path, SHAPES["two persons"], "p01", wish=wish).is_certain
+    selection = Selection(participant="p01")
+    assert exported(tmp_path, SHAPES["two persons"], "p01", selection=selection).is_certain
 
 
 # README.txt says what an export holds: files, people, units, and what is amiss.
@@ -295,7 +302,7 @@ RATE = 100.0
 def _export(tmp_path: Path, *streams: bytes, name: str = "csv") -> Written:
     path = tmp_path / "study.xdf"
     path.write_bytes(made.xdf(*streams))
-    task = Task([name], Wish(), is_wide=True)
+    task = Task([name], Selection(), is_wide=True)
     (written,) = exporting.export(path, task, lambda _name, _s: lambda _done: None).written
     return written
 

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from biosensor_common.stream_header import Replay
 from biosensor_gateway.recording.bag.importing import import_bag
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.replay import playback
 from biosensor_gateway.recording.replay.outlet import played_info
-from biosensor_gateway.recording.replay.player import Order, Player, Timeline, Track
+from biosensor_gateway.recording.replay.player import Player, PlayOptions, Timeline, Track
 from biosensor_gateway.recording.replay.source import ReplayError, opened
 from biosensor_gateway.recording.xdf.container import RecordingError
 from tests.recording_export import odd_shapes
@@ -67,7 +67,7 @@ def test_a_replay_sends_each_sample_or_says_why_not(shape: str, tmp_path: Path) 
     path = _written(shape, tmp_path)
     try:
         with opened(path) as contents:
-            player = Player(choose(contents, Wish()), Order(), "hash")
+            player = Player(choose(contents, Selection()), PlayOptions(), "hash")
             said = [*playback.damaged(player.damages), *playback.left_out(player)]
             counts = _played(player)
             for stream, source_id in zip(player.streams, player.own_ids, strict=True):
@@ -96,7 +96,7 @@ def _is_offered(stream: Stream, source_id: str) -> None:
 
 
 def _exported(path: Path) -> Outcome:
-    return export(path, Task(["mcap"], Wish()), lambda _name, _s: lambda _done: None)
+    return export(path, Task(["mcap"], Selection()), lambda _name, _s: lambda _done: None)
 
 
 Content = dict[str, tuple[list[float], list[str]]]
@@ -157,7 +157,9 @@ def test_by_way_of_a_bag_each_sample_comes_back_or_it_is_said(shape: str, tmp_pa
 def test_a_replay_says_what_it_does_with_time_that_steps_back(tmp_path: Path) -> None:
     path = _written("a clock that began again, unmeasured", tmp_path)
     with opened(path) as contents:
-        (sentence,) = playback.left_out(Player(choose(contents, Wish()), Order(), "hash"))
+        (sentence,) = playback.left_out(
+            Player(choose(contents, Selection()), PlayOptions(), "hash")
+        )
     assert sentence.startswith("warning: ecg: its time steps back once; what follows is sent at")
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.bag.importing import import_bag
-from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
+from biosensor_gateway.recording.contents.choice import Selection, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.edf.exporter import Span, dealt_to_spans
 from biosensor_gateway.recording.export.marker_events import markers
@@ -228,7 +228,7 @@ def test_the_page_has_the_verdict_and_the_markers_of_the_command(
     found = verdict(check(content))
     assert (code, judged["colour"], judged["sentence"]) == (200, found.colour, found.sentence)
     with open_contents(path) as contents:
-        expected = [text for _, text in markers(choose(contents, Wish()))]
+        expected = [text for _, text in markers(choose(contents, Selection()))]
     assert [each["text"] for each in judged["markers"]] == expected
     texts = ["1", "2", "3"] if shape == "numbers as markers" else TEXTS
     assert expected == ([] if shape == "no marker" else texts)
@@ -257,7 +257,7 @@ def test_a_replay_is_as_long_as_the_recording(shape: str, tmp_path: Path) -> Non
     path.write_bytes(content)
     length_s = check(content).extent.length_s
     with open_contents(path) as contents:
-        timed, _ = on_one_clock(choose(contents, Wish()))
+        timed, _ = on_one_clock(choose(contents, Selection()))
         ends = [found for each in timed.streams if (found := each.ends())]
         begin_s = min(begin for begin, _ in ends)
         end_s = max(end for _, end in ends)

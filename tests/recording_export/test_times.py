@@ -11,14 +11,14 @@ import pytest
 from edfio import read_bdf
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.contents.choice import Wish, choose, on_one_clock
+from biosensor_gateway.recording.contents.choice import Selection, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export import kubios, runs
 from biosensor_gateway.recording.export.edf import exporter as edf_exporter
 from biosensor_gateway.recording.export.exporter import Missing, Times
 from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.replay import playback
-from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.sender_clock import EXTRAPOLATED_S, SenderClock
 from tests.recording_export.bids_shapes import EEG_VALUES, eeg
@@ -248,7 +248,7 @@ def test_every_format_is_told_and_bids_leaves_it_out(exported: Exporting) -> Non
     }
     assert {name: len(notes) for name, notes in missing.items()} == {"csv": 0, "edf": 0, "bids": 1}
     assert not outcome.is_whole
-    assert exported(BOTH, "csv-long", wish=Wish(("lsl",))).clock_notes == ()
+    assert exported(BOTH, "csv-long", selection=Selection(("lsl",))).clock_notes == ()
 
 
 def test_alone_it_is_written_on_its_own_clock(exported: Exporting) -> None:
@@ -282,12 +282,12 @@ def test_a_replay_plays_the_others_and_says_so(tmp_path: Path) -> None:
     path.write_bytes(BOTH)
     with open_contents(path) as contents:
         assert contents.end_s - contents.begin_s < 10
-        player = Player(choose(contents, Wish()), Order(), "hash")
+        player = Player(choose(contents, Selection()), PlayOptions(), "hash")
         assert [each.header.name for each in player.streams] == ["lsl"]
         assert player.progress().length_s < 10
         (sentence,) = playback.left_out(player)
         assert sentence.startswith("warning: unix is not played, because its stamps are")
-        alone = Player(choose(contents, Wish(streams=("unix",))), Order(), "hash")
+        alone = Player(choose(contents, Selection(streams=("unix",))), PlayOptions(), "hash")
         assert [each.header.name for each in alone.streams] == ["unix"]
         assert alone.progress().length_s == pytest.approx(4.9, abs=0.1)
 
@@ -296,7 +296,7 @@ def test_streams_on_one_clock_stay_together(tmp_path: Path) -> None:
     path = tmp_path / "good.xdf"
     path.write_bytes(made.xdf(_stream(1, "a", BEGIN_S), _stream(2, "b", BEGIN_S + 20)))
     with open_contents(path) as contents:
-        chosen = choose(contents, Wish())
+        chosen = choose(contents, Selection())
         assert on_one_clock(chosen) == (chosen, ())
 
 

@@ -17,15 +17,15 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.bag.types import BagError, BagReason
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.exporter import Clock, Progress
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.replay.player import (
     BIN_S,
     Lateness,
-    Order,
     Player,
+    PlayOptions,
     Timeline,
     Track,
 )
@@ -155,10 +155,12 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("wish", [Wish(begin="9:00:00"), Wish(["slow"], "0.2", "0.21")])
-def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
+@pytest.mark.parametrize(
+    "selection", [Selection(begin="9:00:00"), Selection(["slow"], "0.2", "0.21")]
+)
+def test_where_nothing_is_nothing_is_played(long: Path, selection: Selection) -> None:
     with opened(long) as contents, pytest.raises(ReplayError) as caught:
-        player = Player(choose(contents, wish), Order(), "hash")
+        player = Player(choose(contents, selection), PlayOptions(), "hash")
         player.offer()
         player.run(threading.Event())
     assert caught.value.reason is ReplayReason.EMPTY
@@ -167,11 +169,13 @@ def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
 @pytest.mark.nightly
 def test_a_bag_is_played_by_way_of_a_recording(long: Path, tmp_path: Path) -> None:
     exported = export(
-        long, Task(["mcap"], Wish(["slow"], "", "20"), clock=Clock.LSL, output=tmp_path), _unwatched
+        long,
+        Task(["mcap"], Selection(["slow"], "", "20"), clock=Clock.LSL, output=tmp_path),
+        _unwatched,
     )
     (bag,) = [each.path for each in exported.written]
     with opened(bag) as contents:
-        player = Player(choose(contents, Wish()), Order(speed=50.0), "hash")
+        player = Player(choose(contents, Selection()), PlayOptions(speed=50.0), "hash")
         player.offer()
         player.run(threading.Event())
         assert contents.path.name == bag.name

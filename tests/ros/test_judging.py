@@ -71,7 +71,7 @@ def facts(*, has_unix_stamps: bool = False, unfit: int = 0, **told: Any) -> Stre
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-UNIX = Refusal.UNIX_STAMPS.told()
+UNIX = Refusal.UNIX_STAMPS.message()
 SHARED, CLAIMED = (
     TopicName("psychopy", "Markers", conflict=True),
     TopicName("psychopy", "Markers", duplicate=True),
@@ -83,8 +83,8 @@ JUDGED: list[tuple[StreamFacts, bytes, str]] = [
     (facts(topic=CLAIMED), ERROR, "two streams claim to be this one"),
     (facts(twins=["lab-pc"]), ERROR, "that on lab-pc is not published: give each sender"),
     (facts(senders=["a", "b"]), WARN, "2 senders have the same source_id, name and type, on a, b"),
-    (facts(doubled_s=1.0), WARN, Refusal.MAYBE_DOUBLED.told()),
-    (facts(doubled_s=LEASE_S + 1), ERROR, Refusal.DOUBLED.told()),
+    (facts(doubled_s=1.0), WARN, Refusal.MAYBE_DOUBLED.message()),
+    (facts(doubled_s=LEASE_S + 1), ERROR, Refusal.DOUBLED.message()),
     (facts(delays=DELAYED), WARN, "its timestamps are not times of the LSL clock"),
     (facts(correction_s=None, attached_s=60.0), WARN, "the sender's clock cannot be queried"),
     (facts(unfit=3), WARN, "3 samples were not published: it is too large"),

@@ -47,7 +47,7 @@ def test_a_node_that_runs_twice_is_an_error(ros: Ros, start_node: Start) -> None
     ros.until(lambda: is_said(DiagnosticStatus.WARN), "a warning")
     ros.until(lambda: is_said(DiagnosticStatus.ERROR), "an error")
     assert "two nodes of this name" in status_of(ros, "node").message
-    assert status_of(ros, topic).message == Refusal.DOUBLED.told()
+    assert status_of(ros, topic).message == Refusal.DOUBLED.message()
     ros.until(
         lambda: all(each.count("two nodes of this name") for each in (first, second)),
         "a line in each log",
@@ -90,7 +90,7 @@ def test_a_sender_with_unix_stamps_is_told_so(ros: Ros, start_node: Start) -> No
 
     def push() -> bool:
         outlet.push_sample(["go"], time.time())
-        return bool(heard) and status_of(ros, topic).message == Refusal.UNIX_STAMPS.told()
+        return bool(heard) and status_of(ros, topic).message == Refusal.UNIX_STAMPS.message()
 
     ros.until(push, "events and a warning")
     assert status_of(ros, topic).level == DiagnosticStatus.WARN

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float32MultiArray
 
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from tests.recording_contents.ours import description
 from tests.replay import files
 
@@ -39,7 +39,7 @@ def player(path: Path) -> Generator[Player]:
                     desc=own_events),
     )  # fmt: skip
     with open_contents(path) as contents:
-        playing = Player(choose(contents, Wish()), Order(speed=0.5), "hash")
+        playing = Player(choose(contents, Selection()), PlayOptions(speed=0.5), "hash")
         playing.offer()
         yield playing
 

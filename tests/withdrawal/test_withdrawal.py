@@ -14,7 +14,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from biosensor_gateway.cli.withdraw import withdraw
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.bids.study import Study
 from biosensor_gateway.recording.export.exporting import Task, export
@@ -62,7 +62,9 @@ def _alone(name: str, seed: int) -> bytes:
 
 
 def _export(path: Path, *formats: str, output: Path | None = None) -> Outcome:
-    return export(path, Task(formats, Wish(), output=output), lambda _n, _s: lambda _done: None)
+    return export(
+        path, Task(formats, Selection(), output=output), lambda _n, _s: lambda _done: None
+    )
 
 
 @pytest.fixture

@@ -84,7 +84,7 @@ class MarkerCommands:
             _timing(arguments) if is_web else None,
         )
         if not sent.received:
-            people = Refusal.UNHEARD_MARKER.told()
+            people = Refusal.UNHEARD_MARKER.message()
             # nothing is dropped: the stream keeps it for a later receiver and has reported it
             _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
         answer = {"id": sent.id, "lsl_time": sent.lsl_time}

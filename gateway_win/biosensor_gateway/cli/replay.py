@@ -81,15 +81,15 @@ def replay(
     """
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
-    from biosensor_gateway.recording.contents.choice import Wish
+    from biosensor_gateway.recording.contents.choice import Selection
     from biosensor_gateway.recording.replay.playback import Wanted
-    from biosensor_gateway.recording.replay.player import Order
+    from biosensor_gateway.recording.replay.player import PlayOptions
     from biosensor_gateway.system.shutdown import until_signalled
 
     wanted = Wanted(
         file=file,
-        wish=Wish(streams or (), begin, end, participant, without),
-        order=Order(speed=speed, loop=loop, waits=waits, as_original=as_original),
+        selection=Selection(streams or (), begin, end, participant, without),
+        options=PlayOptions(speed=speed, loop=loop, waits=waits, as_original=as_original),
         may_be_beside=beside_live,
     )
     lsl = settings_or_defaults(settings).lsl
@@ -131,7 +131,7 @@ def _play(wanted: Wanted, stopping: threading.Event) -> bool:
         for sentence in (*playback.damaged(player.damages), *playback.left_out(player)):
             say(sentence)
         if not stopping.is_set():
-            say(playback.begun(wanted.file.name, player, wanted.order.speed))
+            say(playback.begun(wanted.file.name, player, wanted.options.speed))
             with _shown(player):
                 player.run(stopping)
         for sentence in playback.ended(player, was_stopped=stopping.is_set()):

@@ -37,7 +37,7 @@ from biosensor_gateway.demo.demonstration import (
 )
 from biosensor_gateway.devices.registry import declaration, sensor_title
 from biosensor_gateway.page.instance import ask_for_window, ask_to_end, way_into
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.recorder.local import LocalRecorder
@@ -187,7 +187,7 @@ class Trial:
         file = self._recording.stop().file
         verdict = check(file, expected)
         print_verdict(verdict)
-        outcome = export(file, Task([_TABLES], Wish()), _unwatched)
+        outcome = export(file, Task([_TABLES], Selection()), _unwatched)
         for sentence in sentences(outcome):
             say(sentence)
         return verdict.colour is not Colour.RED and outcome.is_certain

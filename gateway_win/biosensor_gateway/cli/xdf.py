@@ -28,7 +28,7 @@ from biosensor_gateway.cli.options import (
 )
 from biosensor_gateway.cli.output import console, say, table_of_names
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export import exporter
 from biosensor_gateway.recording.export.exporter import FORMATS
 from biosensor_gateway.recording.export.exporting import (
@@ -146,13 +146,13 @@ def export_recording(
     were added before are not written again.
     """
     _refuse_wrong_formats(to, wide=wide)
-    wish = Wish(streams or (), begin, end, participant, without)
+    selection = Selection(streams or (), begin, end, participant, without)
     # Brings what writes a data set.
     from biosensor_gateway.recording.export.bids.study import is_dataset
 
     wanted = Task(
         to,
-        wish,
+        selection,
         clock=clock,
         output=output,
         task=task,

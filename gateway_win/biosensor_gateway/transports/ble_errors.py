@@ -69,7 +69,7 @@ _NOT_PAIRED = ("org.bluez.Error.NotPermitted", "Not paired")
 _INSUFFICIENT_AUTHENTICATION, _INSUFFICIENT_ENCRYPTION = 0x05, 0x0F
 UNLIKELY_ERROR = 0x0E
 """What is left of these where BlueZ has tried to pair by itself, and could not."""
-Wish = Literal["auto", "yes", "no"]
+PairMode = Literal["auto", "yes", "no"]
 PLATFORM = sys.platform
 EARLY_DROP_S = 5.0
 """Who drops a host that is not paired does so at once."""
@@ -181,13 +181,13 @@ def _text(error: Exception) -> str:
 
 
 def _of_switch(value: object) -> object:
-    """Read a switch as a wish: on pairs first, off pairs where the device demands it."""
+    """Read a switch as a mode: on pairs first, off pairs where the device demands it."""
     if isinstance(value, bool):
         return "yes" if value else "auto"
     return value
 
 
-PairSetting = Annotated[Wish, BeforeValidator(_of_switch)]
+PairSetting = Annotated[PairMode, BeforeValidator(_of_switch)]
 """Type of the setting ``pair`` of a device."""
 PAIR_DESCRIPTION = (
     "auto pairs when the device demands it, or drops a connection at once on Windows; yes pairs "
@@ -196,7 +196,7 @@ PAIR_DESCRIPTION = (
 
 
 class Pairing:
-    """What is known of one device's wish to be paired; shared by all its connections.
+    """What is known of the pairing of one device; shared by all its connections.
 
     Nothing here asks the system for anything, so that what holds for Windows alone can be tried
     anywhere. What it goes by was told by users of Windows 11 and was not seen here yet: straps with
@@ -207,7 +207,7 @@ class Pairing:
 
     Parameters
     ----------
-    wish
+    mode
         The setting.
     platform
         As ``sys.platform`` names it; this one by default.
@@ -224,11 +224,11 @@ class Pairing:
     .. [3] https://github.com/hbldh/bleak/issues/2017
     """
 
-    def __init__(self, wish: Wish = "auto", platform: str = "") -> None:
-        self._wish = wish
+    def __init__(self, mode: PairMode = "auto", platform: str = "") -> None:
+        self._mode = mode
         self._is_windows = (platform or PLATFORM) == "win32"
         self._is_ours = False
-        self.comes_first = wish == "yes"
+        self.comes_first = mode == "yes"
 
     @property
     def uses_known_services(self) -> bool:
@@ -252,7 +252,7 @@ class Pairing:
             Something was asked of the device that it may refuse to who is not paired, and
             nothing of that kind has come through yet.
         """
-        if self._wish == "no":
+        if self._mode == "no":
             return False
         if isinstance(error, AttError):
             return error.wants_pairing or (error.code == UNLIKELY_ERROR and is_unanswered)
@@ -274,7 +274,7 @@ class Pairing:
         after_s
             Seconds from the connection; 0 if it did not begin.
         """
-        if self._is_windows and self._wish == "auto" and not self._is_ours:
+        if self._is_windows and self._mode == "auto" and not self._is_ours:
             # Paired in vain is as bad as unpaired in vain: in turns, one of them works.
             self.comes_first = after_s < EARLY_DROP_S and not self.comes_first
 

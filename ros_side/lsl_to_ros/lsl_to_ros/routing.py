@@ -251,7 +251,7 @@ class Routing:
             shape.more = route.bridge.more
         if topic.conflict and header.identity.sensor != naming.AGENT:
             # nothing is dropped: each has a topic, and its entry says so
-            self._warn(f"{topic.name}: {Refusal.TWO_UNITS.told()}")
+            self._warn(f"{topic.name}: {Refusal.TWO_UNITS.message()}")
         if inlet.is_delivering:
             inlet.deliver_to(route.bridge)
         else:

@@ -14,7 +14,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
@@ -42,7 +42,7 @@ def check(data: bytes) -> None:
         try:
             # What it writes need not outlive the power.
             with patch.object(os, "fsync"):
-                task = Task([name], Wish(), output=target, batch=_BATCH)
+                task = Task([name], Selection(), output=target, batch=_BATCH)
                 outcome = export(path, task, lambda _f, _s: _ignore)
         except GatewayError as error:
             ensure(str(error) != "" and "\n" not in str(error), "a refusal of no line", error)

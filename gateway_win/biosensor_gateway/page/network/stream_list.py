@@ -156,7 +156,7 @@ class StreamList:
         claim = claim_of(core)
         beside = any(not each.is_ours and each.claim == claim for each in self.streams.values())
         if not (before or beside) or now - since > _BOTH_ALIVE_S:
-            twin = Refusal.EITHER_SENDER.told()
+            twin = Refusal.EITHER_SENDER.message()
             number = self._namesake(info, now)
             self._add(info, core, now, number, note=twin if before or beside else "")
         return None  # nothing is dropped: it is listed, or waits for the end of another one

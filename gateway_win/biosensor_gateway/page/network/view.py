@@ -258,7 +258,7 @@ def _note(stream: NetworkStream, counted: dict[str, Counted]) -> str:
 
 def _clock_note(stream: NetworkStream) -> str:
     is_known = stream.receiver is not None and stream.receiver.correction is not None
-    return Refusal.BY_ARRIVAL.told() if is_known and stream.received.placer.is_by_arrival else ""
+    return Refusal.BY_ARRIVAL.message() if is_known and stream.received.placer.is_by_arrival else ""
 
 
 def _problems(listing: StreamList) -> list[str]:

@@ -20,7 +20,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText, explained
 from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.exporter import FORMATS, Progress
 from biosensor_gateway.recording.export.exporting import (
@@ -152,7 +152,7 @@ class Exports:
         said = [f"{each} is left out, for it was salvaged beside it" for each in left_out]
         self._is_unwanted = False
         self.view = ExportView(is_running=True, count=len(recordings), said=said)
-        task = Task(wanted.formats, Wish(), output=output)
+        task = Task(wanted.formats, Selection(), output=output)
         self._task = asyncio.create_task(self._run(recordings, task))
         self._task.add_done_callback(self._note_end)
 
@@ -276,7 +276,7 @@ def _judged(path: Path, session: Session) -> Judged:
     )
     try:
         with open_contents(path) as contents:
-            every = markers(choose(contents, Wish()))
+            every = markers(choose(contents, Selection()))
             first = list(islice(every, MOST_MARKERS))
             begin_s = contents.begin_s
             judged.markers = [RecordedMarker(time_s=t - begin_s, text=text) for t, text in first]

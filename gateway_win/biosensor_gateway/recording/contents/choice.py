@@ -41,7 +41,7 @@ BATCH = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class Selection:
     """A selection from a recording, as typed by the user.
 
     Attributes
@@ -110,7 +110,7 @@ def on_one_clock(chosen: Chosen) -> tuple[Chosen, tuple[Stream, ...]]:
     return replace(chosen, streams=timed), away
 
 
-def choose(contents: Contents, wish: Wish) -> Chosen:
+def choose(contents: Contents, selection: Selection) -> Chosen:
     """Resolve a user's selection.
 
     Raises
@@ -118,20 +118,20 @@ def choose(contents: Contents, wish: Wish) -> Chosen:
     ConfigError
         ``WRONG_VALUE``, if a stream or participant is not in the recording, or a time is invalid.
     """
-    for person in filter(None, (wish.participant, wish.without)):
+    for person in filter(None, (selection.participant, selection.without)):
         _require_person(contents, person)
-    streams = [each for each in contents.streams if _is_of(each, wish)]
-    for pattern in wish.streams:
+    streams = [each for each in contents.streams if _is_of(each, selection)]
+    for pattern in selection.streams:
         if not any(_fits(each, pattern) for each in streams):
             names = _listed({each.header.name for each in streams})
             message = f"there is no stream {pattern!r} in {contents.path}; {names}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    if wish.streams:
-        streams = [each for each in streams if any(_fits(each, fit) for fit in wish.streams)]
-    begin_s = _moment(wish.begin, contents) if wish.begin else -math.inf
-    end_s = _moment(wish.end, contents) if wish.end else math.inf
+    if selection.streams:
+        streams = [each for each in streams if any(_fits(each, fit) for fit in selection.streams)]
+    begin_s = _moment(selection.begin, contents) if selection.begin else -math.inf
+    end_s = _moment(selection.end, contents) if selection.end else math.inf
     if end_s <= begin_s:
-        message = f"the end, {wish.end}, is not after the start, {wish.begin}"
+        message = f"the end, {selection.end}, is not after the start, {selection.begin}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return Chosen(contents, tuple(streams), begin_s, end_s)
 
@@ -148,10 +148,10 @@ def _require_person(contents: Contents, person: str) -> None:
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
-def _is_of(stream: Stream, wish: Wish) -> bool:
+def _is_of(stream: Stream, selection: Selection) -> bool:
     person = _participant(stream)
-    is_left_out = bool(wish.without) and person == wish.without
-    return not is_left_out and (not wish.participant or person == wish.participant)
+    is_left_out = bool(selection.without) and person == selection.without
+    return not is_left_out and (not selection.participant or person == selection.participant)
 
 
 def _fits(stream: Stream, pattern: str) -> bool:

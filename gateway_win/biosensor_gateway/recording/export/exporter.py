@@ -51,7 +51,7 @@ class Times(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class ExportOptions:
     """Options of an export.
 
     Attributes
@@ -102,7 +102,7 @@ class Exporter(Protocol):
         ...
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """Write the selection chunk by chunk, because a recording may exceed the memory.
 

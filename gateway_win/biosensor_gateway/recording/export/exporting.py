@@ -13,7 +13,7 @@ from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Wish, choose
+from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Selection, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents, with_rates
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.exporter import (
@@ -23,8 +23,8 @@ from biosensor_gateway.recording.export.exporter import (
     USUAL_GROWTH,
     Clock,
     Exporter,
+    ExportOptions,
     Missing,
-    Order,
     Progress,
     Times,
     with_reasons,
@@ -73,7 +73,7 @@ class Task:
     """
 
     formats: Sequence[str]
-    wish: Wish
+    selection: Selection
     _: KW_ONLY
     clock: Clock = Clock.LSL
     output: Path | None = None
@@ -105,10 +105,10 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         participant = participant_of(path) if task.whose is Whose.NAME else ""
         for each in contents.streams if participant else ():
             each.take_wearer(participant)
-        chosen = replace(choose(contents, task.wish), batch=task.batch)
+        chosen = replace(choose(contents, task.selection), batch=task.batch)
         _require_samples(chosen)
         _require_clock(contents, task.clock)
-        order = Order(
+        options = ExportOptions(
             task.clock,
             bare_name(path),
             task.task,
@@ -119,11 +119,13 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
             notes := (*_clock_notes(chosen, task), *_event_notes(chosen, recorded)),
         )
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
-        targets = _targets(path, task.output, order.name, exporters)
+        targets = _targets(path, task.output, options.name, exporters)
         _require_space(chosen, targets)
         try:
             with _no_search_for_cycles():
-                written, without = _write_all(chosen, order, exporters, targets, watch, task.rates)
+                written, without = _write_all(
+                    chosen, options, exporters, targets, watch, task.rates
+                )
         except RecordingError as error:
             if error.reason is not RecordingReason.EMPTY:
                 raise
@@ -287,7 +289,7 @@ def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
 
 def _write_all(
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     exporters: dict[str, Exporter],
     targets: dict[str, Path],
     watch: Watch,
@@ -302,7 +304,7 @@ def _write_all(
             rated = rated or with_rates(chosen.streams, rates)
             wanted, notes = replace(chosen, streams=rated[0]), rated[1]
         try:
-            written.append(_write(wanted, order, name, exporter, targets[name], watch, notes))
+            written.append(_write(wanted, options, name, exporter, targets[name], watch, notes))
         except RecordingError as error:
             is_last_hope = not written and len(without) == len(exporters) - 1
             if error.reason is not RecordingReason.EMPTY or is_last_hope:
@@ -313,21 +315,21 @@ def _write_all(
 
 def _write(
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     name: str,
     exporter: Exporter,
     target: Path,
     watch: Watch,
     rates: Sequence[str],
 ) -> Written:
-    contents, order = chosen.contents, replace(order, notes=(*order.notes, *rates))
+    contents, options = chosen.contents, replace(options, notes=(*options.notes, *rates))
     begin_s, end_s = max(chosen.begin_s, contents.begin_s), min(chosen.end_s, contents.end_s)
     try:
         with new_place(target, like=contents.path) as made:
-            notes = exporter.write(chosen, order, made, watch(name, max(0.0, end_s - begin_s)))
+            notes = exporter.write(chosen, options, made, watch(name, max(0.0, end_s - begin_s)))
         if means := OF_ONE_FILE.get(name):
             files = {each.number: [target.name] for each in chosen.streams}
-            write_readme(readme_beside(target), chosen, order, means, files, notes)
+            write_readme(readme_beside(target), chosen, options, means, files, notes)
     except OSError as error:
         # Only an existing target itself is the user's error, not an existing file inside it.
         if isinstance(error, FileExistsError) and os.path.lexists(target):

@@ -17,8 +17,8 @@ from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.exporter import (
+    ExportOptions,
     Missing,
-    Order,
     Progress,
     SampleCount,
     with_reasons,
@@ -57,7 +57,7 @@ class Kubios:
     suffix = "_kubios"
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         target.mkdir()
@@ -71,7 +71,7 @@ class Kubios:
                 notes += _write_intervals(chosen, stream, path)
                 files |= {stream.number: [path.name]} if path.exists() else {}
             elif _is_of(stream, ContentType.ECG) and stream.header.is_regular:
-                made = _write_ecg(chosen, order, stream, target, names, notes)
+                made = _write_ecg(chosen, options, stream, target, names, notes)
                 files |= {stream.number: made} if made else {}
             count.add(stream.sample_count)
         if not any(target.iterdir()):
@@ -80,7 +80,7 @@ class Kubios:
                 "selection, so nothing was written for Kubios"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
-        write_readme(target, chosen, order, _MEANS, files, notes)
+        write_readme(target, chosen, options, _MEANS, files, notes)
         return notes
 
 
@@ -120,7 +120,7 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
 
 def _write_ecg(
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     stream: Stream,
     folder: Path,
     names: FileNames,
@@ -128,14 +128,14 @@ def _write_ecg(
 ) -> list[str]:
     """Write an ECG and add notes for the user; return its file names."""
     name = stream.header.name
-    cut = Runs(chosen, stream, order.times)
+    cut = Runs(chosen, stream, options.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
         notes.append(Missing(f"{name}: left out, because it has more than {MOST_RUNS} gaps"))
         return []
     if not runs:
         return []
-    every = stretches(runs, stream.header.rate, longest_gap_s(order.times))
+    every = stretches(runs, stream.header.rate, longest_gap_s(options.times))
     files = [folder / f"{each}.txt" for each in names.of(stream, len(every))]
     file_of = [path for path, each in zip(files, every, strict=True) for _ in each.runs]
     empty = [rows for each in every for rows in each.empty]

@@ -18,8 +18,8 @@ from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporter import (
+    ExportOptions,
     Missing,
-    Order,
     Progress,
     SampleCount,
     on_clock,
@@ -65,7 +65,7 @@ class Ledalab:
     suffix = "_ledalab"
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         target.mkdir()
@@ -76,7 +76,7 @@ class Ledalab:
         for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
             if _is_conductance(stream):
                 path = target / f"{name}.txt"
-                notes += _write_stream(chosen, order, stream, happened, codes, path)
+                notes += _write_stream(chosen, options, stream, happened, codes, path)
                 files |= {stream.number: [path.name]} if path.exists() else {}
             count.add(stream.sample_count)
         if not any(target.iterdir()):
@@ -88,7 +88,7 @@ class Ledalab:
         if codes:
             lines = quoted([("code", "marker"), *((code, text) for text, code in codes.items())])
             (target / CODES).write_bytes(lines)
-        write_readme(target, chosen, order, _MEANS, files, notes)
+        write_readme(target, chosen, options, _MEANS, files, notes)
         return notes
 
 
@@ -108,7 +108,7 @@ def _numbered(chosen: Chosen) -> tuple[NDArray[np.float64], dict[str, int]]:
 
 def _write_stream(
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     stream: Stream,
     happened: NDArray[np.float64],
     codes: dict[str, int],
@@ -119,8 +119,8 @@ def _write_stream(
     place, begin_s = 0, None
     runs = behind_holes = None
     given: Iterator[Samples] = batches(chosen, stream)
-    if has_even_times(stream, order.times):
-        runs = Runs(chosen, stream, order.times)
+    if has_even_times(stream, options.times):
+        runs = Runs(chosen, stream, options.times)
         given = runs.samples()
         happened = _with_gaps(happened, runs, stream, codes)
     else:
@@ -143,7 +143,7 @@ def _write_stream(
             told_of.late += _late(here, times, stream, behind_holes)
             told_of.inside += len(here)
             place = max(place, end)
-            told = on_clock(chosen, order.clock, times)
+            told = on_clock(chosen, options.clock, times)
             rows = zip(numbers(told), numbers(values), numbers(here_codes), strict=True)
             file.writelines(b"%b\t%b\t%b\n" % row for row in rows)
     if begin_s is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.export.exporter import Clock, Order, Times, timeline
+from biosensor_gateway.recording.export.exporter import Clock, ExportOptions, Times, timeline
 
 README = "README.txt"
 _LONG = """\
@@ -48,7 +48,7 @@ def readme_beside(target: Path) -> Path:
 def write_readme(
     place: Path,
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     means: str,
     files: Mapping[int, Sequence[str]],
     notes: Sequence[str],
@@ -64,7 +64,7 @@ def write_readme(
     files
         File names or topics of each exported stream, by stream number.
     notes
-        Notes on this export, besides those of `order`.
+        Notes on this export, besides those of `options`.
 
     Raises
     ------
@@ -76,9 +76,9 @@ def write_readme(
         [f"{chosen.contents.path.name}, exported by biosensor-gateway {program}."],
         ["WHAT IS HERE", *_items(_described(chosen, files))],
         ["HOW TO READ IT", *_items(means.split("\n\n"))],
-        ["TIMES", *_items(_times(chosen, order))],
+        ["TIMES", *_items(_times(chosen, options))],
     ]
-    if known := [*order.notes, *notes]:
+    if known := [*options.notes, *notes]:
         blocks.append(["WHAT YOU SHOULD KNOW", *_items(known)])
     text = "\n\n".join("\n".join(each) for each in blocks) + "\n"
     # Names in headers may contain unpaired surrogates.
@@ -117,13 +117,14 @@ def _stream_text(stream: Stream) -> str:
     return f"{told}; {', '.join(channels[:_MOST_CHANNELS])}{more}"
 
 
-def _times(chosen: Chosen, order: Order) -> Iterator[str]:
-    line = timeline(chosen, order.clock)
-    yield f"All times are in seconds. Where no other zero is said they are {_CLOCKS[order.clock]}."
+def _times(chosen: Chosen, options: ExportOptions) -> Iterator[str]:
+    line = timeline(chosen, options.clock)
+    clock = _CLOCKS[options.clock]
+    yield f"All times are in seconds. Where no other zero is said they are {clock}."
     date = line.described()["TimeZero"]
     begin = f"{line.begin_s:.6f}"
     if isinstance(date, dict) and "Date" in date:
         yield f"The recording begins at {begin}, which is {date['Date']}."
     else:
         yield f"The recording begins at {begin}."
-    yield _TIMES[order.times]
+    yield _TIMES[options.times]

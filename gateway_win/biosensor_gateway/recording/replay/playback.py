@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.lsl.network import search
-from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.replay.outlet import NAMELESS
-from biosensor_gateway.recording.replay.player import Order, Player, Progress
+from biosensor_gateway.recording.replay.player import Player, PlayOptions, Progress
 from biosensor_gateway.recording.replay.source import (
     ReplayError,
     ReplayReason,
@@ -28,8 +28,8 @@ class Wanted:
     """What to play and how; `may_be_beside` allows it while the real streams are visible."""
 
     file: Path
-    wish: Wish
-    order: Order
+    selection: Selection
+    options: PlayOptions
     may_be_beside: bool
 
 
@@ -57,8 +57,8 @@ def prepared(wanted: Wanted, allowed_by: str) -> Generator[Player]:
         If it cannot be replayed; see its reasons.
     """
     with opened(wanted.file) as contents:
-        chosen = choose(contents, wanted.wish)
-        player = Player(chosen, wanted.order, content_hash(contents.path))
+        chosen = choose(contents, wanted.selection)
+        player = Player(chosen, wanted.options, content_hash(contents.path))
         refuse_if_present(
             player.own_ids,
             player.recorded_ids,

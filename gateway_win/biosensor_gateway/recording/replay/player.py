@@ -40,7 +40,7 @@ _MOST_BLOCKS = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class PlayOptions:
     """How to play.
 
     Attributes
@@ -105,9 +105,9 @@ class Player:
         ``EMPTY``, if no stream has samples in the time range.
     """
 
-    def __init__(self, chosen: Chosen, order: Order, file_hash: str) -> None:
+    def __init__(self, chosen: Chosen, options: PlayOptions, file_hash: str) -> None:
         chosen, self.left_out = on_one_clock(chosen)
-        self._chosen, self._order = chosen, order
+        self._chosen, self._options = chosen, options
         self._file_hash = file_hash
         self.streams = chosen.streams
         first_s, last_s = extent(self.streams)
@@ -139,7 +139,7 @@ class Player:
     def own_ids(self) -> list[str]:
         """source_ids of the played streams."""
         recorded = self.recorded_ids
-        if self._order.as_original:
+        if self._options.as_original:
             return recorded
         several = Counter(_recorded_id(each) for each in self._chosen.contents.streams)
         return [
@@ -164,7 +164,7 @@ class Player:
                 file=self._chosen.contents.path.name,
                 source_id=_recorded_id(stream),
                 rate=header.rate,
-                speed=self._order.speed,
+                speed=self._options.speed,
                 start_s=self.begin_s,
             )
             self._outlets[stream.number] = PlayedOutlet(header, source_id, replay)
@@ -197,20 +197,20 @@ class Player:
         ReplayError
             ``EMPTY``, if there was nothing to send.
         """
-        while self._order.waits and not self._all_received():
+        while self._options.waits and not self._all_received():
             if stopping.wait(_LOOK_S):
                 return
         tracks = self._tracks()
         start_s = pylsl.local_clock() + _LEAD_S
         while not stopping.is_set():
             self._lap += 1
-            self._play(tracks, Timeline(start_s, self.begin_s, self._order.speed), stopping)
+            self._play(tracks, Timeline(start_s, self.begin_s, self._options.speed), stopping)
             if not (self._sent or stopping.is_set()):
                 raise self._empty()
-            if not self._order.loop:
+            if not self._options.loop:
                 break
             tracks = self._tracks()
-            start_s += (self.end_s - self.begin_s) / self._order.speed + LAP_PAUSE_S
+            start_s += (self.end_s - self.begin_s) / self._options.speed + LAP_PAUSE_S
         if self.progress().received:
             time.sleep(_LINGER_S)
 

@@ -20,11 +20,11 @@ from biosensor_common.process_limits import end_within
 from biosensor_common.quantities import ChannelFormat, ChannelRole
 from biosensor_gateway.agent.feed import ReaderQueue
 from biosensor_gateway.agent.feed_frames import FrameKind, frame, samples_frame
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.replay import playback
 from biosensor_gateway.recording.replay.playback import Wanted, prepared
-from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.system.child import first_line, when_input_ends
 
@@ -63,8 +63,8 @@ class ReplayJob(BaseModel):
         """The job in the form that `prepared` takes."""
         return Wanted(
             self.file,
-            Wish(self.streams, self.begin, self.end),
-            Order(speed=self.speed, loop=self.loop),
+            Selection(self.streams, self.begin, self.end),
+            PlayOptions(speed=self.speed, loop=self.loop),
             may_be_beside=self.beside_live,
         )
 

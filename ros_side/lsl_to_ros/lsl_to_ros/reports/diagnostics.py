@@ -321,7 +321,7 @@ def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:
         Refusal.UNKNOWN_CLOCK: is_unknown,
     }
     told = [
-        (what.level, what.told(hosts=hosts.get(what, ""), senders=len(facts.senders)))
+        (what.level, what.message(hosts=hosts.get(what, ""), senders=len(facts.senders)))
         for what, is_so in found.items()
         if is_so
     ]

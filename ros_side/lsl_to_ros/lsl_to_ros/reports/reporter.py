@@ -178,7 +178,7 @@ class Survey:
             return 0.0
         for_s = monotonic() - self._doubled.setdefault(topic, monotonic())
         if for_s > LEASE_S and not self._has_said_doubled:
-            self._warn(f"{topic}: {Refusal.DOUBLED.told()}; does this node run twice?")
+            self._warn(f"{topic}: {Refusal.DOUBLED.message()}; does this node run twice?")
         self._has_said_doubled |= for_s > LEASE_S
         return max(1e-9, for_s)
 

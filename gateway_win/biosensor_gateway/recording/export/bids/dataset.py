@@ -27,8 +27,8 @@ from biosensor_gateway.recording.export.bids.file_names import (
 from biosensor_gateway.recording.export.bids.run_file import RunFile, runs_by_start
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, Remarks, SignalWriter
 from biosensor_gateway.recording.export.exporter import (
+    ExportOptions,
     Missing,
-    Order,
     Progress,
     SampleCount,
     timeline,
@@ -178,25 +178,27 @@ class BidsDataset:
     suffix = "_bids"
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
-        dataset = _Dataset(chosen, order, target, progress)
+        dataset = _Dataset(chosen, options, target, progress)
         target.mkdir()
         return dataset.write()
 
 
 class _Dataset:
-    def __init__(self, chosen: Chosen, order: Order, root: Path, progress: Progress) -> None:
+    def __init__(
+        self, chosen: Chosen, options: ExportOptions, root: Path, progress: Progress
+    ) -> None:
         chosen, self._away = on_one_clock(chosen)
         self._chosen = chosen
-        self._order = order
+        self._options = options
         self._root = root
-        self._timeline = timeline(chosen, order.clock)
+        self._timeline = timeline(chosen, options.clock)
         self._count = SampleCount(chosen, progress)
-        told = entities_of(order.name)
-        task = order.task or told.get("task", _USUAL_TASK)
-        session = order.session or told.get("ses", "")
+        told = entities_of(options.name)
+        task = options.task or told.get("task", _USUAL_TASK)
+        session = options.session or told.get("ses", "")
         # Invalid labels typed by the user raise an error instead of being changed.
         BidsLabels(UNKNOWN, task=task, session=session or UNKNOWN)
         self._entities = Entities("", task, session, told.get("acq", ""), told.get("run", ""))
@@ -206,7 +208,7 @@ class _Dataset:
         self._subjects = find_subjects(chosen, streams, told.get("sub", ""))
 
     def write(self) -> list[str]:
-        writer = SignalWriter(self._chosen, self._order, self._timeline, self._root, self._count)
+        writer = SignalWriter(self._chosen, self._options, self._timeline, self._root, self._count)
         places = self._places()
         written = {
             self._subjects.of(each)
@@ -218,7 +220,7 @@ class _Dataset:
             path = self._chosen.contents.path
             message = f"{path} has no data that BIDS has a place for"
             raise RecordingError(RecordingReason.EMPTY, message)
-        describe(self._root, self._order.name, self._subjects, written)
+        describe(self._root, self._options.name, self._subjects, written)
         missing = [
             Missing(f"{each.header.name}: left out, because {each.clock_error}")
             for each in self._away
@@ -269,7 +271,7 @@ class _Dataset:
         span = (self._chosen.begin_s, self._chosen.end_s)
         for stream, samples in merged(self._markers, *span):
             for event in marker_events(stream, samples, self._timeline):
-                if self._order.participant:
+                if self._options.participant:
                     event.participant = ""
                 yield stream, event
             self._count.add(len(samples))

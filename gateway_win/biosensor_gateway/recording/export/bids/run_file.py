@@ -31,7 +31,7 @@ from biosensor_gateway.recording.export.edf.exporter import (
     channels_of,
     write_stretch,
 )
-from biosensor_gateway.recording.export.exporter import Order, Timeline, Times
+from biosensor_gateway.recording.export.exporter import ExportOptions, Timeline, Times
 from biosensor_gateway.recording.export.runs import (
     LONGEST_JOINED_S,
     MOST_RUNS,
@@ -223,7 +223,7 @@ _EMG = "emg"
 def write_emg(
     root: Path,
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     stream: Stream,
     entities: Entities,
     label: str,
@@ -241,12 +241,12 @@ def write_emg(
     OSError
         If a file cannot be written.
     """
-    is_even = order.times is Times.EVEN or not is_exact(stream.header)
+    is_even = options.times is Times.EVEN or not is_exact(stream.header)
     cut = Runs(chosen, stream, Times.EVEN if is_even else Times.RECORDED)
     runs = cut.found()
     if not runs or len(runs) > MOST_RUNS:
         return [], []
-    longest_s = LONGEST_JOINED_S if order.times is Times.EVEN else LONGEST_FILLED_S
+    longest_s = LONGEST_JOINED_S if options.times is Times.EVEN else LONGEST_FILLED_S
     every = stretches(runs, stream.header.rate, longest_s)
     held = [_held(stream, each) for each in every]
     if not all(held):
@@ -273,7 +273,7 @@ def write_emg(
         )
         path = root / file.path("emg.bdf")
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_stretch(chosen, order.clock, stream, stretch, channels, missing, given, path)
+        write_stretch(chosen, options.clock, stream, stretch, channels, missing, given, path)
         _describe(root, file, stretch, channels, timeline)
         files.append(file)
     return files, notes

@@ -48,7 +48,7 @@ from biosensor_gateway.recording.export.bids.sidecars import (
     columns,
     unit,
 )
-from biosensor_gateway.recording.export.exporter import Order, SampleCount, Timeline, Times
+from biosensor_gateway.recording.export.exporter import ExportOptions, SampleCount, Timeline, Times
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     LONGEST_JOINED_S,
@@ -194,9 +194,14 @@ class SignalWriter:
     """
 
     def __init__(
-        self, chosen: Chosen, order: Order, timeline: Timeline, root: Path, count: SampleCount
+        self,
+        chosen: Chosen,
+        options: ExportOptions,
+        timeline: Timeline,
+        root: Path,
+        count: SampleCount,
     ) -> None:
-        self._chosen, self._order, self._times = chosen, order, order.times
+        self._chosen, self._options, self._times = chosen, options, options.times
         self._timeline = timeline
         self._root = root
         self._count = count
@@ -295,7 +300,7 @@ class SignalWriter:
         files, notes = write_emg(
             self._root,
             self._chosen,
-            self._order,
+            self._options,
             stream,
             place.entities,
             place.label,

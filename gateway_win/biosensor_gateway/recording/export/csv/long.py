@@ -11,7 +11,7 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.exporter import (
-    Order,
+    ExportOptions,
     Progress,
     SampleCount,
     on_clock,
@@ -44,30 +44,30 @@ class LongCsv:
         self.suffix = ".csv.gz" if is_packed else ".csv"
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         count = SampleCount(chosen, progress)
         names = unique(each.header.name for each in chosen.streams)
         notes: list[str] = []
         with tables.table_file(target, is_packed=self._is_packed) as file:
-            file.write(tables.quoted([[tables.time_column(order.clock), *COLUMNS]]))
+            file.write(tables.quoted([[tables.time_column(options.clock), *COLUMNS]]))
             for stream, name in zip(chosen.streams, names, strict=True):
                 channels = _channels(stream, name)
                 given: Iterator[Samples] = batches(chosen, stream)
                 runs = None
-                if has_even_times(stream, order.times):
-                    runs = Runs(chosen, stream, order.times)
+                if has_even_times(stream, options.times):
+                    runs = Runs(chosen, stream, options.times)
                     given = runs.samples()
                 for samples in given:
-                    times = numbers(on_clock(chosen, order.clock, samples.times))
+                    times = numbers(on_clock(chosen, options.clock, samples.times))
                     file.write(_rows(times, channels, samples))
                     count.add(len(samples))
                 if runs is None:
                     continue
                 gaps = runs.gaps()
                 begins = np.array([each.begin_s for each in gaps])
-                times = numbers(on_clock(chosen, order.clock, begins))
+                times = numbers(on_clock(chosen, options.clock, begins))
                 file.write(_gap_rows(times, stream, name, gaps))
                 notes += [f"{name}: {told}" for told in runs.remarks_on_times()]
                 if gaps:

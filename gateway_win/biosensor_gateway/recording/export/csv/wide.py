@@ -17,8 +17,8 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.exporter import (
     Clock,
+    ExportOptions,
     Missing,
-    Order,
     Progress,
     SampleCount,
     Timeline,
@@ -95,7 +95,7 @@ class WideCsv:
         self._is_packed = is_packed
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         target.mkdir()
@@ -103,36 +103,36 @@ class WideCsv:
         count = SampleCount(chosen, progress)
         described: list[dict[str, Any]] = []
         even: list[tuple[Stream, Runs]] = []
-        wide = table_names(chosen).values() if order.is_wide else ()
+        wide = table_names(chosen).values() if options.is_wide else ()
         names = file_names(chosen.streams, [Path(MARKERS).stem, *wide])
         for stream, name in zip(chosen.streams, names, strict=True):
             path = target / f"{name}{suffix}"
             given: Iterator[Samples] = batches(chosen, stream)
-            if has_even_times(stream, order.times):
-                even.append((stream, Runs(chosen, stream, order.times)))
+            if has_even_times(stream, options.times):
+                even.append((stream, Runs(chosen, stream, options.times)))
                 given = even[-1][1].samples()
-            samples = self._write_stream(chosen, stream, given, order.clock, path, count)
-            described.append(_described(stream, order.clock, samples, path.name))
+            samples = self._write_stream(chosen, stream, given, options.clock, path, count)
+            described.append(_described(stream, options.clock, samples, path.name))
         content = {
             "recording": chosen.contents.path.name,
-            "clock": order.clock.value,
+            "clock": options.clock.value,
             "begun": chosen.contents.begun,
             "streams": described,
         }
         text = json.dumps(content, indent=2, ensure_ascii=False)
         (target / CONTENTS).write_text(text + "\n", "utf-8", newline="\n")
-        _write_markers(chosen, order, even, target / MARKERS)
+        _write_markers(chosen, options, even, target / MARKERS)
         notes: list[str] = []
-        if order.is_wide:
-            notes += write_by_rate(chosen, order, names, target, is_packed=self._is_packed)
+        if options.is_wide:
+            notes += write_by_rate(chosen, options, names, target, is_packed=self._is_packed)
         notes += [f"{stream.header.name}: {told}" for stream, runs in even for told in _told(runs)]
         files = {
             each.number: [f"{name}{suffix}"]
             for each, name in zip(chosen.streams, names, strict=True)
         }
-        means = _MEANS.format(time=tables.time_column(order.clock))
-        means += _WIDE if order.is_wide else ""
-        write_readme(target, chosen, order, means, files, notes)
+        means = _MEANS.format(time=tables.time_column(options.clock))
+        means += _WIDE if options.is_wide else ""
+        write_readme(target, chosen, options, means, files, notes)
         return notes
 
     def _write_stream(
@@ -164,9 +164,9 @@ def _told(runs: Runs) -> Iterator[str]:
 
 
 def _write_markers(
-    chosen: Chosen, order: Order, even: Sequence[tuple[Stream, Runs]], path: Path
+    chosen: Chosen, options: ExportOptions, even: Sequence[tuple[Stream, Runs]], path: Path
 ) -> None:
-    line = timeline(chosen, order.clock)
+    line = timeline(chosen, options.clock)
     streams = [each for each in chosen.streams if each.header.is_markers and not is_left_out(each)]
 
     def all_of_them() -> Iterator[tuple[Stream, MarkerEvent]]:
@@ -175,7 +175,7 @@ def _write_markers(
                 yield stream, each
 
     with path.open("xb") as file:
-        heads = ["seconds", tables.time_column(order.clock)]
+        heads = ["seconds", tables.time_column(options.clock)]
         heads += ["marker", "note", "undone", "participant", "stream"]
         file.write(tables.quoted([heads]))
         gaps = (
@@ -321,7 +321,7 @@ def _is_signal(stream: Stream) -> bool:
 
 
 def write_by_rate(
-    chosen: Chosen, order: Order, names: Sequence[str], target: Path, *, is_packed: bool
+    chosen: Chosen, options: ExportOptions, names: Sequence[str], target: Path, *, is_packed: bool
 ) -> list[str]:
     """Write a table for each rate; return notes for the user.
 
@@ -340,21 +340,23 @@ def write_by_rate(
     happened = sorted(markers(chosen))
     for rate, table in table_names(chosen).items():
         found = [each for each in chosen.streams if _is_signal(each) and each.header.rate == rate]
-        members = [_member(chosen, order, each, notes) for each in found]
+        members = [_member(chosen, options, each, notes) for each in found]
         kept = [each for each in members if each is not None]
         if kept:
             path = target / f"{table}{'.csv.gz' if is_packed else '.csv'}"
             with tables.table_file(path, is_packed=is_packed) as file:
                 notes += [
                     f"{path.name}: {told}"
-                    for told in _write_table(file, chosen, order, kept, called, happened)
+                    for told in _write_table(file, chosen, options, kept, called, happened)
                 ]
     return notes
 
 
-def _member(chosen: Chosen, order: Order, stream: Stream, notes: list[str]) -> _Member | None:
+def _member(
+    chosen: Chosen, options: ExportOptions, stream: Stream, notes: list[str]
+) -> _Member | None:
     """Return a stream's part of a table; None, with a note, if it cannot be in one."""
-    runs = Runs(chosen, stream, order.times) if has_even_times(stream, order.times) else None
+    runs = Runs(chosen, stream, options.times) if has_even_times(stream, options.times) else None
     if runs is None:
         cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
     else:
@@ -376,7 +378,7 @@ def _member(chosen: Chosen, order: Order, stream: Stream, notes: list[str]) -> _
 def _write_table(
     file: BinaryIO,
     chosen: Chosen,
-    order: Order,
+    options: ExportOptions,
     members: Sequence[_Member],
     called: Mapping[int, str],
     happened: Sequence[tuple[float, str]],
@@ -384,7 +386,7 @@ def _write_table(
     """Write one table; yield sentences about the distances between samples and rows."""
     # At the fastest real rate, each sample gets its own row.
     rate_hz = max(each.rate_hz for each in members)
-    line = timeline(chosen, order.clock)
+    line = timeline(chosen, options.clock)
     zero_s = line.zero_s
     columns = [
         _Column(
@@ -399,7 +401,7 @@ def _write_table(
         for each in members
         for name in tables.columns(each.stream)
     ]
-    lead = [tables.SECONDS, tables.time_column(order.clock)]
+    lead = [tables.SECONDS, tables.time_column(options.clock)]
     file.write(tables.quoted([unique([*lead, *heads, MARKER])]))
     told = deque((round((time_s - zero_s) * rate_hz), text) for time_s, text in happened)
     while rows := [each.next_row for each in columns if each.next_row is not None]:
@@ -413,7 +415,7 @@ def _write_table(
         kept = np.flatnonzero(has_sample)
         times = zero_s + (begin + kept) / rate_hz
         since = np.round(line.since_zero(times), _MICROSECONDS)
-        lead_times = np.column_stack((since, on_clock(chosen, order.clock, times)))
+        lead_times = np.column_stack((since, on_clock(chosen, options.clock, times)))
         text = rows_of_numbers(lead_times, values[kept])
         file.write(_with_markers(text, begin + kept, told))
     away_s = max(each.grid.displacement.largest for each in columns) / rate_hz

@@ -28,8 +28,8 @@ from biosensor_gateway.recording.export.edf.bdf import (
 )
 from biosensor_gateway.recording.export.exporter import (
     Clock,
+    ExportOptions,
     Missing,
-    Order,
     Progress,
     SampleCount,
     Times,
@@ -91,12 +91,12 @@ class Edf:
     suffix = "_edf"
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         target.mkdir()
         count, happened = SampleCount(chosen, progress), sorted(markers(chosen))
-        job = _Job(chosen, order.clock, order.times, count, happened)
+        job = _Job(chosen, options.clock, options.times, count, happened)
         irregular, names = list[str](), FileNames()
         for stream in chosen.streams:
             if stream.header.is_markers:
@@ -121,7 +121,7 @@ class Edf:
         if cut := sum(len(text) > MOST_CHARACTERS for _, text in happened):
             texts = "1 marker is" if cut == 1 else f"{cut} markers are"
             job.notes.append(f"{texts} cut off after {MOST_CHARACTERS} characters; csv has all")
-        write_readme(target, chosen, order, _MEANS, job.files, job.notes)
+        write_readme(target, chosen, options, _MEANS, job.files, job.notes)
         return job.notes
 
 

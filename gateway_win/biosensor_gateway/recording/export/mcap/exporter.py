@@ -40,7 +40,13 @@ from biosensor_gateway.recording.bag.types import EVENT, SAMPLES
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock
-from biosensor_gateway.recording.export.exporter import Clock, Missing, Order, Progress, Times
+from biosensor_gateway.recording.export.exporter import (
+    Clock,
+    ExportOptions,
+    Missing,
+    Progress,
+    Times,
+)
 from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -208,16 +214,16 @@ class McapExporter:
     suffix = "_bag"
 
     def write(
-        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+        self, chosen: Chosen, options: ExportOptions, target: Path, progress: Progress
     ) -> Sequence[str]:
         """See :meth:`.exporter.Exporter.write`; times are always Unix times."""
         with new_bag(target) as bag:
             conversion = _Conversion(bag, chosen)
             conversion.run(progress)
         notes = list(conversion.sentences())
-        if order.times is Times.EVEN:
+        if options.times is Times.EVEN:
             notes.append("a bag always has the recorded times, which its import needs")
-        recorded = replace(order, clock=Clock.WALL, times=Times.RECORDED)
+        recorded = replace(options, clock=Clock.WALL, times=Times.RECORDED)
         write_readme(target, chosen, recorded, _MEANS, conversion.topics(), notes)
         return notes
 
