@@ -100,8 +100,11 @@ def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> N
     Raises
     ------
     ConfigError
-        If the recording cannot be read or has no raw stream, or the target cannot be written.
+        If the recording cannot be read or has no raw stream, or the target exists.
+    FeatureError
+        If the target cannot be written.
     """
+    from biosensor_common.lsl.network import configure_lsl
     from biosensor_gateway.features.offline import SUFFIXES, compute
     from biosensor_gateway.features.sources import FeatureError, FeatureReason
 
@@ -109,10 +112,14 @@ def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> N
     if target.suffix not in SUFFIXES:
         message = f"{target} has no suffix that is written; give it {' or '.join(SUFFIXES)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    # Headers are made by liblsl, which otherwise says where it has its settings from.
+    configure_lsl(LslSettings().overrides)
     try:
         with wrong_recording():
             computed = compute(file, target)
     except FeatureError as error:
+        if error.reason is FeatureReason.UNWRITABLE:
+            raise
         as_config = {
             FeatureReason.EXISTS: ConfigReason.EXISTS,
             FeatureReason.NOTHING: ConfigReason.WRONG_VALUE,

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError, cannot_write
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.output import say
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.printing import printable
 
 if TYPE_CHECKING:
@@ -63,16 +64,36 @@ def withdraw(
             typer.echo(json.dumps({"plan": _as_json(found)}, indent=2))
             raise typer.Exit(1)
         typer.confirm("Do it? What is deleted is gone", abort=True)
+    if report is not None:
+        _require_place(report)
     result = carry_out(found)
     content = json.dumps({"plan": _as_json(found), "report": asdict(result)}, indent=2, default=str)
-    if report is not None:
-        report.write_text(content + "\n", "utf-8")
     if print_json:
         typer.echo(content)
     else:
         _say_report(result)
+    if report is not None:
+        try:
+            report.write_text(content + "\n", "utf-8")
+        except OSError as error:
+            # What was done is said above.
+            report.unlink(missing_ok=True)
+            raise _unwritable(report, error) from error
     if not result.is_clean:
         raise typer.Exit(1)
+
+
+def _require_place(report: Path) -> None:
+    """See that a report can be written there, before anything is done that it is about."""
+    try:
+        report.touch(exist_ok=False)
+        report.unlink()
+    except OSError as error:
+        raise _unwritable(report, error) from error
+
+
+def _unwritable(report: Path, error: OSError) -> GatewayError:
+    return RecordingError(RecordingReason.UNWRITABLE, cannot_write(report, error))
 
 
 def _as_json(found: Plan) -> list[dict[str, str]]:

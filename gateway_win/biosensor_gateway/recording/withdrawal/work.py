@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,7 @@ from typing import BinaryIO
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
+from biosensor_common.errors import cannot_write
 from biosensor_gateway.recording.bag.opening import read_bag
 from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.export.bids.study import is_dataset
@@ -117,7 +119,12 @@ class _Looking:
             if step is not None:
                 yield step
         else:
-            for each in sorted(place.iterdir()):
+            try:
+                inside = sorted(place.iterdir())
+            except OSError as error:
+                yield Step(place, Action.LOOK, f"it cannot be read: {error.strerror or error}")
+                return
+            for each in inside:
                 yield from self.at(each)
 
     def _is_theirs(self, path: Path) -> bool:
@@ -268,8 +275,9 @@ def carry_out(plan: Plan) -> Report:
 
 def _do(step: Step, person: Person) -> Iterator[Done]:
     files = list(_files(step.path))
-    before = {path: digest(path) for path in files}
+    before: dict[Path, str] = {}
     try:
+        before |= {path: digest(path) for path in files}
         if step.action is Action.REWRITE:
             _rewrite(step.path, person)
         elif step.path.is_dir():
@@ -278,7 +286,7 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
             step.path.unlink()
     # An error in one file must not stop the others; it is reported.
     except Exception as error:  # noqa: BLE001 - any of a library's
-        yield Done(step.path, step.action, before.get(step.path, ""), error=str(error))
+        yield Done(step.path, step.action, before.get(step.path, ""), error=_why(step, error))
         return
     for path in files:
         after = digest(path) if path.is_file() else ""
@@ -286,6 +294,17 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
     for path in _files(step.path) if step.path.exists() else ():
         if path not in before:
             yield Done(path, step.action, "", digest(path))
+
+
+_NOT_WRITTEN = frozenset({errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EACCES, errno.EPERM})
+
+
+def _why(step: Step, error: Exception) -> str:
+    """Say why a step failed; what reads a file may take an error of what is written for its own."""
+    for each in (error, error.__cause__):
+        if isinstance(each, OSError) and each.errno in _NOT_WRITTEN:
+            return cannot_write(step.path, each)
+    return str(error)
 
 
 def _rewrite(path: Path, person: Person) -> None:
