@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from biosensor_gateway.cli.record import watch_file
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.program import LAB_RECORDER, ProgramOutput
 from biosensor_gateway.recording.recorder.result import (
@@ -22,6 +23,7 @@ from biosensor_gateway.recording.recorder.state import (
     SavedRecording,
     WindowRecording,
 )
+from tests.xdf.test_judging import acc, paused_recording
 
 
 @pytest.mark.parametrize(
@@ -131,3 +133,19 @@ def test_a_recording_of_a_window(tmp_path: Path) -> None:
     (tmp_path / "recording.json").write_text(content, encoding="utf-8")
     last = WindowRecording.last_at(tmp_path, "LAB-PC", 22345)
     assert last == WindowRecording("lab-pc", 22345, "/data/b.xdf", 1795279855.5)
+
+
+def test_of_a_window_it_is_watched_what_happened_so_far(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    beats = [
+        {"event": "heartbeat", "lsl_time": at, "agent_started": started}
+        for at, started in ((1003.0, 900.0), (1008.0, 900.0), (1012.0, 950.0))
+    ]
+    file = tmp_path / "a.xdf"
+    file.write_bytes(paused_recording(*acc(1000, 1005), *acc(1009, 1020), more=beats))
+    watch_file(file, as_json=False)
+    said = capsys.readouterr().out
+    assert "it is of another agent" in said
+    assert "P01's Polar H10 was paused from" in said
+    assert "gap so far" not in said

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -34,7 +35,7 @@ from biosensor_gateway.recording.recorder.request import (
 )
 from biosensor_gateway.recording.recorder.result import By, LocalStatus, Started, Status, Stopped
 from biosensor_gateway.recording.recorder.state import WindowRecording
-from biosensor_gateway.recording.recorder.streams import look
+from biosensor_gateway.recording.recorder.streams import look, own_events
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder, usual_recordings_folder
@@ -217,7 +218,10 @@ def watch_file(file: Path, *, as_json: bool) -> None:
     growth = Growth(file)
     while True:
         progress = growth.look()
-        found = (*growth.problems(), *growth.gaps())
+        started_s = None
+        with suppress(ConfigError):
+            started_s = status_file.running_status(state_folder()).get("started_s")
+        found = (*growth.problems(), *growth.story(own_events(), started_s))
         typer.echo(as_line(progress) if as_json else progress_text(str(file), progress, found))
         if progress.is_closed:
             return

@@ -393,6 +393,18 @@ class Growth:
                     found += self._problems_of_stream(each)
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
 
+    def story(self, source_id: str, own_started_s: float | None = None) -> Iterator[Finding]:
+        """Yield what has happened so far: gaps, absences that are over, and another agent.
+
+        Parameters
+        ----------
+        source_id, own_started_s
+            As for `other_agents`.
+        """
+        yield from self.other_agents(source_id, own_started_s)
+        yield from self.gaps()
+        yield from self.was_away()
+
     def gaps(self) -> Iterator[Finding]:
         """Yield the gaps of each device so far, from its stream with the longest ones."""
         worst: dict[str, Gaps] = {}

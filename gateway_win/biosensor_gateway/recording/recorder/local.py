@@ -201,8 +201,8 @@ class LocalRecorder:
             if devices is not None or saved.required:
                 findings += away_findings(devices, recorded, saved.started)
             silent = excused(devices, saved.started)
-            findings += [*growth.problems(saved.required, silent), *growth.gaps()]
-            findings += [*growth.was_away(), *growth.other_agents(own_events(), agent_started_s)]
+            findings += growth.problems(saved.required, silent)
+            findings += growth.story(own_events(), agent_started_s)
             findings.sort(key=lambda each: list(Level).index(each.level))
         return LocalStatus(
             by=By.GATEWAY,
