@@ -310,6 +310,16 @@ def test_all_that_was_pushed_is_there() -> None:
     assert report.streams[0].stream.header.is_ours
 
 
+def test_as_many_samples_of_another_stream_are_not_those_that_were_counted() -> None:
+    """One stream's inlet goes on with another agent, and that of its events does not."""
+    begin = 15 * RATE
+    others = [each - 0.003 for each in STAMPS[begin:]]
+    report = check(_counted(STAMPS[:begin] + others, [*_counted_each_second()]))
+    name = lsl_name(STRAP, "ecg")
+    assert codes(report, Level.ERROR) == {("another-agent", name)}
+    assert text_of(report, "another-agent", name).startswith("from 16.0 s on its samples are not")
+
+
 def test_what_the_recorder_lost_is_an_error() -> None:
     report = check(_counted(STAMPS[:1000] + STAMPS[1100:], [*_counted_each_second()]))
     name = lsl_name(STRAP, "ecg")

@@ -26,6 +26,8 @@ from biosensor_gateway.recording.xdf.measuring import Course
 TAIL_S = 3.0
 # The text has every digit of a timestamp, but a recorder may compute omitted ones from the rate.
 _SAME_STAMP_S = 1e-6
+_NEAR_S = 1e-4
+_STRANGE_READINGS = 4
 
 
 class Reading(NamedTuple):
@@ -58,6 +60,9 @@ class RecordedCounters:
         How often the agent restarted its counts.
     is_off
         The stream is switched off in the settings, or the device's model does not have it.
+    strange_since
+        Time on the stream's clock from which its samples are not those that the agent counted;
+        None if they are.
     """
 
     pushed: int
@@ -65,6 +70,7 @@ class RecordedCounters:
     lost: int
     restarts: int = 0
     is_off: bool = False
+    strange_since: float | None = None
 
 
 def parse_readings(
@@ -136,7 +142,8 @@ def compare(
     first, last = (course.first, course.last) if course.count else (-math.inf, -math.inf)
     ends = [_ends(run, first, last, end - TAIL_S) for run in runs]
     told = [each.last_stamp for pair in ends if pair is not None for each in pair]
-    up_to = _up_to(np.array(told), parts())
+    strangers = _Strangers(readings)
+    up_to = _up_to(np.array(told), map(strangers.watched, parts()))
     compared = [_compare_run(pair, up_to) for pair in ends if pair is not None]
     return RecordedCounters(
         pushed=sum(pushed for pushed, _ in compared),
@@ -144,7 +151,53 @@ def compare(
         lost=sum(run[-1].lost - run[0].lost for run in runs),
         restarts=len(runs) - 1,
         is_off=readings[-1].is_off,
+        strange_since=strangers.since,
     )
+
+
+class _Strangers:
+    """Finds where a stream's samples are not those of which the readings tell.
+
+    The newest timestamp of each reading must be among those of the stream. A recorder that went on
+    with another stream of the same source_id has as many samples, at other times.
+    """
+
+    def __init__(self, readings: Sequence[Reading]) -> None:
+        told = {each.last_stamp for each in readings if each.pushed}
+        self._told = np.array(sorted(told), np.float64)
+        self._is_there = np.zeros(len(told), bool)
+        # By how much the number of samples up to each timestamp grows at it.
+        self._growth = np.zeros(len(told) + 1, np.int64)
+        self._count = 0
+
+    def watched(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the next timestamps of the stream, and return them."""
+        ordered = np.sort(stamps[np.isfinite(stamps)])
+        self._count += len(ordered)
+        if len(ordered) and len(self._told):
+            places = np.searchsorted(self._told, ordered)
+            np.add.at(self._growth, places, 1)
+            begin, end = np.searchsorted(self._told, ordered[[0, -1]] + [-_NEAR_S, _NEAR_S])
+            near = self._told[begin:end]
+            at = np.searchsorted(ordered, near)
+            before = ordered[np.maximum(at - 1, 0)]
+            behind = ordered[np.minimum(at, len(ordered) - 1)]
+            off_s = np.minimum(np.abs(near - before), np.abs(behind - near))
+            self._is_there[begin:end] |= off_s <= _NEAR_S
+        return stamps
+
+    @property
+    def since(self) -> float | None:
+        """The first of several timestamps in a row that are not there, amid others that are."""
+        up_to = np.cumsum(self._growth[:-1])
+        # Where nothing was recorded, samples are lost, and not strange.
+        is_amid = (np.diff(up_to, prepend=0) > 0) & (up_to > 0) & (up_to < self._count)
+        in_a_row = 0
+        for number, is_strange in enumerate((is_amid & ~self._is_there).tolist()):
+            in_a_row = in_a_row + 1 if is_strange else 0
+            if in_a_row == _STRANGE_READINGS:
+                return float(self._told[number + 1 - _STRANGE_READINGS])
+        return None
 
 
 def refusals(readings: Sequence[Reading]) -> list[str]:

@@ -275,10 +275,17 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield Level.NOTE, "nan", f"share without a value: {', '.join(gappy)}"
 
 
-def _counted(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+def _counted(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     counters = measured.counters
     if counters is None:
         return
+    if counters.strange_since is not None:
+        text = (
+            f"from {extent.since_begin(counters.strange_since, measured):.1f} s on its samples are "
+            "not those that its agent counted: the recorder went on with a stream of another agent "
+            "with the same source_id, whose data may be another person's"
+        )
+        yield Level.ERROR, "another-agent", text
     if counters.held < counters.pushed:
         missing = counters.pushed - counters.held
         text = f"{missing} of {counters.pushed} samples that the agent pushed are not in the file"
