@@ -44,8 +44,6 @@ class PacketTimeline:
 
         Parameters
         ----------
-        number : int
-            The packet's number.
         expected : float
             Number of packets expected from the elapsed time.
         least : int or None

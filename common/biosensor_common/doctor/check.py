@@ -163,8 +163,6 @@ class Check(NamedTuple):
     ----------
     module
         Module with a function of the check's name; it is imported when the check is run.
-    limit_s
-        Time limit of the check.
     program
         The only program that has the check; empty for all.
     """

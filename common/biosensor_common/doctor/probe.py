@@ -82,10 +82,6 @@ class Probe:
 
     Parameters
     ----------
-    role
-        Name of the request.
-    limit_s
-        Time limit of the process.
     command
         Its command line; by default that of `biosensor_common.doctor.survey`.
     request

@@ -53,10 +53,6 @@ class HeadedRows:
 
     Parameters
     ----------
-    frame_id
-        Frame of the header.
-    dtype
-        Type of the values.
     columns
         Number of values.
     tail

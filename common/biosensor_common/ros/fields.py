@@ -209,8 +209,6 @@ class Field:
         Attribute path within the message: ``pose.pose.position.x``.
     size
         Length of a fixed array; None for a sequence, whose length varies; 1 for a single value.
-    measured
-        Quantity that the field measures.
     is_wide
         Whether a 64-bit float cannot represent all of its values.
     is_blob

@@ -44,8 +44,6 @@ class StandardMessage(NamedTuple):
     ----------
     data
         Last part of the topic's name.
-    type_name
-        Type of the message.
     fill
         Converts samples to rows of the message's values.
     rows

@@ -69,8 +69,6 @@ def snapshot(
 
     Parameters
     ----------
-    virtual
-        Whether the devices are virtual.
     own
         Refusals of the agent's own streams.
     features
@@ -176,8 +174,6 @@ class KnownStreams:
 
     Parameters
     ----------
-    folder
-        The state folder.
     sinks
         Returns the sinks of the devices that have room in this process.
     """
@@ -243,8 +239,6 @@ class Agent:
     ----------
     settings
         Validated settings; this process's LSL configuration is set from them.
-    folder
-        The state folder.
     read_again
         Reads the settings file again; None if there is none.
 

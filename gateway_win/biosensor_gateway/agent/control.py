@@ -40,8 +40,6 @@ def ask(
 
     Parameters
     ----------
-    folder
-        State folder of the agent.
     command, arguments
         Name and arguments of the command.
     time_limit_s

@@ -58,8 +58,6 @@ class ControlServer:
     ----------
     folder
         The state folder, locked by this process.
-    commands
-        The commands by name.
     conversations
         Commands by name whose answer goes on until the client disconnects.
     looks

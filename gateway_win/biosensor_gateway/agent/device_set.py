@@ -49,11 +49,6 @@ class LoopLag:
 
     A packet that arrives on a busy computer waits as long as a timer does. Must be made in the
     loop, and run from then on.
-
-    Parameters
-    ----------
-    clock
-        Clock of the loop's timers.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:

@@ -43,8 +43,6 @@ class MarkerCommands:
 
     Parameters
     ----------
-    stream
-        The stream that sends the markers.
     settings
         Has the names of the buttons.
 

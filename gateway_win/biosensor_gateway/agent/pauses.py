@@ -37,8 +37,6 @@ class Pause:
 
     Attributes
     ----------
-    identity
-        Identity of the device when it was paused.
     since
         Local time, with its offset.
     """
@@ -114,13 +112,6 @@ class PauseCommands:
     """Commands that pause and resume devices.
 
     Devices that were paused before the agent was started are paused from the beginning.
-
-    Parameters
-    ----------
-    folder
-        The state folder.
-    sinks
-        Returns the sinks of all devices.
 
     Raises
     ------

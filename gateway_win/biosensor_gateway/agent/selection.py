@@ -42,8 +42,6 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
     ----------
     name
         Its sensor, label, participant or ``sensor/unit``, or what `described` returns.
-    devices
-        To choose from.
 
     Raises
     ------

@@ -32,8 +32,6 @@ def single_instance(folder: Path, lock_file: str = LOCK_FILE) -> Generator[None]
     ----------
     folder
         The state folder, created if needed.
-    lock_file
-        Name of the lock file.
 
     Raises
     ------

@@ -222,10 +222,6 @@ class AgentFacts(BaseModel):
         Time of this status, Unix time in seconds.
     lsl_time
         The same as LSL time, the clock of `newest_s` and `last_stamp`.
-    process
-        Process id.
-    virtual
-        Whether its devices are virtual.
     restarts, last_end
         How often the agent was restarted after a crash, and how it ended last.
     started_s
@@ -255,8 +251,6 @@ def declared_streams(sensor: str, own: Sequence[DeclaredStream] = ()) -> tuple[D
 
     Parameters
     ----------
-    sensor
-        Name of the sensor.
     own
         Streams that the device's settings declare, from its status.
 

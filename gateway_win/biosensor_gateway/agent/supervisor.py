@@ -237,8 +237,6 @@ class Supervisor:
 
     Parameters
     ----------
-    make_driver
-        Makes a driver for one connection.
     sink
         Receives the drivers' samples; its silent streams are recovered.
     on_state

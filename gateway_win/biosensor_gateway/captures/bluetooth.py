@@ -54,8 +54,6 @@ class ReplayedScanner(BaseBleakScanner):
 
     Parameters
     ----------
-    seen
-        The captured advertisement.
     detection_callback, service_uuids
         As ``BleakScanner`` passes them.
     """

@@ -103,8 +103,6 @@ class Deferred(TyperCommand):
 
     Parameters
     ----------
-    name
-        The command's name.
     place
         ``module:attribute`` of a command's function or of a group's Typer. A group's help is the
         docstring of its function `GROUP`.

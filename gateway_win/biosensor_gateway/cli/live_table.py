@@ -63,8 +63,6 @@ class LiveTable:
 
     Parameters
     ----------
-    colours
-        Whether the terminal shows colours.
     foot
         Returns the sentences below the table; by default, how long the agent has run and how to
         end it.

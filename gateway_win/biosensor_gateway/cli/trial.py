@@ -242,8 +242,6 @@ def expected_streams(
 
     Parameters
     ----------
-    status
-        Status of the agent.
     devices
         Its virtual devices by sensor, as ``run --simulate`` names them.
     seconds

@@ -313,8 +313,6 @@ def show_topics(
         Expected topics; see `expected_topics`.
     programs
         Programs that have to run meanwhile.
-    folder
-        Folder of the programs.
     is_over
         Whether a person has ended the table in another way than by Ctrl-C.
 

@@ -149,13 +149,6 @@ class RestartCheck:
     Data may have been stored since the start of a measurement and arrive late together, so
     lateness alone does not indicate a restart. If the clock continued, the first packet's time
     lies between the start and its arrival.
-
-    Parameters
-    ----------
-    sink
-        Contains the device's clock.
-    agree_s
-        Tolerance of the timestamp.
     """
 
     def __init__(self, sink: Sink, agree_s: float = AGREE_S) -> None:

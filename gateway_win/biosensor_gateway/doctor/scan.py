@@ -207,13 +207,7 @@ def advice(section: Section) -> list[str]:
 def described(
     sections: Sequence[Section], configured: Sequence[DeviceSettings]
 ) -> list[SearchedPlace]:
-    """Return the models of a search's outcome, for scripts and for the page.
-
-    Parameters
-    ----------
-    configured
-        Devices of the settings.
-    """
+    """Return the models of a search's outcome, for scripts and for the page."""
     known = {(each.sensor, each.unit) for each in configured}
     return [
         SearchedPlace(

@@ -51,8 +51,6 @@ class Link:
 
     Parameters
     ----------
-    source
-        The stream and its features.
     info
         Of the outlet, from a resolver.
     asking
@@ -62,8 +60,6 @@ class Link:
 
     Attributes
     ----------
-    uid
-        Of the outlet.
     is_here
         Whether the sender is this computer, whose stamps need no clock correction.
     has_received

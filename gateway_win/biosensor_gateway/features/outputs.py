@@ -70,10 +70,6 @@ class Feature:
 
     Attributes
     ----------
-    name
-        Name of the feature in events.
-    stream
-        Declaration of its stream.
     window_s
         Length of the window of a value, in s; 0 for a single beat, breath or response.
     delay_s

@@ -21,8 +21,6 @@ class Event(NamedTuple):
 
     Attributes
     ----------
-    feature
-        Its name.
     stamp
         LSL time of the event that it describes, on the clock of the source.
     values
@@ -61,8 +59,6 @@ class Runs:
 
     Parameters
     ----------
-    make
-        Returns a new stage.
     rate
         Nominal rate in Hz; 0 for an irregular stream, which has no gaps.
     hole_s

@@ -370,8 +370,6 @@ def left_out(source: Source, features: Sequence[Feature], owners: Iterable[Sourc
     ----------
     features
         Those that it does not provide.
-    owners
-        The streams of which features are computed.
     """
     names = {each.stream.data_name for each in features}
     for owner in owners:

@@ -53,8 +53,6 @@ class AgentLink:
 
     Parameters
     ----------
-    folder
-        The state folder.
     on_status
         Called with the agent's status, once a second, and with None when the agent is gone.
     on_samples

@@ -126,8 +126,6 @@ def window(
     times : shape (n,)
         Local LSL time.
     samples : shape (n, n_channels)
-    first
-        Index of the first channel.
     rate
         Nominal rate in Hz, or the measured rate if that is higher.
     """

@@ -52,8 +52,6 @@ class AgentPage:
     ----------
     folder
         The agent's state folder, where other programs of the same user find the server.
-    settings
-        The settings file.
     on_ready
         Called in a thread, as soon as the page can be opened, with a way in.
         An error that it raises ends the server.

@@ -38,13 +38,6 @@ STARTING_S = 15.0
 class Session:
     """The state that all requests share; used only on the server's loop.
 
-    Parameters
-    ----------
-    folder
-        The state folder of the agent.
-    settings
-        Its settings file.
-
     Attributes
     ----------
     has_ended

@@ -167,8 +167,6 @@ def own_certificate(folder: Path, names: Sequence[str]) -> Certificate:
 
     Parameters
     ----------
-    folder
-        The state folder.
     names
         Names and addresses by which other computers call this one.
 

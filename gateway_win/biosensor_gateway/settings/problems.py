@@ -198,8 +198,6 @@ def report(path: Path, lines: Mapping[KeyPath, int], problems: Sequence[Problem]
 
     Parameters
     ----------
-    path
-        The settings file.
     lines
         Lines of its keys, from `key_lines`.
     problems
@@ -231,10 +229,6 @@ def from_validation(
 
     Parameters
     ----------
-    error
-        The validation's error.
-    model
-        The model that was validated.
     path
         Path of the model's table in the file.
     """

@@ -52,8 +52,6 @@ class SecretName:
         Unique for the sensor.
     variable
         Environment variable with the secret; it takes precedence over the keyring.
-    title
-        Name of the secret for people.
     """
 
     sensor: str

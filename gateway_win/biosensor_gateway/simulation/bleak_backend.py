@@ -78,8 +78,6 @@ class VirtualClient(BaseBleakClient):
 
     Parameters
     ----------
-    central
-        The adapter.
     address_or_ble_device, services, disconnected_callback, timeout
         As passed by ``BleakClient``.
     """
@@ -306,8 +304,6 @@ class VirtualScanner(BaseBleakScanner):
 
     Parameters
     ----------
-    central
-        The adapter.
     detection_callback, service_uuids, scanning_mode
         As passed by ``BleakScanner``.
     """

@@ -55,12 +55,8 @@ class GattLink:
 
     Attributes
     ----------
-    address
-        Address of the device.
     services
         Services with characteristics and descriptors.
-    lost
-        Whether the link is lost.
     on_lost
         Called when the link ends for any reason, before requests fail.
     """
@@ -237,8 +233,6 @@ class Heard(NamedTuple):
     ----------
     data
         Its payload, undecoded.
-    is_response
-        Whether it is a scan response.
     """
 
     address: str

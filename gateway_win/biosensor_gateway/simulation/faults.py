@@ -236,8 +236,6 @@ def on_part(path: str, effects: Effects[Any]) -> dict[Kind, Effect[Any]]:
     ----------
     path
         Attribute path from the device to the part, with dots.
-    effects
-        Effects on the part.
     """
     part = attrgetter(path)
 

@@ -83,8 +83,6 @@ class Peripheral:
 
     Parameters
     ----------
-    radio
-        The radio.
     address
         Its Bluetooth address, six pairs of hexadecimal digits with colons.
     name

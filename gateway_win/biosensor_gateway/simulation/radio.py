@@ -49,8 +49,6 @@ class Transceiver(Controller):
 
     Parameters
     ----------
-    name
-        Name in logs.
     air
         Radio medium shared with others.
 

@@ -99,13 +99,7 @@ RADIO_EFFECTS: Effects[Peripheral] = MappingProxyType(
 
 
 class RadioDevice(VirtualDevice):
-    """A device with a radio that measures for a connected host.
-
-    Parameters
-    ----------
-    peripheral
-        Its radio.
-    """
+    """A device with a radio that measures for a connected host."""
 
     def __init__(
         self, world: World, peripheral: Peripheral, **specimen: Unpack[SpecimenOptions]

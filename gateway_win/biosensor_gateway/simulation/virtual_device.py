@@ -155,8 +155,6 @@ class VirtualDevice(ABC):
 
     Parameters
     ----------
-    world
-        The world in which it runs.
     **specimen
         Parameters of its `Specimen`.
 
@@ -214,8 +212,6 @@ class VirtualDevice(ABC):
 
         Parameters
         ----------
-        wearer
-            The wearer.
         number
             Number of existing devices of its kind, which makes it distinguishable.
         """

@@ -19,13 +19,7 @@ _TIMEOUT_S = 20.0
 
 
 class World:
-    """An asyncio event loop in a separate thread; a context manager.
-
-    Attributes
-    ----------
-    clock
-        Clock of everything in it.
-    """
+    """An asyncio event loop in a separate thread; a context manager."""
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
         self.clock = clock

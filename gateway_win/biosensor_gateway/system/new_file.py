@@ -22,8 +22,6 @@ def new_file(path: Path, like: Path) -> Generator[BinaryIO]:
 
     Parameters
     ----------
-    path
-        The new file.
     like
         A file whose read permissions the new one gets, on POSIX.
 
@@ -67,8 +65,6 @@ def new_place(path: Path, like: Path) -> Generator[Path]:
 
     Parameters
     ----------
-    path
-        The new file or folder.
     like
         A file whose read permissions the new files get, on POSIX.
 

@@ -38,8 +38,6 @@ async def until_signalled(
 
     Parameters
     ----------
-    main_task
-        Returns the coroutine.
     ends_within_s
         Time after the first request at which the process is ended, even if it is blocked.
 

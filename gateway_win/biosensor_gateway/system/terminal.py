@@ -55,8 +55,6 @@ class LinesForPeople:
         Returns a sensor's name for people.
     columns
         Returns the width of the terminal; None to wrap no lines.
-    colours
-        Whether the terminal shows colours.
     verbose
         Whether to show all facts.
     """
@@ -105,8 +103,6 @@ def sentence_of(record: Mapping[str, object], *, verbose: bool = False) -> str:
     ----------
     record
         A record of the log, also one that was read from its file.
-    verbose
-        Whether to show all facts.
     """
     # A vendor's service can send its own text, which is shown instead of the event.
     event = str(record.get("text") or record.get("event", ""))
@@ -177,8 +173,6 @@ class Panel:
     size
         Returns the size of the terminal; None while it must not be drawn on, because another
         program has it or it was closed.
-    encoding
-        Encoding of the terminal.
     """
 
     def __init__(

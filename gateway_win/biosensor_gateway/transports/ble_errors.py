@@ -207,8 +207,6 @@ class Pairing:
 
     Parameters
     ----------
-    mode
-        The setting.
     platform
         As ``sys.platform`` names it; this one by default.
 

@@ -63,8 +63,6 @@ class Waiting:
     ----------
     expected
         Topics that must have data.
-    started_s
-        Start of the waiting.
     asked_s
         How long to wait after the first sample; None for no limit.
     is_busy
@@ -297,8 +295,6 @@ def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str]
 
     Parameters
     ----------
-    waiting
-        Progress of the topics.
     reasons
         Reason why a topic was not expected, by topic; empty if it was.
     """

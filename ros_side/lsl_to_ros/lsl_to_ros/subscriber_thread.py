@@ -32,8 +32,6 @@ class MessageInfo(TypedDict):
     ----------
     source_timestamp, received_timestamp
         Times of publication and arrival, in nanoseconds since 1970.
-    publication_sequence_number
-        Sequence number of its publisher.
     """
 
     source_timestamp: int
@@ -72,8 +70,6 @@ class Taker:
 
     Parameters
     ----------
-    node
-        Node of the subscriptions.
     failed
         Called with an error raised by a receiver.
     """

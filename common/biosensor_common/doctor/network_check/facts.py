@@ -173,8 +173,6 @@ class Look:
         Whether it was found by asking the other's address (KnownPeers).
     address
         IPv4 or IPv6 address from which its data came; empty without data.
-    received
-        Whether a sample was received.
     offset_s, round_trip_s
         Measurements of its clock; None if not possible.
     """

@@ -96,8 +96,6 @@ def streams_of(columns: Iterable[Column], apart: Iterable[str]) -> dict[str, lis
 
     Parameters
     ----------
-    columns
-        Columns of a line.
     apart
         Labels of the count and time columns.
     """
@@ -128,8 +126,6 @@ def line_sensor_spec(
     ----------
     name
         Its name in topics.
-    columns
-        Columns of its lines.
     apart
         Labels of the count and time columns, which are not channels.
     rate_hz

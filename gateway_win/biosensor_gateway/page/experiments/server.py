@@ -124,8 +124,6 @@ class Experiments:
 
     Parameters
     ----------
-    token
-        Token that each experiment must have.
     sending
         Sends the markers to the agent.
     """

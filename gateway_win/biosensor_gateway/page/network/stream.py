@@ -34,8 +34,6 @@ class Receiver:
     ----------
     info
         From a resolver.
-    core
-        The core fields of *info*.
     pool
         Opens the inlet; a sender that does not answer blocks the thread for some seconds.
     """
@@ -110,15 +108,8 @@ class Entry:
 class Received:
     """Counts received samples, and stores the newest.
 
-    Parameters
-    ----------
-    core
-        Core fields of the stream.
-
     Attributes
     ----------
-    count
-        Number of received samples.
     missing
         Estimated number of missing samples, from the stamps.
     newest_s

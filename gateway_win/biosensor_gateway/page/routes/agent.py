@@ -145,13 +145,7 @@ class NewSecret(BaseModel):
 
 
 class Access:
-    """The secrets that the devices in the settings need.
-
-    Parameters
-    ----------
-    configured
-        Returns the devices of the settings.
-    """
+    """The secrets that the devices in the settings need."""
 
     def __init__(self, configured: Callable[[], Sequence[DeviceSettings]]) -> None:
         self._configured = configured

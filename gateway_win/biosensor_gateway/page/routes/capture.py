@@ -117,13 +117,7 @@ class CaptureView(BaseModel):
 
 
 class Capturing:
-    """Captures one device at a time, and ends the agent meanwhile if it has the device.
-
-    Parameters
-    ----------
-    session
-        Has the devices.
-    """
+    """Captures one device at a time, and ends the agent meanwhile if it has the device."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

@@ -274,10 +274,6 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
 
     Parameters
     ----------
-    folder
-        Its state folder.
-    settings
-        Its settings file.
     virtual
         Stream virtual devices of every kind instead of the settings' devices.
 

@@ -115,8 +115,6 @@ class Recorder:
     ----------
     session
         Its `recording` is kept up to date.
-    set_participant
-        Sets the participant of all sensors.
     """
 
     def __init__(

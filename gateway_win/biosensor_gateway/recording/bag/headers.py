@@ -54,12 +54,8 @@ class RecordedStream:
 
     Attributes
     ----------
-    number
-        Number of the stream in the recording.
     stamped
         The topic that has its samples with timestamps.
-    topics
-        All of its topics.
     xml
         Its header.
     clock_offsets

@@ -178,8 +178,6 @@ class Stream:
 
     Attributes
     ----------
-    number
-        Its number in the file.
     header
         As recorded.
     meaning

@@ -128,8 +128,6 @@ def find_wall_clock(
 
     Parameters
     ----------
-    streams
-        All streams of the recording.
     begun
         The recorder's text for the start time.
     begin_s

@@ -56,8 +56,6 @@ class ExportOptions:
 
     Attributes
     ----------
-    clock
-        Clock of the times.
     name
         Base name of the output: the recording's name without its suffix.
     task, session

@@ -86,8 +86,6 @@ class MarkerEvent:
         The only participant concerned; empty for all participants of the stream.
     id, undoes
         Number of one of the agent's markers, and of the marker that it undoes.
-    undone
-        Whether it was undone.
     note
         Free text of one of the agent's markers.
     duration_s

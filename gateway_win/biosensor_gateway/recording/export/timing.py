@@ -197,8 +197,6 @@ def find_timing(
     ----------
     blocks
         Finite times of the samples in s, each array of shape (n_samples,) and not empty.
-    header
-        Header of the stream.
     cuts
         Runs of a stream with inexact timestamps, which give its rate and gaps.
     longest_filled_s

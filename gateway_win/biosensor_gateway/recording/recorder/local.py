@@ -116,8 +116,6 @@ class LocalRecorder:
         ----------
         request
             What to record.
-        look
-            Searches for streams.
         lsl
             LSL section of the settings.
 

@@ -31,8 +31,6 @@ class FileSummary:
 
     Attributes
     ----------
-    bytes
-        Size of the file.
     streams
         Numbers of the streams with a header.
     with_samples, with_footer

@@ -42,8 +42,6 @@ class Started:
         Recorded streams, as visible from this computer.
     foreign
         Streams of other programs or agents.
-    warnings
-        Sentences.
     left_out
         The warnings about sensors that are not recorded at all.
     """
@@ -84,8 +82,6 @@ class Status:
         Whether every stream has a footer.
     is_local
         Whether it is made on this computer; None if unknown.
-    answers
-        Whether the recorder answers.
     required
         source_ids of the streams that it must contain.
     sight
@@ -134,8 +130,6 @@ class Stopped:
         Time from the command until the file was found closed.
     verdict
         Result of the check; None if it was not checked.
-    warnings
-        Sentences.
     """
 
     by: By

@@ -87,8 +87,6 @@ class Player:
     ----------
     chosen
         Selection from a recording that must stay open.
-    file_hash
-        Identifies the recording.
 
     Attributes
     ----------

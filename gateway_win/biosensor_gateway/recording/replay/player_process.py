@@ -41,13 +41,7 @@ class Phase(StrEnum):
 
 
 class ReplayJob(BaseModel):
-    """What to play; see `Wanted` and the options of ``biosensor-gateway replay``.
-
-    Attributes
-    ----------
-    lsl
-        LSL section of the settings.
-    """
+    """What to play; see `Wanted` and the options of ``biosensor-gateway replay``."""
 
     file: Path
     speed: float = 1.0
@@ -74,8 +68,6 @@ class PlayedStream(BaseModel):
 
     Attributes
     ----------
-    source_id
-        The source_id of the played stream.
     sensor, unit, participant, label
         The recorded device and participant; for another program's stream, its name and computer.
     channels, units, roles

@@ -66,8 +66,6 @@ class RecordedHeader:
         The recording that was replayed; None for a stream that was recorded live.
     robot
         The topic that ``ros_to_lsl`` turned into the stream; None for other streams.
-    xml
-        The header as it was recorded.
     may_be_older
         Whether its samples may have been measured long before the recording began.
     window_s

@@ -93,8 +93,6 @@ class StreamSorter(Generic[_StreamT]):
 
     Parameters
     ----------
-    make
-        Creates a stream from its header.
     fixes_headers
         Whether to read malformed headers, too.
     lost_headers

@@ -170,11 +170,6 @@ class DeviceEvents:
 
     Of a paused device nothing is told that was measured, and no gap is followed. All times are
     LSL times in seconds.
-
-    Parameters
-    ----------
-    announcer
-        Where the events go.
     """
 
     def __init__(

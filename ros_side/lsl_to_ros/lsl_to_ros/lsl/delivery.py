@@ -127,11 +127,6 @@ class Reading:
     ----------
     lsl
         The inlet, which gives numpy arrays.
-
-    Attributes
-    ----------
-    lsl
-        The inlet.
     """
 
     def __init__(self, lsl: pylsl.StreamInlet, delivery: Delivery) -> None:

@@ -60,8 +60,6 @@ class StreamSettings:
         Publish every sample.
     chunk
         Publish chunks: the chunk name's ``Sensor_Enable`` and ``Chunk_Enable``.
-    chunk_length
-        Samples in a chunk.
     """
 
     raw: bool

@@ -92,8 +92,6 @@ class Bridge:
 
     Attributes
     ----------
-    received
-        Number of messages.
     newest_s
         LSL time of the newest message, 0 before the first.
     refusals
@@ -388,12 +386,8 @@ class Pairs(Generic[Part]):
 
     Parameters
     ----------
-    request
-        Request of the topic.
     make
         Makes the part for a request and a message class.
-    refusals
-        Refusals of the topic.
 
     Attributes
     ----------

@@ -156,10 +156,6 @@ class Topic:
         State for its reports.
     kind
         Type of the messages; None before it is known.
-    quality
-        Quality of service of the subscription.
-    publishers
-        Number of publishers.
     sender
         Full name of the publishing node; empty if there is none, or several.
     """

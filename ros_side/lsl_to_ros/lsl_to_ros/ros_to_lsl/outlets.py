@@ -47,8 +47,6 @@ class Origin:
         ``frame_id`` and ``child_frame_id`` of the first message, if it has them.
     stamp_source
         Source of the first message's stamp, or the expected one.
-    clock
-        State of the clock of that stamp.
     clock_edge_s
         Its lower edge of arrival minus stamp; None before a message has come.
     """

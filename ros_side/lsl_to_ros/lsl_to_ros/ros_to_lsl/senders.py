@@ -216,8 +216,6 @@ def senders_for(
     ----------
     markers
         Returns the marker outlet with the topic's own name.
-    refusals
-        Refusals of the topic.
 
     Raises
     ------
@@ -275,8 +273,6 @@ def text_of(fields: Sequence[Field], wanted: Sequence[str] = ()) -> ToText:
 
     Parameters
     ----------
-    fields
-        Of the message's type.
     wanted
         Requested fields; all text fields if empty.
 

@@ -299,8 +299,6 @@ class NodeCounters:
 
     Attributes
     ----------
-    received
-        Samples received.
     missing
         Missing samples, estimated from the stamps of a regular stream.
     refusals

@@ -73,8 +73,6 @@ class Lane:
         Publishes a message, or its bytes.
     is_taken
         Returns without waiting whether the subscribers have received all messages.
-    pacer
-        Publishes the waiting messages.
     rate
         Rate of the messages in Hz, 0 if irregular.
     piece
@@ -84,8 +82,6 @@ class Lane:
 
     Attributes
     ----------
-    sent
-        Number of published messages.
     unsent
         Number of messages that waited and that ROS then failed to publish.
     not_taken

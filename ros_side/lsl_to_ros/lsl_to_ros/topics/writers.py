@@ -228,13 +228,7 @@ class ChunkWriter:
 
 
 class Chunker:
-    """Cuts a stream into chunks; no sample is dropped or repeated by a change of length.
-
-    Parameters
-    ----------
-    sample_size
-        Bytes of one sample.
-    """
+    """Cuts a stream into chunks; no sample is dropped or repeated by a change of length."""
 
     def __init__(self, sample_size: int) -> None:
         self._sample_size = sample_size

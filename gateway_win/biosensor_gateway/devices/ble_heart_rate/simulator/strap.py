@@ -207,8 +207,6 @@ class Strap:
 
     Parameters
     ----------
-    peripheral
-        Its radio.
     truth
         Record of everything measured.
     specimen
@@ -230,8 +228,6 @@ class Strap:
         LSL time at which the wearer's time is 0, which is the first power-on.
     worn, battery_percent
         Current state.
-    power
-        Power switch.
     put_on_s
         LSL time at which it was last put on; -inf if it was never taken off.
     pulse

@@ -132,8 +132,6 @@ def _read(data: bytes, flag_bytes: int, fields: tuple[Field, ...]) -> Mapping[st
 
     Parameters
     ----------
-    flag_bytes
-        Size of the flags.
     fields
         In order; bytes after the last one are ignored.
 
@@ -188,8 +186,6 @@ class Row(NamedTuple):
 
     Attributes
     ----------
-    title
-        Title of a device with it.
     service, characteristic
         Assigned numbers as 128-bit UUIDs.
     flag_bytes, fields

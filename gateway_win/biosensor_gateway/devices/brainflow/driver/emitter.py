@@ -122,13 +122,7 @@ class SampleCount:
         self._count = -1
 
     def place(self, numbers: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
-        """Return the number of each sample since the start, and how many are missing.
-
-        Parameters
-        ----------
-        numbers : array, shape (n_samples,)
-            Packet numbers.
-        """
+        """Return the number of each sample since the start, and how many are missing."""
         if not self._turn:
             steps = np.ones(len(numbers), np.int64)
         else:
@@ -170,8 +164,6 @@ class PresetEmitter:
 
     Parameters
     ----------
-    streams
-        Streams of the preset.
     description
         Contains the rows of its packet number and timestamp.
     turns_over_at

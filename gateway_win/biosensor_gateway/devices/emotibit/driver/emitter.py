@@ -61,8 +61,6 @@ class Oscillator:
 
     Parameters
     ----------
-    rate_hz
-        Nominal rate.
     late_s
         Mean delay of reading its samples.
     period_s
@@ -167,17 +165,7 @@ class Rows(NamedTuple):
 
 
 class SensorRows:
-    """The samples of one sensor, over all connections.
-
-    Parameters
-    ----------
-    rate_hz
-        Nominal rate.
-    channels
-        Number of channels.
-    oscillator
-        Oscillator of the sensor.
-    """
+    """The samples of one sensor, over all connections."""
 
     def __init__(self, rate_hz: float, channels: int, oscillator: Oscillator) -> None:
         self._rate_hz = rate_hz

@@ -49,8 +49,6 @@ class Nearby(NamedTuple):
 
     Attributes
     ----------
-    address
-        Address of the answer.
     device
         Its id, such as ``MD-V5-0000123``; empty if unknown.
     in_use
@@ -164,8 +162,6 @@ class Arrived(NamedTuple):
 
     Attributes
     ----------
-    found
-        Its packets.
     arrival_s
         LSL time of arrival.
     address

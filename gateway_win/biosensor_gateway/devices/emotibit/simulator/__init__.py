@@ -72,10 +72,6 @@ class _Wifi(asyncio.DatagramProtocol):
 
     Attributes
     ----------
-    host
-        Its address.
-    is_there
-        Whether it is in the Wi-Fi.
     to_lose
         Number of data datagrams that will be lost.
     overtakes
@@ -175,12 +171,8 @@ class _Sending:
 
     Parameters
     ----------
-    clock
-        Clock of the world.
     rng, jitter_s
         Random generator and maximum of the delays.
-    put_out
-        Called with each delivered datagram.
     """
 
     def __init__(
@@ -227,8 +219,6 @@ class SimulatedEmotiBit(VirtualDevice):
 
     Parameters
     ----------
-    device
-        Its id.
     host, port
         Address and UDP port for requests; port 0 takes a free one. A real device uses 3131.
     ppg_hz

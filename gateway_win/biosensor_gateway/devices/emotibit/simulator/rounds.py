@@ -51,12 +51,8 @@ class Part:
 
     Attributes
     ----------
-    data_name
-        Declared data name.
     tags
         Packet tags of its channels.
-    rate_hz
-        Nominal rate.
     fast_ppm
         Error of its own oscillator.
     measure

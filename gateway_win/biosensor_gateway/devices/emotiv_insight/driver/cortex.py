@@ -194,8 +194,6 @@ class CortexClient:
 
     Attributes
     ----------
-    warnings
-        Distributes warnings from Cortex.
     faults
         Number of unusable messages by fault.
     dropped_bytes

@@ -110,8 +110,6 @@ class User:
         Whether the user is logged in, and whether as another user of this computer.
     eula_accepted
         If False, every authorization contains a warning.
-    licence
-        Coverage of the licence.
     session_quota
         Sessions left in a counted licence; None if not counted.
     """
@@ -141,8 +139,6 @@ class Account:
         Client ids of approved apps.
     user
         Initial state of the user.
-    seed
-        Seed of the tokens.
     """
 
     def __init__(
@@ -307,13 +303,7 @@ class Session:
 
 
 class Sessions:
-    """All sessions of one Cortex.
-
-    Parameters
-    ----------
-    seed
-        Seed of the session ids.
-    """
+    """All sessions of one Cortex."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng((seed, 0x5E))

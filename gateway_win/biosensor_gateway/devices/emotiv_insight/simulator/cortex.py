@@ -88,10 +88,6 @@ class Circumstances:
 
     Attributes
     ----------
-    release
-        Version of Cortex.
-    app
-        The registered app.
     other_apps
         Secrets of further apps by client id; the user has approved them.
     user

@@ -334,11 +334,6 @@ class Manners:
 class Replies:
     """Parses, executes and answers requests.
 
-    Parameters
-    ----------
-    loop
-        Event loop for delayed answers.
-
     Attributes
     ----------
     calls

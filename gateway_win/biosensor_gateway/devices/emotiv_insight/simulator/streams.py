@@ -304,8 +304,6 @@ class Stage:
         LSL time at which the wearer's time is 0.
     jitter_s
         Maximum transport delay.
-    rng
-        Random generator of the delays.
     delivers
         Whether the headset's data reach Cortex.
     subscribed

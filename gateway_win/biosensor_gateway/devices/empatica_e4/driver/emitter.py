@@ -43,13 +43,7 @@ BRIDGED_S = 60.0
 
 
 class LossEstimate:
-    """Estimates losses of one regular stream from the arrival of its samples.
-
-    Parameters
-    ----------
-    rate_hz
-        Nominal rate of the stream.
-    """
+    """Estimates losses of one regular stream from the arrival of its samples."""
 
     def __init__(self, rate_hz: float) -> None:
         self._period_s = 1 / rate_hz

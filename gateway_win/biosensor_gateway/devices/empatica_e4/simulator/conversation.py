@@ -167,11 +167,6 @@ class Listener:
     ----------
     hear
         Called with each client's requests.
-
-    Attributes
-    ----------
-    clients
-        Connected clients.
     """
 
     def __init__(self, hear: Hear) -> None:

@@ -115,8 +115,6 @@ class Mishaps:
         Number of lines written twice.
     glued
         Number of line pairs without a line end between them, which cannot be separated.
-    tears
-        Tears, one per line.
     cut
         Number of lines that end in the middle, together with the connection.
     """
@@ -129,15 +127,7 @@ class Mishaps:
 
 
 class Delivery:
-    """Sends the wristbands' data to clients.
-
-    Parameters
-    ----------
-    clients
-        Connected clients.
-    style
-        Number format.
-    """
+    """Sends the wristbands' data to clients."""
 
     def __init__(self, clients: Collection[Client], style: NumberFormat) -> None:
         self.mishaps = Mishaps()

@@ -69,8 +69,6 @@ class Stream(NamedTuple):
         First word of its lines.
     subscription
         Word that clients subscribe to.
-    data_name
-        Declared data name.
     rate_hz
         Nominal rate for the server's timestamps; None for samples with their own time.
     declared
@@ -161,13 +159,7 @@ class Packet:
 
 
 class WallClock:
-    """Unix time on the server's PC.
-
-    Parameters
-    ----------
-    lsl
-        The true time, on the LSL clock.
-    """
+    """Unix time on the server's PC."""
 
     def __init__(self, lsl: Clock) -> None:
         self.lsl = lsl

@@ -39,8 +39,6 @@ class Asked(NamedTuple):
         Name or id of the sensor in the app.
     wearable
         Name or id of the device; empty for the only one connected to the app.
-    time_unit
-        Unit of the time column.
     """
 
     sensor: str

@@ -196,8 +196,6 @@ class BadLine:
     ----------
     raw
         The line or its start.
-    size
-        Its size in bytes.
     why
         A clause for the user about what is wrong.
     """
@@ -295,8 +293,6 @@ class CsvReader:
 
     Parameters
     ----------
-    labels
-        Labels of the columns.
     separator
         A key of `SEPARATORS`. With any but the comma, numbers may have a decimal comma.
     needed

@@ -356,11 +356,6 @@ class OpenEarableLineSensor(SimulatedLineSensor):
         Names of the wearables connected to the app.
     exponent
         Unit of its time as a power of ten of a second.
-
-    Attributes
-    ----------
-    app
-        The simulated app.
     """
 
     link = Link.WEB_SOCKET

@@ -215,8 +215,6 @@ class OpenEarableApp(WebSocket):
 
     Parameters
     ----------
-    sensor
-        The sensor as listed by the app.
     wearables
         Names of the connected wearables.
 

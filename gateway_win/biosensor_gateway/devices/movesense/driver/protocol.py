@@ -55,8 +55,6 @@ class Block(NamedTuple):
     ----------
     stamp_ms
         Device time of the first sample, in ms since power-on, modulo 2**32.
-    samples : array, shape (n_streams, n_samples, n_channels)
-        Samples of all streams in the packet.
     """
 
     stamp_ms: int
@@ -174,8 +172,6 @@ class Greeting(NamedTuple):
 
     Attributes
     ----------
-    answers
-        Whether it answers subscriptions.
     serial_number, product, app, app_version
         Empty if not reported.
     """
@@ -271,8 +267,6 @@ class Assembler:
 
         Parameters
         ----------
-        part
-            A data message.
         arrival_s
             LSL time of arrival.
         """

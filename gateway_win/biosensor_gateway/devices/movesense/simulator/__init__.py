@@ -75,8 +75,6 @@ class SampledStream:
 
     Parameters
     ----------
-    strap
-        The strap that measures.
     deviation
         Relative deviation of the true rate from the nominal one.
     """
@@ -253,8 +251,6 @@ class _SensorDataService:
 
     Attributes
     ----------
-    answer_delay_s
-        Delay of every answer.
     refuses
         Whether every command is refused.
     denied
@@ -391,8 +387,6 @@ class SimulatedMovesense(StrapDevice):
 
     Parameters
     ----------
-    address
-        Bluetooth address.
     serial
         Twelve digits, as engraved.
     firmware

@@ -62,8 +62,6 @@ class Rows(NamedTuple):
 
     Attributes
     ----------
-    number
-        Packet number.
     samples : ndarray of float64, shape (n_samples, n_channels)
         NaN for a channel whose packet is missing.
     arrival_s
@@ -85,8 +83,6 @@ class RowAssembler:
     ----------
     channels
         Maximum number of channels.
-    samples
-        Samples per packet.
 
     Attributes
     ----------

@@ -35,13 +35,7 @@ Point = tuple[int, float]
 
 
 class SampleClock:
-    """The clock of one stream's samples.
-
-    Parameters
-    ----------
-    rate_hz
-        Nominal rate.
-    """
+    """The clock of one stream's samples."""
 
     def __init__(self, rate_hz: float) -> None:
         self._nominal_s = 1 / rate_hz
@@ -148,10 +142,6 @@ class PacketSeries:
     ----------
     modulus
         Number of different packet numbers.
-    samples
-        Samples per packet.
-    rate_hz
-        Nominal rate.
     """
 
     def __init__(self, modulus: int, samples: int, rate_hz: float) -> None:
@@ -174,8 +164,6 @@ class PacketSeries:
 
         Parameters
         ----------
-        number
-            Its packet number.
         time_s
             Its arrival time, or its creation time on the device's clock.
         """

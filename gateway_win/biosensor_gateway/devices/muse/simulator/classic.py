@@ -79,8 +79,6 @@ class _Source(NamedTuple):
 
     Attributes
     ----------
-    samples
-        Samples per packet.
     measure
         Takes the packet number and the true times; returns packets with their characteristics, and
         samples by data name.

@@ -89,8 +89,6 @@ class FrameTimeline:
 
         Parameters
         ----------
-        timestamp_ns
-            The frame's timestamp.
         count
             Number of its samples, at least one.
         arrival_s

@@ -72,8 +72,6 @@ class ControlPoint:
 
     Attributes
     ----------
-    running
-        Running measurements with their settings.
     refuses
         Whether every command fails with INVALID_STATE.
     denied
@@ -251,10 +249,6 @@ class _WaveformStream:
 
     Parameters
     ----------
-    strap
-        The strap that measures.
-    data
-        The characteristic for PMD data.
     waveform
         The measured signal.
     rate_hz
@@ -321,10 +315,6 @@ class _IntervalStream:
 
     Parameters
     ----------
-    strap
-        The strap that measures.
-    data
-        The characteristic for PMD data.
     first_s
         Device time of the first intervals [s since power-on].
     """
@@ -386,11 +376,6 @@ class PmdService:
         Gets the service; must be off.
     product, quirks
         Determine the measurements and their behaviour.
-
-    Attributes
-    ----------
-    answer_delay_s
-        Delay of every answer.
     """
 
     def __init__(self, strap: Strap, product: Product, quirks: Quirks) -> None:

@@ -209,8 +209,6 @@ class Waveform:
     ----------
     data_name
         Data name in the truth.
-    rate_hz
-        Nominal rate.
     sample_bytes
         Usual size of a sample in a frame.
     unit

@@ -135,11 +135,6 @@ def true_ppg_rates(info: DeviceInfo, *, sdk_mode: bool) -> Mapping[int, int]:
     A Verity Sense with firmware from 1.1.5 to before 2.1.0 reports 135 Hz and sends 55 Hz, an OH1
     reports 130 Hz and sends 135 Hz [1]_. In SDK mode the reported rates are right.
 
-    Parameters
-    ----------
-    info
-        The device information.
-
     References
     ----------
     .. [1] Polar BLE SDK, documentation/KnownIssues.md.

@@ -141,8 +141,6 @@ class Typical:
         Orientation of the chip in the case.
     sensitivity
         Counts per unit by range setting; the first one is used for unknown settings.
-    offset
-        Offset in counts.
     """
 
     alignment: _Rows

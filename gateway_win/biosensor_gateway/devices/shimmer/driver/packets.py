@@ -56,8 +56,6 @@ class Placed(NamedTuple):
 
     Attributes
     ----------
-    time_s
-        Device time.
     lost
         Number of samples lost right before it.
     restarted

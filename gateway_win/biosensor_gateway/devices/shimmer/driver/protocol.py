@@ -86,8 +86,6 @@ class ShimmerProtocol:
 
         Parameters
         ----------
-        layout
-            Layout of a packet.
         divisor
             Ticks between two packets.
         """

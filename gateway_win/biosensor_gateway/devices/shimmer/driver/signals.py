@@ -34,8 +34,6 @@ class Sensor(NamedTuple):
 
     Attributes
     ----------
-    mask
-        Its bits in the sensor mask.
     channels
         Its channels in each packet.
     """
@@ -49,8 +47,6 @@ class Motion(NamedTuple):
 
     Attributes
     ----------
-    mask
-        Its bit in the sensor mask.
     axes
         Channels of X, Y, Z.
     block

@@ -80,12 +80,8 @@ class Conversation:
 
     Attributes
     ----------
-    refusing
-        Whether all commands are refused.
     denied
         The command that is refused, if any.
-    answer_delay_s
-        Delay of each command.
     """
 
     def __init__(
@@ -156,8 +152,6 @@ class SimulatedShimmer(VirtualDevice):
 
     Parameters
     ----------
-    world
-        Simulated world.
     name
         Name of the radio; the unit's own name contains its last four characters.
     firmware

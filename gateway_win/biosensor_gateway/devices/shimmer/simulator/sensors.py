@@ -234,8 +234,6 @@ class MotionSensor:
 
     Attributes
     ----------
-    data_name
-        Data name of its stream.
     channels
         Channel ids of X, Y, Z.
     offset, sensitivity

@@ -295,8 +295,6 @@ class Model(NamedTuple):
         3 for a Shimmer3, 10 for a Shimmer3R.
     sensors
         Sensors in packet order.
-    big_endian
-        Channels that are big-endian.
     widths
         Widths in bytes of channels that do not have two.
     """

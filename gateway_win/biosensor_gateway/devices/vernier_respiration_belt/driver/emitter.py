@@ -261,13 +261,7 @@ FLAT_FOR_S = 10.0
 
 
 class _Fit:
-    """Evaluates the tension of the belt from the last seconds of the force.
-
-    Parameters
-    ----------
-    period_s
-        Sample period.
-    """
+    """Evaluates the tension of the belt from the last seconds of the force."""
 
     def __init__(self, period_s: float) -> None:
         # nothing is dropped: these are copies, of which the quality is told

@@ -224,8 +224,6 @@ class Packet(NamedTuple):
     ----------
     counter
         The sender's counter, one byte.
-    data
-        The complete packet.
     """
 
     head: Head

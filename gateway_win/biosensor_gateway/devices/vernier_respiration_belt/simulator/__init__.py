@@ -78,8 +78,6 @@ class _Signals:
 
     Parameters
     ----------
-    wearer
-        The wearer.
     warm_up_s
         Time after every start without a respiration rate.
     clock
@@ -157,8 +155,6 @@ class SimulatedBelt(RadioDevice):
 
     Parameters
     ----------
-    address
-        Bluetooth address.
     serial
         Eight characters, part of the advertised name.
     warm_up_s

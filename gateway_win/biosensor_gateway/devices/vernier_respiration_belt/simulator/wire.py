@@ -174,10 +174,6 @@ class BeltFirmware:
         If False, samples have an undocumented type.
     mask
         Measured channels; 0 while stopped.
-    period_us
-        Sample period.
-    starts
-        Number of starts.
     """
 
     def __init__(self, order_code: str, serial: str) -> None:

@@ -67,8 +67,6 @@ class PacketTrack:
 
     Parameters
     ----------
-    samples
-        Number of samples in a packet.
     period_s
         Sample period in seconds.
     stamped_at_end

@@ -126,8 +126,6 @@ class Session:
         Silence after which a host is disconnected; None for never.
     lifesign_s
         Interval of the device's lifesigns.
-    answer_delay_s
-        Delay of answers.
     refused, ignored
         Request ids that get a NAK or no answer; neither has any effect.
     """
@@ -224,8 +222,6 @@ class BioHarness(VirtualDevice):
 
     Parameters
     ----------
-    source
-        Source of its packets.
     session
         Command session; that of new firmware by default.
     buffer_bytes

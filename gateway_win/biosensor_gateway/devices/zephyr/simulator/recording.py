@@ -135,13 +135,9 @@ class RecordedSource:
 
     Parameters
     ----------
-    data
-        The recorded bytes.
     timing
         The recording host's reads. If None, each frame is sent at the time of its last sample
         according to its timestamp, and frames without a timestamp with the previous one.
-    speed
-        Speed factor.
     on_end
         After the last byte: stay silent, or end the connection once the host has read everything.
     settle_s

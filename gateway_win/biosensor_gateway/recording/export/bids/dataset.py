@@ -108,8 +108,6 @@ def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subj
     ----------
     chosen
         The selection; participants left out of it still count.
-    streams
-        The streams to write.
     named
         Subject label in the recording's name; empty if there is none.
     """
@@ -290,8 +288,6 @@ def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> No
 
     Parameters
     ----------
-    name
-        Name of the recording.
     written
         Labels of the participants with a folder.
 

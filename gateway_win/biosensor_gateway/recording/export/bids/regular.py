@@ -113,8 +113,6 @@ def parts_of(batches: Iterator[Samples], parts: tuple[Part, ...]) -> Iterator[It
 
     Parameters
     ----------
-    batches
-        All samples of the stream.
     parts
         The parts with their numbers of samples.
     """

@@ -152,13 +152,7 @@ _MICROSECONDS = 6
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The place of a stream's files; `label` distinguishes it from the participant's others.
-
-    Attributes
-    ----------
-    is_one_of_several
-        Whether the participant has several streams of its kind.
-    """
+    """The place of a stream's files; `label` distinguishes it from the participant's others."""
 
     entities: Entities
     label: str
@@ -187,8 +181,6 @@ class SignalWriter:
 
     Parameters
     ----------
-    root
-        Root of the dataset.
     count
         Counts the samples written.
     """

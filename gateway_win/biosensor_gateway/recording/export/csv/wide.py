@@ -281,8 +281,6 @@ class _Column:
 
         Parameters
         ----------
-        begin
-            First row.
         into : ndarray of float64, shape (n_rows, n_channels)
         has_sample : ndarray of bool, shape (n_rows,)
         """

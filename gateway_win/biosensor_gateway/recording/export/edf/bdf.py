@@ -80,8 +80,6 @@ class Layout:
         Samples per channel in a record.
     record_s
         Duration of a record, rounded to what the header can express.
-    records
-        Number of records.
     """
 
     samples: int
@@ -180,8 +178,6 @@ def records(
     pieces : iterable of ndarray, shape (n_samples, n_channels)
     samples
         Samples per channel in a record.
-    annotations
-        Annotation bytes of each record.
     room
         Bytes reserved for annotations in each record.
     """

@@ -197,8 +197,6 @@ def write_salvaged(source: BinaryIO, survey: Survey, target: Path, original: Pat
     ----------
     source
         The recording, uncompressed.
-    target
-        The file to write.
     original
         The original file, whose access rights the new file gets.
 
