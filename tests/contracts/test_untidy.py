@@ -22,6 +22,8 @@ from tests.rigs.patients import Patient, ramp
 from tests.rigs.polling import until
 
 if TYPE_CHECKING:
+    from _pytest.mark import ParameterSet
+
     from tests.contracts.conftest import Make
     from tests.rigs.truth import Floats
 
@@ -35,7 +37,7 @@ LONG_LIMIT_S = 0.15
 """Data are missed meanwhile, and asked for again. Of a frame from before the stop and one from
 behind it nothing tells, if a tenth of a frame is missing between them: Verity Sense has frames of
 73 samples at 52 Hz."""
-LONGEST_BUNDLES_S = (9.0, 10.0, 12.0, 17.0, 25.0)
+BROKEN_S, BROKEN_TOO_S = (9.0, 17.0), (10.0, 12.0, 25.0)
 """The connection is made again, once or more, while what was sent on it waits."""
 LINKED = [
     each
@@ -48,6 +50,10 @@ UNSTAMPED_LIMIT_S = 1.5
 RATES_HZ = (100.0, 50.0)
 """One of them is another than in the settings."""
 HARMLESS = (Untidiness.APART, Untidiness.OVERTAKEN, Untidiness.GLUED, Untidiness.BUNDLED)
+
+
+def _nightly(bundle_s: float) -> ParameterSet:
+    return pytest.param(bundle_s, marks=pytest.mark.nightly)
 
 
 def assert_true(
@@ -139,7 +145,7 @@ async def test_what_waits_together_for_long_is_no_clock_that_was_set(
     assert_true(device, run, begin_s, bundle_s, has_gaps=True, limit_s=LONG_LIMIT_S)
 
 
-@pytest.mark.parametrize("bundle_s", LONGEST_BUNDLES_S)
+@pytest.mark.parametrize("bundle_s", [*BROKEN_S, *(_nightly(each) for each in BROKEN_TOO_S)])
 @pytest.mark.parametrize("name", LINKED, indirect=True)
 async def test_what_waits_longer_than_the_connection_lasts_is_right_or_said(
     make: Make, bundle_s: float
