@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporting import Task, export
 from tests.recording_export import odd_shapes
 from tests.recording_export.study import study
@@ -55,7 +55,7 @@ def _said(command: str, spoilt: str, folder: Path) -> tuple[str, bool]:
     (folder / "disk").mkdir()
     (folder / "study.xdf").write_bytes(study())
     (folder / "cut.xdf").write_bytes(odd_shapes.files()["cut off"][1])
-    task = Task(["mcap"], Wish(), output=folder)
+    task = Task(["mcap"], Selection(), output=folder)
     (bag,) = export(folder / "study.xdf", task, lambda _n, _s: lambda _done: None).written
     places = {name: folder / name for name in ("disk", "before", "after")}
     script = ON_A_SMALL_DISK.format(
