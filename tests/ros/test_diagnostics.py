@@ -24,11 +24,11 @@ from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
-from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status
+from lsl_to_ros.reports.diagnostics import StreamStatus, stream_facts, stream_status
 from lsl_to_ros.reports.reporter import LOW_BATTERY_PERCENT, device_statuses
 from lsl_to_ros.statistics import status as stream_status_module
 from lsl_to_ros.statistics.losses import NodeCounters
-from lsl_to_ros.statistics.status import RATE_WINDOW_S
+from lsl_to_ros.statistics.status import RATE_WINDOW_S, STALE_AFTER_S
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
@@ -152,6 +152,16 @@ def test_a_regular_stream_without_samples_is_stale(stream: Stream) -> None:
     assert stream.pass_time(STALE_AFTER_S).look().level == DiagnosticStatus.OK
     assert stream.pass_time(0.1).look().level == DiagnosticStatus.STALE
     assert stream.receive(0.0).look().level == DiagnosticStatus.OK
+
+
+def test_the_rate_of_a_stream_that_has_fallen_silent_is_not_of_now(stream: Stream) -> None:
+    for _ in range(3):
+        stream.look()
+        stream.pass_time(0.01).receive(0.0)
+    assert float(values(stream.look())["rate_measured"]) > 0.0
+    status = stream.pass_time(STALE_AFTER_S + 0.1).look()
+    assert status.level == DiagnosticStatus.STALE
+    assert values(status)["rate_measured"] == "0.00"
 
 
 @pytest.mark.parametrize(("age", "level"), [(20.0, b"\x00"), (-1e9, b"\x01")])

@@ -25,7 +25,7 @@ from biosensor_common import process_limits
 from biosensor_common.naming import AGENT, TopicName
 from biosensor_common.refusal import Level, Refusal, Refusals, Refused
 from lsl_to_ros.statistics.losses import Delays, NodeCounters, can_estimate_losses
-from lsl_to_ros.statistics.status import RATE_WINDOW_S, LoadFacts, StreamStatus
+from lsl_to_ros.statistics.status import RATE_WINDOW_S, STALE_AFTER_S, LoadFacts, StreamStatus
 from lsl_to_ros.topics.bridge import Bridge
 
 _MOST_NAMED = 5
@@ -86,8 +86,6 @@ def not_taken(messages: int) -> str:
     )
 
 
-# A regular stream is stale after this time without a sample.
-STALE_AFTER_S = 5.0
 RATE_TOLERANCE = 0.1
 # Stamps that differ more from now are not on the LSL clock; the agent refuses them at 30 s.
 CLOCK_TOLERANCE_S = 30.0

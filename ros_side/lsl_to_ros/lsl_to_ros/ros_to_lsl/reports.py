@@ -18,10 +18,11 @@ from collections.abc import Mapping, Sequence
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.refusal import Level, Refusals, Refused
-from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status, words_of
+from lsl_to_ros.reports.diagnostics import status, words_of
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.stamps import StampSource
+from lsl_to_ros.statistics.status import STALE_AFTER_S
 
 PROGRAM = "ros_to_lsl"
 

@@ -128,6 +128,8 @@ class Load:
 
 
 RATE_WINDOW_S = 10.0
+STALE_AFTER_S = 5.0
+"""After this time without a sample a regular stream is stale, and its rate is of the past."""
 
 
 class RateMeter:
@@ -147,7 +149,7 @@ class RateMeter:
             self._points.append(_Point(now, count, newest_s))
         while self._points and now - self._points[0].seen_s > RATE_WINDOW_S:
             self._points.popleft()
-        if len(self._points) < 2:
+        if len(self._points) < 2 or now - self._points[-1].seen_s > STALE_AFTER_S:
             return 0.0
         first, last = self._points[0], self._points[-1]
         elapsed = last.newest_s - first.newest_s
