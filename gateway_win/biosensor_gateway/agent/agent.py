@@ -69,8 +69,6 @@ def snapshot(
 
     Parameters
     ----------
-    own
-        Refusals of the agent's own streams.
     features
         Refusals that programs with live features report.
     started_s

@@ -55,15 +55,7 @@ class Missing:
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """Outcome of waiting for an agent's devices.
-
-    Attributes
-    ----------
-    devices
-        Number of enabled devices.
-    streams
-        Number of streams that were waited for.
-    """
+    """Outcome of waiting for an agent's devices."""
 
     ready: bool
     waited_s: float
@@ -104,8 +96,6 @@ def wait_until_ready(folder: Path, timeout_s: float, without: Iterable[str] = ()
     ----------
     folder
         The agent's state folder; the agent may still be starting.
-    timeout_s
-        How long to wait.
     without
         Streams not to wait for, by source_id or data name.
 

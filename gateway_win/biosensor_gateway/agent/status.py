@@ -57,8 +57,6 @@ class RefusedStatus(BaseModel):
         ``warn`` or ``error``.
     sentence
         For people.
-    count
-        Number of times in all.
     first_s, last_s
         LSL time in seconds.
     now

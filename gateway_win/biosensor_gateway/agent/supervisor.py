@@ -42,8 +42,6 @@ class SilenceRecovery:
     ----------
     driver
         May implement :class:`~biosensor_gateway.devices.driver.EnablesAgain`.
-    sink
-        Its watch reports silent streams.
     on_change
         Called with the problem, or None when it is over; and with whether enabling again may
         still solve it.

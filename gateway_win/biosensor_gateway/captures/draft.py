@@ -175,8 +175,6 @@ class Progress(NamedTuple):
         Name of the sensor; empty without a capture.
     elapsed_s, seconds
         Time since the device was connected, and total time from then on.
-    packets
-        Number of packets from the device.
     problem
         Why the capture failed: a sentence.
     """

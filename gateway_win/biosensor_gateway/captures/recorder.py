@@ -126,8 +126,6 @@ class Taken(NamedTuple):
 
     Attributes
     ----------
-    capture
-        Contents of the file.
     replaced
         What was replaced in it.
     test

@@ -130,8 +130,6 @@ def stream(
         `simulated_settings`.
     ask
         Whether to guide a person at the terminal first; None if the settings name no device.
-    features
-        Whether to send live features.
     verbose
         Whether to log every detail.
 

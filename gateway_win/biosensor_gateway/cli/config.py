@@ -95,8 +95,6 @@ class LslFile(LslApiFile):
 
         Parameters
         ----------
-        session_id
-            Session of the agent.
         known_peers
             Hosts to ask directly.
         port_range

@@ -68,8 +68,6 @@ class Trial:
         Where to put the recording and the tables.
     seconds
         How long to run after all sensors stream; None to go on until Ctrl-C.
-    opens
-        Whether to open the page in the browser.
     """
 
     def __init__(self, folder: Path, seconds: float | None, *, opens: bool) -> None:

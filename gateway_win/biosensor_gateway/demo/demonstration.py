@@ -81,8 +81,6 @@ def expected_topics(
     ----------
     seconds
         Duration from the first sample of any device; None for no end.
-    chunk_length
-        Samples in a chunk.
     devices
         Sensors whose virtual devices run; None for all.
     """

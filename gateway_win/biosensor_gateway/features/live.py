@@ -62,8 +62,6 @@ class Link:
     ----------
     is_here
         Whether the sender is this computer, whose stamps need no clock correction.
-    has_received
-        Whether a sample has come.
     """
 
     def __init__(
@@ -261,8 +259,6 @@ class Live:
 
     Parameters
     ----------
-    clock
-        LSL's clock.
     report
         Called with all refusals about twice a second, in a thread that may block.
     """

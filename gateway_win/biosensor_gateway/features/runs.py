@@ -167,8 +167,6 @@ class State:
 
     Parameters
     ----------
-    name
-        Name of the state's feature.
     rate, beside
         Names of the features with the rate, and with its number of intervals.
     every_s

@@ -55,8 +55,6 @@ class AgentLink:
     ----------
     on_status
         Called with the agent's status, once a second, and with None when the agent is gone.
-    on_samples
-        Called with the samples of a stream.
     on_dropped
         Called with the number of samples that this program was too slow to receive.
     """
@@ -132,13 +130,7 @@ _OF_NOW = ("worn", "battery_percent", "clock")
 
 
 class Viewer:
-    """Converts each status of an agent to views of its devices, with measured rates.
-
-    Parameters
-    ----------
-    history
-        Has the newest values.
-    """
+    """Converts each status of an agent to views of its devices, with measured rates."""
 
     def __init__(self, history: History) -> None:
         self._history = history

@@ -106,8 +106,6 @@ class Traces:
 
     Attributes
     ----------
-    screens
-        One per browser.
     opened
         Number of browsers so far.
     """

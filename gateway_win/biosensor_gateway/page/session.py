@@ -254,8 +254,6 @@ class Shutdown:
 
     Parameters
     ----------
-    session
-        Its windows are notified of the end.
     after_s
         The server ends after so many seconds without a window, an agent, a recording and a replay;
         infinite for never.

@@ -30,8 +30,6 @@ class Front:
 
     Parameters
     ----------
-    pages
-        The folder of the files.
     document
         Name of the page's HTML file.
     lifespan

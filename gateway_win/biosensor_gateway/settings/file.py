@@ -31,8 +31,6 @@ def load_settings(path: Path, device_models: Mapping[str, type[DeviceSettings]])
 
     Parameters
     ----------
-    path
-        The TOML file.
     device_models
         Settings model of each known sensor, by sensor name.
 

@@ -39,13 +39,7 @@ Protected = tuple[Service, Characteristic[bytes]]
 
 
 class Bundles:
-    """Sends notifications at once, or delayed and together.
-
-    Parameters
-    ----------
-    connection
-        Returns the current connection.
-    """
+    """Sends notifications at once, or delayed and together."""
 
     def __init__(self, connection: Callable[[], Connection | None]) -> None:
         self._connection = connection

@@ -210,11 +210,6 @@ class Pairing:
     platform
         As ``sys.platform`` names it; this one by default.
 
-    Attributes
-    ----------
-    comes_first
-        Whether to pair before connecting.
-
     References
     ----------
     .. [1] https://github.com/hbldh/bleak/issues/1943

@@ -67,11 +67,6 @@ class Taker:
     """Waits for messages of all subscriptions, and calls each one's receiver.
 
     An executor of rclpy takes two to three times the processor time.
-
-    Parameters
-    ----------
-    failed
-        Called with an error raised by a receiver.
     """
 
     def __init__(self, node: Node, failed: Callable[[Subscription, Exception], None]) -> None:

@@ -160,8 +160,6 @@ class Answerer:
     ----------
     code
         Code that the other side must know.
-    is_busy
-        Whether a connection is being answered.
 
     Raises
     ------

@@ -53,8 +53,6 @@ class Conversation:
         Origin of the page, which the guard has accepted.
     token
         Token that the first message must have.
-    sending
-        Sends its markers to the agent.
     """
 
     def __init__(self, socket: WebSocket, origin: str, token: str, sending: Sending) -> None:

@@ -120,13 +120,7 @@ def _in_use(port: int, error: OSError) -> str:
 
 
 class Experiments:
-    """The application for web experiments, with its open connections.
-
-    Parameters
-    ----------
-    sending
-        Sends the markers to the agent.
-    """
+    """The application for web experiments, with its open connections."""
 
     def __init__(self, token: str, sending: Sending) -> None:
         self._token = token

@@ -96,13 +96,7 @@ _BOTH_ALIVE_S = 7.0
 
 
 class StreamList:
-    """All streams of the last minutes, by their numbers.
-
-    Attributes
-    ----------
-    refusals
-        Streams that are not listed, and why.
-    """
+    """All streams of the last minutes, by their numbers."""
 
     def __init__(self) -> None:
         self.streams: dict[int, NetworkStream] = {}
@@ -220,8 +214,6 @@ class Inlets:
 
     Parameters
     ----------
-    close
-        Closes a receiver in another thread.
     pool
         Opens the inlets.
 

@@ -237,8 +237,6 @@ class Survey:
         Clock of the recording that it was exported from, and its streams by stamped topic.
     facts
         The node's list of streams, by stamped topic.
-    damages
-        Sentences about what cannot be read.
     """
 
     topics: dict[str, Topic] = field(default_factory=dict[str, Topic])

@@ -62,8 +62,6 @@ class ExportOptions:
         Task and session, for formats that contain them; empty to take them from `name`.
     participant
         Participant of all data, overriding the recorded ones; empty to keep these.
-    times
-        Times of regular streams.
     is_wide
         Whether to write additional tables with all streams of a rate side by side.
     notes
@@ -111,8 +109,6 @@ class Exporter(Protocol):
         target
             File or folder to create; it does not exist. Its name is final, its location is
             temporary.
-        progress
-            Called regularly.
 
         Returns
         -------

@@ -62,8 +62,6 @@ class Task:
         Task and session, for formats that contain them; empty to take them from the file name.
     whose
         Which participant is right, that of the file name or of the sensors; None if undecided.
-    times
-        Times of regular streams.
     batch
         Number of values processed at once; results do not depend on it.
     is_wide

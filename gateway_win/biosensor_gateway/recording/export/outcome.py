@@ -19,8 +19,6 @@ class Written:
 
     Attributes
     ----------
-    size
-        Total size in bytes.
     notes
         Sentences about what the format could not contain.
     """

@@ -112,13 +112,6 @@ class LocalRecorder:
     ) -> LocalStarted:
         """Start a recording and wait until all streams are open.
 
-        Parameters
-        ----------
-        request
-            What to record.
-        lsl
-            LSL section of the settings.
-
         Raises
         ------
         RecorderError

@@ -108,12 +108,8 @@ def wait_for_growth(target: Target, before: Mapping[Path, int], limit_s: float) 
 
     Parameters
     ----------
-    target
-        The possible files.
     before
         Sizes before the start; an unchanged file is not the recording.
-    limit_s
-        Maximum time to wait.
     """
     deadline = time.monotonic() + limit_s
     first: dict[Path, int] = {}

@@ -324,8 +324,6 @@ class NotClosedError(RecorderError):
 
     Attributes
     ----------
-    why
-        The reason, if known.
     verdict
         Result of checking the file; None if it cannot be read.
     """

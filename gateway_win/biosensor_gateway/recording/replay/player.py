@@ -94,8 +94,6 @@ class Player:
         Streams to play, including empty ones, because a receiver may wait for them.
     left_out
         Streams that are not played, because they are not on an LSL clock.
-    lateness
-        Lateness of all samples sent.
 
     Raises
     ------

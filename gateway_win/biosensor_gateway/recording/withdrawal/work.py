@@ -71,15 +71,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The steps to remove a person.
-
-    Attributes
-    ----------
-    places
-        The folders searched.
-    files
-        Number of files inspected.
-    """
+    """The steps to remove a person."""
 
     person: str
     places: tuple[Path, ...]

@@ -148,8 +148,6 @@ class Chunk(NamedTuple):
 
     Attributes
     ----------
-    tag
-        Kind of content.
     content
         What comes after the tag.
     start, end

@@ -13,10 +13,6 @@ class Explanation(NamedTuple):
     ----------
     title
         What it is, in a few words.
-    means
-        What it means for a study.
-    to_do
-        What to do about it.
     """
 
     title: str

@@ -359,13 +359,7 @@ MOST_FOLLOWERS = 4
 
 
 class Pump:
-    """Keeps every inlet read.
-
-    Parameters
-    ----------
-    inlets
-        Returns the present inlets.
-    """
+    """Keeps every inlet read."""
 
     def __init__(self, inlets: Callable[[], Iterable[Inlet]]) -> None:
         self._inlets = inlets

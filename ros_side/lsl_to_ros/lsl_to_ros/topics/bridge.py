@@ -66,8 +66,6 @@ class Bridge:
     ----------
     counters
         Counters, whose refusals get reports of data that cannot be published.
-    listen
-        Called with each block before it is published.
 
     Attributes
     ----------

@@ -51,8 +51,6 @@ class TopicPublisher:
         Number of subscribers at the last count.
     latched
         Whether late subscribers get the last message, so that each message is published.
-    lane
-        Lane that publishes the messages.
     """
 
     def __init__(

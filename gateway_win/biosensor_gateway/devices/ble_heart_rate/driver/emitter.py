@@ -65,13 +65,7 @@ class StrapEmitter:
         self._interval_seen_s = None
 
     def measurement(self, data: bytes, arrival_s: float) -> None:
-        """Emit ``hr``, ``ibi`` and ``quality`` from a Heart Rate Measurement.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Emit ``hr``, ``ibi`` and ``quality`` from a Heart Rate Measurement."""
         measured = parse_measurement(data)
         if measured is None:
             self._sink.dropped_bytes += len(data)

@@ -207,8 +207,6 @@ class Strap:
 
     Parameters
     ----------
-    truth
-        Record of everything measured.
     specimen
         Its wearer, and the properties of its oscillator and radio.
     identity, location

@@ -56,8 +56,6 @@ class Revolutions:
         ----------
         count, ticks
             As sent by the device; None if missing.
-        arrival_s
-            LSL time.
         """
         if count is None or ticks is None:
             return math.nan
@@ -190,8 +188,6 @@ class Row(NamedTuple):
         Assigned numbers as 128-bit UUIDs.
     flag_bytes, fields
         Layout; see :func:`.layouts.read`.
-    stream
-        Data name.
     sample
         Creates the function that creates samples.
     contact

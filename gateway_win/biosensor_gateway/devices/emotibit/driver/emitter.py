@@ -326,13 +326,7 @@ class EmotiBitEmitter:
         self._use(self._order.end())
 
     def take(self, packets: Iterable[Packet], arrival_s: float) -> None:
-        """Emit the samples of packets that arrived together.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Emit the samples of packets that arrived together."""
         timed = [(each, self._time_s(each)) for each in packets]
         measured = [time_s for each, time_s in timed if each.tag in _PLACES]
         if measured and (self._observed_s is None or max(measured) > self._observed_s):

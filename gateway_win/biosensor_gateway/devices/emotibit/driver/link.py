@@ -162,8 +162,6 @@ class Arrived(NamedTuple):
 
     Attributes
     ----------
-    arrival_s
-        LSL time of arrival.
     address
         Sender's address, to which answers are sent.
     """
@@ -201,8 +199,6 @@ class Link:
         Its address; data from other addresses are ignored.
     ports
         Ports as used for finding it.
-    tap
-        Captures the traffic.
     """
 
     def __init__(self, name: str, host: str, ports: Ports, tap: LinkTap) -> None:

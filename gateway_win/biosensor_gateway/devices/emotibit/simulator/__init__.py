@@ -223,8 +223,6 @@ class SimulatedEmotiBit(VirtualDevice):
         Address and UDP port for requests; port 0 takes a free one. A real device uses 3131.
     ppg_hz
         Pulse rate of its firmware.
-    battery_percent
-        Battery level at power-on.
     **specimen
         As for every virtual device: see `Specimen`. The drift is that of its processor's clock.
     """

@@ -191,13 +191,7 @@ class EmotivEmitter:
         self._clock_leads = False
 
     def take(self, sample: Sample, arrival_s: float) -> None:
-        """Emit a sample.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Emit a sample."""
         lost = self._lost_before(sample, arrival_s)
         if lost is None:
             self._sink.left_out(1, "they came twice")

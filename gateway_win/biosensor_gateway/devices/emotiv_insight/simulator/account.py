@@ -137,8 +137,6 @@ class Account:
         Secrets of the registered apps by client id.
     approved
         Client ids of approved apps.
-    user
-        Initial state of the user.
     """
 
     def __init__(

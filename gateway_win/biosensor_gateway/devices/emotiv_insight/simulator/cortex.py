@@ -90,8 +90,6 @@ class Circumstances:
     ----------
     other_apps
         Secrets of further apps by client id; the user has approved them.
-    user
-        Initial state of the user.
     unlicensed_metrics_s
         Interval of ``met`` samples if the licence does not cover them [s].
     bluetooth_permitted

@@ -230,8 +230,6 @@ class Headset:
         Whether it is the vendor's simulator, whose end Cortex never detects.
     must_scan
         If False, it is in the list without a scan.
-    lost
-        Called when the connection has ended.
     """
 
     def __init__(

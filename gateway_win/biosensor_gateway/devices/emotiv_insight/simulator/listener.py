@@ -159,8 +159,6 @@ class Listener:
 
     Parameters
     ----------
-    hear
-        Called with each message of a client.
     gone
         Called with each client whose connection has ended.
 

@@ -38,8 +38,6 @@ class Methods:
         Objects that the methods use.
     neighbours
         Ids of other headsets in the list that cannot be connected.
-    subscribed
-        Called when a stream has a new subscriber.
     """
 
     def __init__(
@@ -291,8 +289,6 @@ class Manners:
 
     Attributes
     ----------
-    late_s
-        Delay of every answer.
     delays_s
         Additional delays by method, so answers may overtake each other.
     refusal

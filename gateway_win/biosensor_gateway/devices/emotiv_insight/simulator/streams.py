@@ -239,8 +239,6 @@ class Mishaps:
         Number of samples not sent.
     interpolated
         Number of samples marked as interpolated.
-    repeated
-        Number of samples sent twice.
     markers
         Markers, each for one sample.
     """
@@ -306,8 +304,6 @@ class Stage:
         Maximum transport delay.
     delivers
         Whether the headset's data reach Cortex.
-    subscribed
-        Returns the subscribers of a stream.
     is_due
         Returns whether a session gets this sample of a stream.
     stamp

@@ -71,8 +71,6 @@ class LossEstimate:
         ----------
         count
             Number of samples that arrived together.
-        arrival_s
-            LSL time of arrival.
         """
         if self._arrival_s is not None and arrival_s - self._arrival_s > BRIDGED_S:
             self.forget()

@@ -28,8 +28,6 @@ class Client(asyncio.Protocol):
     ----------
     listener
         Notified when it connects and disconnects.
-    hear
-        Called with its requests.
 
     Attributes
     ----------

@@ -111,8 +111,6 @@ class Mishaps:
     ----------
     foreign
         Number of lines with digits and marks of another script.
-    doubled
-        Number of lines written twice.
     glued
         Number of line pairs without a line end between them, which cannot be separated.
     cut

@@ -121,8 +121,6 @@ class RadioLink:
     ----------
     begin_s
         LSL time at which the wearer's time is 0.
-    rng
-        Random generator of the radio's delays.
     arrive
         Called with each packet when it arrives at the server.
     """
@@ -251,8 +249,6 @@ class Wristband:
 
     Attributes
     ----------
-    oscillator
-        Oscillator of the wristband since the beginning.
     stamps
         Timestamps of the current or last radio link.
     is_left_alone

@@ -263,13 +263,7 @@ class Assembler:
         self._held: Packet | None = None
 
     def take(self, part: Message, arrival_s: float) -> list[Packet]:
-        """Add a part; return the packets that are complete now, at most two.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Add a part; return the packets that are complete now, at most two."""
         if not self._full_bytes:
             return [Packet(part.payload, arrival_s)]
         complete: list[Packet] = []

@@ -205,13 +205,7 @@ class ClassicEmitter:
         self._diodes.forget()
 
     def take(self, uuid: str, data: bytes, arrival_s: float) -> bool:
-        """Emit the data of a characteristic; return whether they are valid.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Emit the data of a characteristic; return whether they are valid."""
         if uuid in _ELECTRODES:
             return self._take_electrode(_ELECTRODES[uuid], data, arrival_s)
         if uuid in _DIODES:
@@ -308,13 +302,7 @@ class AthenaEmitter:
         self._begin_series()
 
     def take(self, data: bytes, arrival_s: float) -> int:
-        """Emit the data of a notification; return its number of invalid bytes.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Emit the data of a notification; return its number of invalid bytes."""
         found, unread = frames.parse_notification(data)
         for frame in found:
             if frame.blocks:

@@ -297,13 +297,7 @@ class PolarEmitter:
         return measurement not in self._running and measurement in _MEASUREMENTS
 
     def frame(self, data: bytes, arrival_s: float) -> None:
-        """Emit the samples of a frame; an invalid frame is counted and dropped.
-
-        Parameters
-        ----------
-        arrival_s
-            LSL time of arrival.
-        """
+        """Emit the samples of a frame; an invalid frame is counted and dropped."""
         frame = parse_frame(data, self._factors)
         match frame:
             case Rejected():

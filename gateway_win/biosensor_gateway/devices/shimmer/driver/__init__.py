@@ -413,12 +413,8 @@ class Measurement:
 
     Attributes
     ----------
-    layout
-        Layout of the channels in a packet.
     divisor
         The sample rate is 32768 Hz divided by it.
-    signals
-        Streams in a packet.
     status_at
         Positions of the status of both ExG chips; None without lead-off detection, so there is no
         ``quality``.

@@ -92,8 +92,6 @@ class TickTimeline:
         ----------
         ticks
             Its timestamp, 0 to 2**24 - 1.
-        arrival_s
-            LSL time of arrival.
         """
         expected = (arrival_s - self._arrival_s) * TICKS_PER_S
         step = self._ticks.steps(ticks, expected, None)
@@ -164,8 +162,6 @@ class PacketEmitter(ABC):
         ----------
         divisor
             The sampling rate is 32768 Hz divided by it.
-        streams
-            Data names of the streams in each packet.
         """
         self._divisor, self._streams = divisor, streams
         self._timeline.started(divisor)

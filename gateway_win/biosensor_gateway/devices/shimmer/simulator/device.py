@@ -156,8 +156,6 @@ class SimulatedShimmer(VirtualDevice):
         Name of the radio; the unit's own name contains its last four characters.
     firmware
         Version of LogAndStream, such as 0.11.0, 0.16.11 or 1.1.2.
-    battery_percent
-        Battery level at power-on.
     first_tick
         Tick count at the first power-on; data packets contain its low 24 bits.
     tcp

@@ -299,8 +299,6 @@ class Measurement:
 
     Attributes
     ----------
-    layout
-        Layout of the channels in a packet.
     divisor
         The sample rate is 32768 Hz divided by it.
     gsr_setting

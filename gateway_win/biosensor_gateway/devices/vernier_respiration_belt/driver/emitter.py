@@ -46,8 +46,6 @@ class Arrived(NamedTuple):
     ----------
     samples
         Number of samples per channel, at least 1.
-    arrival_s
-        LSL time in seconds.
     is_behind_pause
         Whether it arrived later than the duration of its samples.
     """
@@ -63,8 +61,6 @@ class Placed(NamedTuple):
 
     Attributes
     ----------
-    arrival_s
-        LSL time in seconds.
     last_s
         Device time of the last sample.
     lost

@@ -80,8 +80,6 @@ class _Signals:
     ----------
     warm_up_s
         Time after every start without a respiration rate.
-    clock
-        The true time.
     """
 
     def __init__(self, wearer: Wearer, warm_up_s: float, clock: Clock) -> None:

@@ -166,8 +166,6 @@ class BeltFirmware:
 
     Attributes
     ----------
-    battery_percent
-        Battery level in the status.
     refuses
         Whether every command is answered with the status "ignored".
     knows_type

@@ -155,11 +155,6 @@ class SyntheticSource:
     **specimen
         As for every virtual device: see `Specimen`. The seed also determines the jitter of
         timestamps.
-
-    Attributes
-    ----------
-    battery_percent
-        Current battery level.
     """
 
     def __init__(

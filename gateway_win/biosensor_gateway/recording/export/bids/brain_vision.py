@@ -62,16 +62,12 @@ class BinaryRows:
 
     Parameters
     ----------
-    file
-        Open for writing and reading.
     is_small
         Whether the values are 16-bit integers. These cannot represent a missing value, so if one
         occurs all values are converted to float32, which is exact.
 
     Attributes
     ----------
-    kind
-        The current binary format.
     empty
         First row and number of rows of each gap.
     """

@@ -105,8 +105,6 @@ class StreamTopics:
         Topic names, the stamped topic first.
     unfit
         Samples missing on the raw topic; the stamped topic has them.
-    written
-        Number of samples written.
     """
 
     def __init__(self, bag: Bag, stream: Stream, name: TopicName) -> None:
