@@ -294,12 +294,6 @@ class Peripheral:
         self._advertising = on
         self._update_audible()
 
-    def set_rssi(self, dbm: int) -> None:
-        """Set the signal strength."""
-        self._rssi_dbm = dbm
-        if self._transceiver:
-            self._transceiver.rssi_dbm = dbm
-
     def set_manufacturer_data(self, manufacturer_data: Mapping[int, bytes]) -> None:
         """Change the advertised manufacturer data."""
         self._advertisement = pack_advertisement(self._uuids, manufacturer_data)

@@ -185,19 +185,6 @@ FORMATS: Mapping[str, Callable[[], Exporter]] = {
 }
 """Functions that create the exporter of each format."""
 
-FOR_WHOM: Mapping[str, str] = {
-    "bids": "a BIDS data set, for sharing and for pipelines; several recordings become one",
-    "csv": "a table for each stream, for Excel, R, Python and SPSS",
-    "csv.gz": "the same, packed",
-    "csv-long": "one table of all, a line for each value",
-    "csv-long.gz": "the same, packed",
-    "edf": "EDF+ in 24 bits (BDF), for EDFbrowser, EEGLAB and MNE",
-    "kubios": "intervals between beats, and ECG, for Kubios HRV",
-    "ledalab": "skin conductance, for Ledalab",
-    "mcap": "a ROS bag, with the topics of the node",
-}
-"""Short descriptions of the formats."""
-
 GROWTH: Mapping[str, float] = {
     "csv": 3.0,
     "csv.gz": 1.5,

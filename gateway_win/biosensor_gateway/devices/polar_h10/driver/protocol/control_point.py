@@ -9,8 +9,6 @@ from enum import IntEnum
 from math import isfinite
 
 CONTROL_POINT = "fb005c81-02e7-f387-1cad-8acd2d8df0c8"
-OLD_CONTROL_POINT = "fb005c51-02e7-f387-1cad-8acd2d8df0c8"
-"""Control point of early firmware, which has a different protocol."""
 
 _FEATURES = 0x0F
 _REPLY = 0xF0
