@@ -12,7 +12,7 @@ from benchmarks.effort import Effort
 from benchmarks.figures import Figure, Measurement, Target
 from benchmarks.processes import CpuMeter, Processes, ports_for
 from benchmarks.receivers import Receivers
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 from benchmarks.samples import Passage, passage, topic_of
 from benchmarks.senders import BLOCK, BLOCK_STREAMS_PER_PROCESS, STREAMS_PER_PROCESS, Senders
 
@@ -91,8 +91,8 @@ def _load(case: Case, seconds: float, settle_s: float) -> Load:
             block=case.block,
         )
         topics = [f"{topic_of(each)}_chunk" for each in senders.names]
-        wish = Wish(topics, senders.count(seconds), "", chunks=True)
-        receivers = Receivers(processes, wish)
+        subscription = Subscription(topics, senders.count(seconds), "", chunks=True)
+        receivers = Receivers(processes, subscription)
         senders.expect_up()
         receivers.expect_all()
         time.sleep(settle_s)

@@ -11,7 +11,7 @@ from benchmarks import growth
 from benchmarks.effort import Effort
 from benchmarks.figures import Measurement
 from benchmarks.processes import Process, Processes
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 from benchmarks.samples import stream_names, topic_of
 
 STREAMS = 4
@@ -37,8 +37,13 @@ def measure(effort: Effort) -> Measurement:
     chunks = [f"{topic_of(name)}_chunk" for name in (names[1], names[2])]
     with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
         node = processes.start_node()
-        wishes = Wish(raw, 0, f"{name}/raw.npy"), Wish(chunks, 0, f"{name}/chunks.npy", chunks=True)
-        receivers = [processes.start(*wish.as_arguments()) for wish in wishes]
+        subscriptions = (
+            Subscription(raw, 0, f"{name}/raw.npy"),
+            Subscription(chunks, 0, f"{name}/chunks.npy", chunks=True),
+        )
+        receivers = [
+            processes.start(*subscription.as_arguments()) for subscription in subscriptions
+        ]
         outlets = processes.start("benchmarks.churn_outlets", str(STREAMS), str(PERIOD_S))
         states = _watch(node, outlets, effort.rotations)
         for receiver in receivers:

@@ -14,7 +14,7 @@ from benchmarks.effort import Effort
 from benchmarks.figures import Figure, Measurement, Target
 from benchmarks.processes import Processes, ports_for
 from benchmarks.receivers import Receivers
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 from benchmarks.rounds import in_rounds
 from benchmarks.samples import Passage, passage, topic_of
 from benchmarks.senders import BLOCK, BLOCK_STREAMS_PER_PROCESS, Senders
@@ -67,8 +67,10 @@ def _leg(streams: int, seconds: float, settle_s: float) -> Leg:
         # What the senders take is not left for the node.
         per_process = BLOCK_STREAMS_PER_PROCESS
         senders = Senders(processes, streams, per_process=per_process, frugal=True, block=BLOCK)
-        wish = Wish([topic_of(each) for each in senders.names], senders.count(seconds), "")
-        receivers = Receivers(processes, wish, _SUBSCRIBERS)
+        subscription = Subscription(
+            [topic_of(each) for each in senders.names], senders.count(seconds), ""
+        )
+        receivers = Receivers(processes, subscription, _SUBSCRIBERS)
         senders.expect_up()
         receivers.expect_all()
         time.sleep(settle_s)

@@ -16,7 +16,7 @@ from benchmarks.figures import Figure, Measurement, Target
 from benchmarks.lsl_sender import Offer
 from benchmarks.processes import CpuMeter, Process, Processes
 from benchmarks.receivers import finish
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 from benchmarks.rounds import in_rounds
 from benchmarks.samples import RATE_HZ, Passage, passage, stream_names, topic_of
 
@@ -51,17 +51,19 @@ def _lsl(processes: Processes, count: int, file: Path) -> tuple[Process, Process
 
 
 def _dds(processes: Processes, count: int, file: Path) -> tuple[Process, Process, None]:
-    wish = Wish([_FLOOR_TOPIC], count, str(file), usual=True)
+    subscription = Subscription([_FLOOR_TOPIC], count, str(file), usual=True)
     source = processes.start("benchmarks.ros_sender", _FLOOR_TOPIC)
-    return source, processes.start(*wish.as_arguments()), None
+    return source, processes.start(*subscription.as_arguments()), None
 
 
 def _node(processes: Processes, count: int, file: Path) -> tuple[Process, Process, Process]:
     node = processes.start_node()
     source = processes.start(*Offer(stream_names(1)).as_arguments())
     source.expect("up")
-    wish = Wish([topic_of(name) for name in stream_names(1)], count, str(file), usual=True)
-    return source, processes.start(*wish.as_arguments()), node
+    subscription = Subscription(
+        [topic_of(name) for name in stream_names(1)], count, str(file), usual=True
+    )
+    return source, processes.start(*subscription.as_arguments()), node
 
 
 def _leg(

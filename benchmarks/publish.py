@@ -13,7 +13,7 @@ from benchmarks.effort import Effort
 from benchmarks.figures import Figure, Measurement, Target
 from benchmarks.processes import Processes
 from benchmarks.receivers import Receivers
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 from benchmarks.samples import CHANNELS
 
 _TOPICS = ("/bench_chunk", "/bench_chunk_floor")
@@ -26,7 +26,7 @@ def measure(effort: Effort) -> Measurement:
     sys.stderr.write(f"  {effort.published} chunks\n")
     with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
         publisher = processes.start("benchmarks.chunk_publisher", *_TOPICS)
-        receivers = Receivers(processes, Wish(_TOPICS, 0, "", chunks=True))
+        receivers = Receivers(processes, Subscription(_TOPICS, 0, "", chunks=True))
         receivers.expect_all()
         publisher.tell(str(effort.published))
         times_us: dict[str, list[float]] = json.loads(publisher.line(_PATIENCE_S))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.processes import BenchError, CpuMeter, Process, Processes
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 
 _PATIENCE_S = 60.0
 _LAST_SAMPLES_S = 10.0
@@ -22,16 +22,18 @@ class Receivers:
 
     Parameters
     ----------
-    wish
+    subscription
         Of all together; each process gets its share of the topics.
     """
 
-    def __init__(self, processes: Processes, wish: Wish, workers: int = 1) -> None:
+    def __init__(self, processes: Processes, subscription: Subscription, workers: int = 1) -> None:
         self._children: list[Process] = []
         self._files: list[Path] = []
         for worker in range(workers):
             file = Path(processes.folder, f"arrived{worker}.npy")
-            share = replace(wish, topics=_share(wish.topics, worker, workers), file=str(file))
+            share = replace(
+                subscription, topics=_share(subscription.topics, worker, workers), file=str(file)
+            )
             self._files.append(file)
             self._children.append(processes.start(*share.as_arguments()))
         self._meters: list[CpuMeter] = []

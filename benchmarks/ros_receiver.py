@@ -1,4 +1,4 @@
-"""Subscribers in one process: ``python -m benchmarks.ros_receiver WISH``, a `Wish` as JSON."""
+"""Subscribers in one process; its argument is a `Subscription` as JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from benchmarks.wire import ArrayReader
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class Subscription:
     """What one process subscribes to.
 
     Attributes
@@ -62,16 +62,16 @@ class Receiver:
     numbers did.
     """
 
-    def __init__(self, node: Node, wish: Wish) -> None:
-        self.arrivals = Arrivals(len(wish.topics), wish.count)
-        self._awaited = set(range(len(wish.topics)))
+    def __init__(self, node: Node, subscription: Subscription) -> None:
+        self.arrivals = Arrivals(len(subscription.topics), subscription.count)
+        self._awaited = set(range(len(subscription.topics)))
         self._is_complete = False
-        for index, topic in enumerate(wish.topics):
-            if wish.usual:
+        for index, topic in enumerate(subscription.topics):
+            if subscription.usual:
                 depth, take = QoSProfile(depth=int(RATE_HZ)), partial(self._take, index)
                 node.create_subscription(Float32MultiArray, topic, take, depth)
             else:
-                take = self._take_chunk if wish.chunks else self._take_bytes
+                take = self._take_chunk if subscription.chunks else self._take_bytes
                 subscribe_raw(node, topic, partial(take, index, ArrayReader()))
 
     def _take(self, index: int, message: Float32MultiArray) -> None:
@@ -96,17 +96,19 @@ class Receiver:
             say("complete")
 
 
-def receive(wish: Wish) -> None:
+def receive(subscription: Subscription) -> None:
     """Take messages until the parent closes the pipe."""
     orders, node = Orders(), rclpy.create_node("bench_receiver")
-    receiver = Receiver(node, wish)
-    executor_of = ros_executor.usual_executor if wish.usual else ros_executor.events_executor
+    receiver = Receiver(node, subscription)
+    executor_of = (
+        ros_executor.usual_executor if subscription.usual else ros_executor.events_executor
+    )
     ros_executor.spin(executor_of(node), orders)
-    receiver.arrivals.write(Path(wish.file))
+    receiver.arrivals.write(Path(subscription.file))
     say(f"repeated {receiver.arrivals.repeated}")
 
 
 if __name__ == "__main__":
     rclpy.init()
-    receive(Wish(**json.loads(sys.argv[1])))
+    receive(Subscription(**json.loads(sys.argv[1])))
     rclpy.shutdown()

@@ -14,7 +14,7 @@ from benchmarks.effort import Effort
 from benchmarks.figures import Figure, Measurement, Target
 from benchmarks.processes import CpuMeter, Processes
 from benchmarks.receivers import Receivers, finish
-from benchmarks.ros_receiver import Wish
+from benchmarks.ros_receiver import Subscription
 from benchmarks.rounds import in_rounds
 from benchmarks.samples import Passage, passage, topic_of
 from benchmarks.senders import Senders, Sent
@@ -75,8 +75,10 @@ def _node(seconds: float, settle_s: float) -> Leg:
     with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
         node = processes.start_node()
         senders = Senders(processes, STREAMS)
-        wish = Wish([topic_of(each) for each in senders.names], senders.count(seconds), "")
-        receivers = Receivers(processes, wish, _SUBSCRIBERS)
+        subscription = Subscription(
+            [topic_of(each) for each in senders.names], senders.count(seconds), ""
+        )
+        receivers = Receivers(processes, subscription, _SUBSCRIBERS)
         senders.expect_up()
         receivers.expect_all()
         time.sleep(settle_s)

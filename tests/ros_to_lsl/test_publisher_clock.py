@@ -6,8 +6,6 @@ import math
 import random
 import time
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any
 
 import pylsl
 import pytest
@@ -162,35 +160,31 @@ def test_a_measurement_tells_the_clock_from_the_way(offset: Offset, state: Clock
 
 
 # What answers say of the clock of who answered.
-def answer(sent_ms: float, came_ms: float) -> Any:
-    return SimpleNamespace(
-        source_timestamp=NOW_NS + round(sent_ms * MILLISECOND),
-        received_timestamp=NOW_NS + round(came_ms * MILLISECOND),
-    )
+def answer(sent_ms: float, came_ms: float) -> tuple[int, int]:
+    return NOW_NS + round(sent_ms * MILLISECOND), NOW_NS + round(came_ms * MILLISECOND)
 
 
 def test_answers_bound_a_clock_from_both_sides() -> None:
     bounds = Bounds()
     assert bounds.offset is None
     # Asked at 0, sent 4 ms later by a clock that is 500 ms behind.
-    bounds.take(NOW_NS, answer(-496, 5))
+    bounds.take(NOW_NS, *answer(-496, 5))
     assert bounds.offset == Offset(-0.501, -0.496)
-    bounds.take(NOW_NS, answer(-498, 20))
+    bounds.take(NOW_NS, *answer(-498, 20))
     assert bounds.offset == Offset(-0.501, -0.498)
 
 
 def test_a_clock_that_was_set_in_between_is_not_measured() -> None:
     bounds = Bounds()
-    bounds.take(NOW_NS, answer(-496, 5))
-    bounds.take(NOW_NS, answer(4, 5))
+    bounds.take(NOW_NS, *answer(-496, 5))
+    bounds.take(NOW_NS, *answer(4, 5))
     assert bounds.answers == 2
     assert bounds.offset is None
 
 
 def test_an_answer_without_stamps_says_nothing() -> None:
     bounds = Bounds()
-    silent: Any = SimpleNamespace(source_timestamp=0, received_timestamp=0)
-    bounds.take(NOW_NS, silent)
+    bounds.take(NOW_NS, 0, 0)
     assert bounds.answers == 0
 
 

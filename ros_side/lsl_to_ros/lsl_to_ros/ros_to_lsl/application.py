@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
 from time import monotonic, time_ns
-from typing import Any, Protocol
+from typing import Any
 
 import pylsl
 from diagnostic_msgs.msg import DiagnosticArray
@@ -291,20 +291,6 @@ def _clock_facts() -> dict[str, object]:
     return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
 
 
-class Answer(Protocol):
-    """Timestamps that ROS reports for an answer, in nanoseconds since 1970."""
-
-    @property
-    def source_timestamp(self) -> int:
-        """Time of sending, on the sender's clock."""
-        ...
-
-    @property
-    def received_timestamp(self) -> int:
-        """Time of arrival, on this computer's clock."""
-        ...
-
-
 class Bounds:
     """Bounds of a clock offset from the answers of one measurement."""
 
@@ -312,13 +298,13 @@ class Bounds:
         self.answers = 0
         self._least_ns, self._most_ns = -math.inf, math.inf
 
-    def take(self, asked_ns: int, answer: Answer) -> None:
-        """Add an answer and the time of its request."""
-        if not answer.source_timestamp or not answer.received_timestamp:
+    def take(self, asked_ns: int, sent_ns: int, received_ns: int) -> None:
+        """Add the times of a request and its answer, by its sender's clock and by ours."""
+        if not sent_ns or not received_ns:
             return  # nothing is dropped: it only tells a time
         self.answers += 1
-        self._least_ns = max(self._least_ns, answer.source_timestamp - answer.received_timestamp)
-        self._most_ns = min(self._most_ns, answer.source_timestamp - asked_ns)
+        self._least_ns = max(self._least_ns, sent_ns - received_ns)
+        self._most_ns = min(self._most_ns, sent_ns - asked_ns)
 
     @property
     def offset(self) -> Offset | None:
@@ -393,7 +379,7 @@ class SenderOffset:
         told, answer = self._handle.take_response(GetParameters.Response)
         # The answer to an aborted request may still come.
         if answer is not None and told.request_id.sequence_number == self._number:
-            self._bounds.take(self._asked_ns, told)
+            self._bounds.take(self._asked_ns, told.source_timestamp, told.received_timestamp)
             self._asked_ns = 0
         elif now_s - self._asked_s > OFFSET_GIVE_UP_S:
             self._asked_ns, self._due_s = 0, now_s + OFFSET_EVERY_S
