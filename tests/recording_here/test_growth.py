@@ -13,6 +13,7 @@ from biosensor_gateway.agent.device_states import clock_time
 from biosensor_gateway.recording.recorder.live_file import GrowingFile, Growth
 from biosensor_gateway.recording.xdf.container import Tag
 from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.recording_export.study import ours
 from tests.xdf.own_streams import own_header
 from tests.xdf.test_judging import event
@@ -286,6 +287,31 @@ def test_another_agent_is_told_while_it_is_recorded(
         assert found[0].text.startswith(f"from {at} on it is of another agent")
     # Of another computer's agent it is not known when it began.
     assert not list(written.growth.other_agents("elsewhere", 1008.2)) or own_started != 1008.2
+
+
+@pytest.mark.parametrize(("off_s", "is_other"), [(0.0, False), (0.007, True), (-0.007, True)])
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_single_stream_of_another_agent_is_told_while_it_is_recorded(
+    written: Written, off_s: float, is_other: bool, is_late: bool
+) -> None:
+    """Those of events and counters are of one's own; what they tell may stand before or behind."""
+    headers = [own_header(1, STRAPS[0], "acc"), own_header(8, AGENT, "counters")]
+    written.write(xdf(*headers))
+    told: list[bytes] = []
+    for second in range(20):
+        begin = 1000.0 + second
+        # One gap, in which nothing comes, is a loss and no other stream.
+        is_lost = 3 <= second < 5
+        begin_here = begin + (off_s if second >= 8 else 0.0)
+        count = Counters(pushed=50 * (second + 1), last_stamp=begin + 49 / 50)
+        text = counters_text({source_id(STRAPS[0], "acc"): count})
+        told.append(samples(8, "string", [[text]], [begin + 1]))
+        came = [] if is_lost else [_acc(1, (begin_here, begin_here + 1))]
+        written.write(b"".join([*came, told[-1]] if not is_late else [*told[-2:-1], *came]))
+    found = list(written.growth.other_agents("", None))
+    assert [(each.code, each.stream) for each in found] == [
+        ("another-agent", "P01-polar_h10-A1-acc")
+    ] * is_other
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import math
 import shutil
 import struct
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -17,6 +18,12 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import clock_time, names
 from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, ChunkError, Frame, Tag
+from biosensor_gateway.recording.xdf.counters import (
+    NEAR_S,
+    STRANGE_READINGS,
+    STRANGE_SAMPLES,
+    parse_readings,
+)
 from biosensor_gateway.recording.xdf.event_rules import (
     OF_ANOTHER_AGENT,
     EventLog,
@@ -58,6 +65,8 @@ _BLOCK_BYTES = 1 << 20
 _LENGTH_SIZES = frozenset({1, 4, 8})
 _TAG_BYTES = 2
 _MOST_DAMAGES = 20
+_MOST_TOLD, _MOST_CHUNKS = 64, 64
+"""Counted timestamps that wait for samples, and chunks of samples to which they are compared."""
 _MOST_SPELLS = 20
 """Number of absences of each sensor that are listed, the newest."""
 
@@ -207,6 +216,68 @@ class StreamProgress:
     longest_gap_s: float = 0.0
 
 
+class Counted:
+    """Compares the timestamps of a stream with those that its agent's counters tell.
+
+    A recorder may go on with another agent's stream of the same source_id, whose samples come at
+    other times.
+
+    Attributes
+    ----------
+    strange_since
+        Time on the stream's clock from which its samples are not the counted ones; None if they
+        are.
+    """
+
+    def __init__(self) -> None:
+        self.strange_since: float | None = None
+        # nothing is dropped: these only tell whose the samples are
+        self._told: deque[float] = deque(maxlen=_MOST_TOLD)
+        # nothing is dropped: nor is anything of these
+        self._came: deque[NDArray[np.float64]] = deque(maxlen=_MOST_CHUNKS)
+        self._before = math.nan
+        self._strange: list[float] = []
+
+    def came(self, stamps: NDArray[np.float64]) -> None:
+        """Take the timestamps of the next samples."""
+        finite = stamps[np.isfinite(stamps)]
+        if len(finite):
+            self._came.append(finite)
+            self._compare()
+
+    def told(self, last_stamp: float) -> None:
+        """Take the timestamp of the newest sample that the agent has counted."""
+        newest = self._told[-1] if self._told else self._before
+        if not last_stamp <= newest:
+            self._told.append(last_stamp)
+            self._compare()
+
+    def _compare(self) -> None:
+        while self._came and self._told and self._told[0] <= self._came[-1][-1]:
+            stamp, before = self._told.popleft(), self._before
+            self._before = stamp
+            # What is not held any more, or was not recorded, tells nothing.
+            is_known = self._came[0][0] <= before and self._nearest(stamp, before)[1]
+            if is_known and self._nearest(stamp, before)[0] > NEAR_S:
+                self._strange.append(stamp)
+            else:
+                self._strange.clear()
+            if len(self._strange) >= STRANGE_READINGS and self.strange_since is None:
+                self.strange_since = self._strange[0]
+
+    def _nearest(self, stamp: float, since: float) -> tuple[float, bool]:
+        """Return how far the nearest sample is off, and whether one came since a time."""
+        off_s, has_come = math.inf, False
+        for stamps in reversed(self._came):
+            at = int(np.searchsorted(stamps, stamp))
+            near = stamps[max(0, at - 1) : at + 1]
+            off_s = min(off_s, float(np.abs(near - stamp).min()))
+            has_come = has_come or (at > 0 and float(stamps[at - 1]) > since)
+            if stamps[0] <= since:
+                break
+        return off_s, has_come
+
+
 class _StreamReader:
     """Processes the chunks of one stream; times are on the recorder's clock, in s.
 
@@ -227,6 +298,7 @@ class _StreamReader:
         self.samples = self.offsets = 0
         self.gaps = Gaps()
         self.log = EventLog() if header.is_events else None
+        self.counted = Counted()
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
@@ -255,6 +327,7 @@ class _StreamReader:
         if len(stamps):
             self._find_gaps(stamps)
             self._last_stamp = float(stamps[-1])
+            self.counted.came(stamps)
             if self._is_on_the_lsl_clock():
                 self.reached = max(self.reached, self._last_stamp + self._offset)
         return block.texts
@@ -443,6 +516,10 @@ class Growth:
         own_started_s
             When this agent began, in LSL s; None if there is none, or this is unknown.
         """
+        for each in self._streams.values():
+            if each.counted.strange_since is not None:
+                text = f"{STRANGE_SAMPLES}; stop it and record again"
+                yield Finding(Level.ERROR, "another-agent", each.header.name, text)
         logs = [(each.header, each.log) for each in self._streams.values() if each.log]
         for header, log in logs:
             own_s = own_started_s if header.source_id == source_id else None
@@ -484,10 +561,19 @@ class Growth:
             texts = stream.take_samples(content)
             if stream.log is not None:
                 stream.log.take(texts, self._recorded_beside(stream))
+            if stream.header.is_counters:
+                self._take_counters(texts)
             self._reach(stream)
             stream.received_at = self._newest
         else:
             self._take_offset(stream, content)
+
+    def _take_counters(self, texts: Sequence[str]) -> None:
+        by_source = {each.header.source_id: each.counted for each in self._streams.values()}
+        for source_id, readings in parse_readings(texts)[0].items():
+            for each in readings if source_id in by_source else ():
+                if each.pushed:
+                    by_source[source_id].told(each.last_stamp)
 
     def _take_offset(self, stream: _StreamReader, content: memoryview) -> None:
         before = stream.reached

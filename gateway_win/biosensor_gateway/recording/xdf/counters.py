@@ -26,8 +26,12 @@ from biosensor_gateway.recording.xdf.measuring import Course
 TAIL_S = 3.0
 # The text has every digit of a timestamp, but a recorder may compute omitted ones from the rate.
 _SAME_STAMP_S = 1e-6
-_NEAR_S = 1e-4
-_STRANGE_READINGS = 4
+NEAR_S = 1e-4
+STRANGE_READINGS = 4
+STRANGE_SAMPLES = (
+    "its samples are not those that its agent counted: the recorder went on with a stream of "
+    "another agent with the same source_id, whose data may be another person's"
+)
 
 
 class Reading(NamedTuple):
@@ -177,13 +181,13 @@ class _Strangers:
         if len(ordered) and len(self._told):
             places = np.searchsorted(self._told, ordered)
             np.add.at(self._growth, places, 1)
-            begin, end = np.searchsorted(self._told, ordered[[0, -1]] + [-_NEAR_S, _NEAR_S])
+            begin, end = np.searchsorted(self._told, ordered[[0, -1]] + [-NEAR_S, NEAR_S])
             near = self._told[begin:end]
             at = np.searchsorted(ordered, near)
             before = ordered[np.maximum(at - 1, 0)]
             behind = ordered[np.minimum(at, len(ordered) - 1)]
             off_s = np.minimum(np.abs(near - before), np.abs(behind - near))
-            self._is_there[begin:end] |= off_s <= _NEAR_S
+            self._is_there[begin:end] |= off_s <= NEAR_S
         return stamps
 
     @property
@@ -195,8 +199,8 @@ class _Strangers:
         in_a_row = 0
         for number, is_strange in enumerate((is_amid & ~self._is_there).tolist()):
             in_a_row = in_a_row + 1 if is_strange else 0
-            if in_a_row == _STRANGE_READINGS:
-                return float(self._told[number + 1 - _STRANGE_READINGS])
+            if in_a_row == STRANGE_READINGS:
+                return float(self._told[number + 1 - STRANGE_READINGS])
         return None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from biosensor_common.quantities import Unit
+from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.report import Extent, Measured
@@ -281,9 +282,8 @@ def _counted(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     if counters.strange_since is not None:
         text = (
-            f"from {extent.since_begin(counters.strange_since, measured):.1f} s on its samples are "
-            "not those that its agent counted: the recorder went on with a stream of another agent "
-            "with the same source_id, whose data may be another person's"
+            f"from {extent.since_begin(counters.strange_since, measured):.1f} s on "
+            f"{STRANGE_SAMPLES}"
         )
         yield Level.ERROR, "another-agent", text
     if counters.held < counters.pushed:
