@@ -316,6 +316,15 @@ def _column(rows: Sequence[dict[str, str]], name: str) -> NDArray[np.float64]:
     return np.array([float(row[name]) for row in rows])
 
 
+def test_a_stream_whose_header_names_no_rate_is_in_the_table_of_its_rate(tmp_path: Path) -> None:
+    stamps = [1000.0 + each / 100 for each in range(400)]
+    header = made.stream_header(1, "a", kind="EEG", rate=0.0)
+    samples = made.samples(1, "float32", [[float(each)] for each in range(400)], stamps)
+    written = _export(tmp_path, header, samples)
+    assert [float(row["a.1"]) for row in _table(written)] == [float(each) for each in range(400)]
+    assert any("names no rate; it is taken as 100 Hz" in note for note in written.notes)
+
+
 @pytest.mark.parametrize("block", [7, 64, 4096])
 def test_every_sample_stands_once_in_the_row_of_its_time(
     block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

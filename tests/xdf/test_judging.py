@@ -139,6 +139,37 @@ def test_stamps_that_run_backwards_or_are_no_numbers() -> None:
     assert "in 2 places" in text_of(report, "backwards", "a")
 
 
+@pytest.mark.parametrize("jitter_s", [0.0, 0.002])
+def test_how_many_samples_may_be_there_twice(jitter_s: float) -> None:
+    stamps = np.array(_times(3000))
+    doubled = np.concatenate([stamps[:1000], stamps[960:1000], stamps[1000:]])
+    doubled += np.random.default_rng(1).uniform(0.0, jitter_s, len(doubled))
+    about = "about " if jitter_s else ""
+    told = text_of(check(_one(doubled.tolist())), "backwards", "a")
+    assert told.endswith(f": {about}40 samples are there twice, or its sender's clock was set back")
+    # More than all there are cannot be there twice.
+    restarted = np.concatenate([stamps[:1000], stamps[1000:] - stamps[1000] + 1.0])
+    told = text_of(check(_one(restarted.tolist())), "backwards", "a")
+    assert told.endswith(" s: its sender's clock was set back")
+
+
+def test_markers_in_another_order_than_their_times_are_no_error() -> None:
+    header = x.stream_header(1, "told", kind="Markers", fmt="string")
+    samples = x.samples(1, "string", [["c"], ["a"], ["b"]], [13.0, 11.0, 12.0])
+    report = check(x.xdf(header, samples, x.offsets(1, (10.0, 20.0)), x.footer(1, 3)))
+    assert ("backwards", "told") in codes(report, Level.WARNING)
+    assert report.is_good
+
+
+def test_a_stream_that_names_no_computer_is_of_no_other_one() -> None:
+    known = x.regular(1, "a", _times(3000), 100.0)
+    unknown = x.stream_header(2, "b", host="", kind="Markers", fmt="string")
+    marker = x.samples(2, "string", [["x"]], [_times(2)[1]])
+    report = check(x.xdf(*known, unknown, marker, x.footer(2, 1)))
+    assert "not-aligned" not in {each.code for each in report.findings}
+    assert "on a computer without a name" in as_text(report)
+
+
 @pytest.mark.parametrize("with_offsets", [True, False])
 @pytest.mark.parametrize(
     ("start", "said"),

@@ -25,6 +25,8 @@ Progress = Callable[[float], None]
 _HERE = "biosensor_gateway.recording.export"
 NEED_RATES = frozenset({"bids", "edf", "kubios"})
 """Formats in which a stream needs a rate; see `recording.contents.opening`."""
+HAVE_WIDE = frozenset({"csv", "csv.gz"})
+"""Formats with a table for each rate, if it is asked for."""
 USUAL_GROWTH = 2.0
 """The multiple for formats that are not listed."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

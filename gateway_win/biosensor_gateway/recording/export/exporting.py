@@ -19,6 +19,7 @@ from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.exporter import (
     FORMATS,
     GROWTH,
+    HAVE_WIDE,
     NEED_RATES,
     USUAL_GROWTH,
     Clock,
@@ -298,7 +299,7 @@ def _write_all(
     without: list[NothingForIt] = []
     for name, exporter in exporters.items():
         wanted, notes = chosen, list[str]()
-        if name in NEED_RATES:
+        if name in NEED_RATES or (options.is_wide and name in HAVE_WIDE):
             rated = rated or with_rates(chosen.streams, rates)
             wanted, notes = replace(chosen, streams=rated[0]), rated[1]
         try:

@@ -237,7 +237,8 @@ class Runs:
             yield f"events {BAD_GAP} mark where it continues after a gap; {instead} there"
         if len(files) > 1:
             steps = sum(not run.lost for each in files for run in each.runs) - 1
-            why = "gaps and steps back in time" if steps else "gaps"
+            cuts = ["gaps"] * bool(lost) + ["steps back in time"] * bool(steps)
+            why = " and ".join(cuts) or "gaps"
             yield f"{why} cut it into {len(files)} files"
         if inside and (away_s := max(each.away_s for each in files)) > max(
             _TOLD_AWAY_S, 1.0 / nominal_hz

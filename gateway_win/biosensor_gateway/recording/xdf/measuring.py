@@ -105,6 +105,8 @@ class Figures:
     backward_steps
         How often a timestamp is earlier than the previous one; in another program's regular
         stream, only if bursts and jitter do not explain it.
+    furthest_back_s
+        Largest of these steps back.
     bad_stamps
         Number of timestamps that are NaN or infinite.
     rate_hz
@@ -135,6 +137,7 @@ class Figures:
     pace: Pace | None = None
     found_hz: float | None = None
     pauses: Gaps = Gaps()
+    furthest_back_s: float = 0.0
 
     @property
     def span_s(self) -> float:
@@ -167,14 +170,14 @@ def _measure(stream: RecordedStream) -> Figures:
         pace = None if cuts is None else cuts.pace
         stray = () if pace is None else pace.stray
     course = Course.of(_without(blocks(), stray))
-    gaps, rate_between_gaps_hz, backward_steps = Gaps(), None, 0
+    gaps, rate_between_gaps_hz, backward_steps, furthest_back_s = Gaps(), None, 0, 0.0
     if pace is not None:
         gaps, rate_between_gaps_hz = _gaps_of(pace), 1.0 / pace.period_s
-        backward_steps = pace.odd_steps_back
+        backward_steps, furthest_back_s = pace.odd_steps_back, pace.furthest_back_s
     elif is_ordered:
         gaps = find_gaps(blocks(), header)
         rate_between_gaps_hz = _rate_between_gaps(course, gaps, header)
-        backward_steps = course.back
+        backward_steps, furthest_back_s = course.back, course.furthest_back_s
     held = stream.sample_count
     return Figures(
         first=course.first if course.count else None,
@@ -189,6 +192,7 @@ def _measure(stream: RecordedStream) -> Figures:
         clock_error=clock_error(header, offsets, own, own.count),
         pace=pace,
         found_hz=found_hz,
+        furthest_back_s=furthest_back_s,
     )
 
 
@@ -225,6 +229,8 @@ class Course:
         The earliest and the latest.
     back, ahead, far_back
         Numbers of steps back, forward, and back by more than `STEP_BACK_S`.
+    furthest_back_s
+        Largest step back.
     """
 
     count: int = 0
@@ -233,6 +239,7 @@ class Course:
     back: int = 0
     ahead: int = 0
     far_back: int = 0
+    furthest_back_s: float = 0.0
 
     @classmethod
     def of(cls, blocks: Iterable[NDArray[np.float64]]) -> Course:
@@ -246,6 +253,7 @@ class Course:
             course.back += int(np.count_nonzero(steps < 0))
             course.ahead += int(np.count_nonzero(steps > 0))
             course.far_back += int(np.count_nonzero(steps < -STEP_BACK_S))
+            course.furthest_back_s = max(course.furthest_back_s, -float(steps.min(initial=0.0)))
         return course
 
 

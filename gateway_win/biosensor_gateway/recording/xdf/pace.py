@@ -107,6 +107,8 @@ class Pace:
     """Whether the last sample is an outlier by more than `NO_PAUSE_S`."""
     window: int = FEWEST
     """Number of samples needed to see the line."""
+    furthest_back_s: float = 0.0
+    """Largest of the odd steps back."""
 
     @property
     def odd_steps_back(self) -> int:
@@ -163,6 +165,7 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     lines = [_Line.through(stamps, *ends, period_s, window) for ends in pairwise(cuts)]
     usual_s = max(period_s, _UNUSUAL * spread_s)
     usual = -steps[(steps < 0) & (-steps <= usual_s)]
+    odd = -steps[steps < -usual_s]
     return Pace(
         _slope_s(lines, period_s),
         _burst(steps, period_s),
@@ -175,6 +178,7 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         tuple(np.flatnonzero(is_stray).tolist()),
         bool(is_stray[-1]) and abs(float(given[-1]) - stamps[-1]) > NO_PAUSE_S,
         window,
+        float(odd.max(initial=0.0)),
     )
 
 
@@ -320,6 +324,7 @@ class Cuts:
             tuple(self.stray),
             last.ends_astray,
             last.window,
+            max(earlier.furthest_back_s, last.furthest_back_s),
         )
 
 
@@ -334,7 +339,10 @@ def _filled(stamps: Array, is_good: NDArray[np.bool_]) -> Array:
 def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
     """Find timestamps that leave the line for a few samples, also at the very end."""
     is_stray = np.zeros(len(stamps), bool)
-    far = np.flatnonzero(np.abs(np.diff(stamps)) > max(STEP_BACK_S, 10 * nominal_s)) + 1
+    steps = np.abs(np.diff(stamps))
+    # Not by the header alone, which may be about seconds where the stamps are about milliseconds.
+    usual_s = max(nominal_s, float(np.median(steps)) if len(steps) else 0.0)
+    far = np.flatnonzero(steps > max(STEP_BACK_S, 10 * usual_s)) + 1
     for at in far.tolist():
         if is_stray[at] or is_stray[at - 1]:
             continue

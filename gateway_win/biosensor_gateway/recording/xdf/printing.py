@@ -150,9 +150,10 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
     rate = f"{header.rate:g} Hz" if header.is_regular else "irregular"
     channels = "1 channel" if header.channel_count == 1 else f"{header.channel_count} channels"
     kind, source_id = printable(header.content_type), printable(header.source_id)
+    host = f"on {printable(header.hostname)}" if header.hostname else "on a computer without a name"
     yield (
         f"{printable(header.name)}: {kind}, {channels} of {header.format}, "
-        f"{rate}, {owner}, on {printable(header.hostname)}, source_id {source_id!r}"
+        f"{rate}, {owner}, {host}, source_id {source_id!r}"
     )
     yield f"    {', '.join(_sample_facts(measured))}"
     yield f"    {_offset_facts(measured)}"

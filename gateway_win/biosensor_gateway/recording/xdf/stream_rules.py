@@ -118,9 +118,29 @@ def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         text = f"{stamps} far from those of the samples before and after"
         yield Level.ERROR, "stray-stamps", text
     if figures.backward_steps:
-        count = figures.backward_steps
-        text = f"its timestamps run backwards in {'1 place' if count == 1 else f'{count} places'}"
-        yield Level.ERROR, "backwards", text
+        yield _backwards(measured)
+
+
+def _backwards(measured: Measured) -> Verdict:
+    header, figures = measured.stream.header, measured.figures
+    one = figures.backward_steps == 1
+    places = "1 place, by" if one else f"{figures.backward_steps} places, by up to"
+    rate_hz = figures.rate_between_gaps_hz
+    # The next sample would have been due a period later.
+    back_s = figures.furthest_back_s + (0.0 if rate_hz is None else 1 / rate_hz)
+    text = f"its timestamps run backwards in {places} {seconds_text(back_s, 3)}"
+    if rate_hz is not None:
+        samples = round(back_s * rate_hz)
+        about = "" if figures.pace is None or figures.pace.spread_s * rate_hz < 0.1 else "about "
+        # Stamps alone do not tell one from the other.
+        is_possible = samples <= measured.stream.sample_count // 2
+        are = "1 sample is" if samples == 1 else f"{samples} samples are"
+        most = "" if one else "up to "
+        text += f": {most}{about}{are} there twice, or" if is_possible else ":"
+        text += " its sender's clock was set back"
+        return Level.ERROR, "backwards", text
+    # Who stamps what is to be or has been stamps in another order than it sends.
+    return Level.ERROR if header.is_ours else Level.WARNING, "backwards", text
 
 
 def _bursts(measured: Measured, _extent: Extent) -> Iterator[Verdict]:

@@ -159,7 +159,7 @@ def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
 
 def _unaligned(measured: Sequence[Measured]) -> Iterator[Finding]:
     filled = [each for each in measured if each.stream.sample_count]
-    hosts = {each.stream.header.hostname for each in filled}
+    hosts = {each.stream.header.hostname for each in filled} - {""}
     bare = [each.name for each in filled if not each.figures.offsets.count]
     if len(hosts) > 1 and bare:
         text = (
