@@ -17,6 +17,7 @@ from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
 from biosensor_common.refusal import Refusal, Refusals
+from biosensor_common.ros.messages import AgentSays
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
@@ -328,6 +329,19 @@ def test_the_agents_counters_are_published_and_compared(ros: Ros, counters: Outl
     ros.until(is_away, "that its sensor is away")
     counters.push_text(counters_text({outlet.source_id: outlet.counters}), pylsl.local_clock())
     ros.until(lambda: not is_away(), "that its sensor is back")
+    # Nor is it well where its agent leaves something out.
+    refused = {outlet.source_id: ["2 samples were not sent: hr was 500"]}
+    told = counters_text({outlet.source_id: outlet.counters}, refused=refused)
+    counters.push_text(told, pylsl.local_clock())
+
+    def is_told() -> bool:
+        status = ros.status(topic)
+        said = "2 samples were not sent: hr was 500"
+        return (
+            status is not None and status.level == DiagnosticStatus.WARN and said in status.message
+        )
+
+    ros.until(is_told, "what its agent leaves out")
 
     system_s, lsl_s = time.time(), pylsl.local_clock()
     seen = len(heard)
@@ -376,7 +390,7 @@ class Lab:
 
     def away(self, state: str) -> None:
         """Have the agent tell that the device whose stream was told last does not send."""
-        self._bridges[-1][1].counters.away = state
+        self._bridges[-1][1].counters.said = AgentSays(away=state)
 
     def statuses(self) -> dict[str, DiagnosticStatus]:
         statuses = list(device_statuses(self._bridges))

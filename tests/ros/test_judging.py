@@ -31,7 +31,7 @@ from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, fault
 from lsl_to_ros.reports.diagnostics import LEASE_S, StreamFacts, judge, overload
 from lsl_to_ros.reports.reporter import Rhythm
 from lsl_to_ros.statistics import status
-from lsl_to_ros.statistics.losses import Delays
+from lsl_to_ros.statistics.losses import Delays, NodeCounters
 from lsl_to_ros.statistics.status import (
     REPORTS,
     SHARE_WINDOW_S,
@@ -52,7 +52,7 @@ def facts(*, has_unix_stamps: bool = False, unfit: int = 0, **told: Any) -> Stre
         header=header,
         last_stamp=1.0,
         has_unix_stamps=has_unix_stamps,
-        counters=SimpleNamespace(away=""),
+        counters=NodeCounters(),
     )
     refusals = Refusals()
     if unfit:

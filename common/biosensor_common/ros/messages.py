@@ -7,7 +7,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,8 +216,23 @@ def read_counters(text: str) -> dict[str, dict[str, float]]:
         raise ValueError("not the counters of an agent") from error
 
 
-def away_states(text: str) -> dict[str, str]:
-    """Return the states of devices that do not send now, by source_id, from a counters sample.
+class AgentSays(NamedTuple):
+    """What an agent says of a stream beside its counts.
+
+    Attributes
+    ----------
+    away
+        State of the stream's device while that does not send; else empty.
+    refused
+        What is not passed on as it came, one sentence each.
+    """
+
+    away: str = ""
+    refused: tuple[str, ...] = ()
+
+
+def said_of_streams(text: str) -> dict[str, AgentSays]:
+    """Return what one sample of the agent's counters stream says, by source_id.
 
     Raises
     ------
@@ -225,10 +240,15 @@ def away_states(text: str) -> dict[str, str]:
         If it is not in an agent's format.
     """
     try:
-        states = {str(source): entry.get("away") for source, entry in json.loads(text).items()}
+        return {str(source): _says(entry) for source, entry in json.loads(text).items()}
     except (AttributeError, RecursionError) as error:
         raise ValueError("not the counters of an agent") from error
-    return {source: state for source, state in states.items() if isinstance(state, str)}
+
+
+def _says(entry: Any) -> AgentSays:  # noqa: ANN401 - whatever JSON holds
+    away, refused = entry.get("away"), entry.get("refused")
+    sentences = cast("list[object]", refused) if isinstance(refused, list) else []
+    return AgentSays(away if isinstance(away, str) else "", tuple(map(str, sentences)))
 
 
 def clock_of(counters: Mapping[str, float]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal, Refusals
-from biosensor_common.ros.messages import away_states, clock_of, read_counters
+from biosensor_common.ros.messages import AgentSays, clock_of, read_counters, said_of_streams
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.limited_log import LimitedLog
@@ -325,7 +325,7 @@ class Routing:
 
     def _take_report(self, sample: NDArray[Any]) -> None:
         try:
-            told, away = read_counters(sample[0]), away_states(sample[0])
+            told, said = read_counters(sample[0]), said_of_streams(sample[0])
         except ValueError as error:
             self.refusals.refuse(Refusal.NO_COUNTS, about="gateway/counters", why=error)
             return
@@ -335,7 +335,7 @@ class Routing:
                 pushed, lost = int(entry["pushed"]), int(entry["lost"])
                 known.comparison.reported(pushed, lost, entry["last_stamp"])
                 known.clock = clock_of(entry)
-                known.away = away.get(source_id, "")
+                known.said = said.get(source_id, AgentSays())
 
 
 def _key(header: StreamHeader) -> tuple[str, str]:

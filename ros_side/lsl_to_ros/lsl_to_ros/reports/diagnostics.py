@@ -279,12 +279,13 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.STALE, facts.trouble
     # Not by the age of samples: they may keep coming with old stamps, or stamps of another clock.
     is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
-    away = away_sentence(bridge.counters.away)
+    away = away_sentence(bridge.counters.said.away)
     if bridge.header.rate > 0 and is_silent:
         return DiagnosticStatus.STALE, f"no samples: {away}" if away else "no samples"
     others = [reason for is_so, reason in _warnings(facts) if is_so]
     # Only the first measured warning, because several often have one cause; but all refusals.
-    warnings = [*([away] if away else []), *(sentence for _, sentence in refused), *others[:1]]
+    said = [*([away] if away else []), *bridge.counters.said.refused]
+    warnings = [*said, *(sentence for _, sentence in refused), *others[:1]]
     if warnings:
         return DiagnosticStatus.WARN, "; ".join(warnings)
     return DiagnosticStatus.OK, "streaming" if bridge.last_stamp else "no sample yet"

@@ -229,7 +229,7 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
         if not bridge.header.foreign and (_told(bridge.header) or bridge.counters.clock):
             devices[name].append(bridge)
     for name, told in devices.items():
-        away = next((each.counters.away for each in told if each.counters.away), "")
+        away = next((each.counters.said.away for each in told if each.counters.said.away), "")
         # What it sent last is of the past while it is away.
         of_now = [] if away else told
         level, message = _judge_device(of_now)

@@ -22,6 +22,7 @@ import numpy as np
 from biosensor_common.lsl.inlet import Stamps
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal, Refusals
+from biosensor_common.ros.messages import AgentSays
 from biosensor_common.stream_header import StreamHeader
 
 # Two samples whose stamps are further apart than this many periods are not neighbours.
@@ -312,8 +313,8 @@ class NodeCounters:
     clock
         State of the device's clock, by `biosensor_common.ros.messages.CLOCK_FACTS`; only one
         stream per device has it.
-    away
-        State of its device, according to the agent, while that does not send; else empty.
+    said
+        What its agent says of it now.
     """
 
     received: int = 0
@@ -323,7 +324,7 @@ class NodeCounters:
     comparison: CountersComparison = field(default_factory=CountersComparison)
     delays: Delays = field(default_factory=Delays)
     clock: Mapping[str, float] = field(default_factory=dict[str, float])
-    away: str = ""
+    said: AgentSays = field(default_factory=AgentSays)
 
     @property
     def unfit(self) -> int:
