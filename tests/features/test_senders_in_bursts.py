@@ -59,7 +59,7 @@ class Sender:
 
 
 @contextmanager
-def _sending(*senders: Sender) -> Generator[None]:
+def sending(*senders: Sender) -> Generator[None]:
     ended = threading.Event()
     threads = [threading.Thread(target=each.send, args=(ended,)) for each in senders]
     for thread in threads:
@@ -73,7 +73,7 @@ def _sending(*senders: Sender) -> Generator[None]:
 
 
 @contextmanager
-def _program(said: Path) -> Generator[None]:
+def features_program(said: Path) -> Generator[None]:
     command = [sys.executable, "-m", "biosensor_gateway.cli", "features"]
     with said.open("wb") as output, subprocess.Popen(command, stdout=output, stderr=output) as it:
         try:
@@ -98,12 +98,12 @@ def _all_of(inlet: pylsl.StreamInlet) -> tuple[Array, Array]:
 
 def test_a_stranger_that_sends_in_bursts_has_its_heart_rate(tmp_path: Path) -> None:
     with ExitStack() as stack:
-        stack.enter_context(_program(tmp_path / "said.txt"))
+        stack.enter_context(features_program(tmp_path / "said.txt"))
         senders = [
             Sender("ECG", 130.0, 72.0, overlaps=False),
             Sender("PPG", 130.0, 95.0, overlaps=True),
         ]
-        stack.enter_context(_sending(*senders))
+        stack.enter_context(sending(*senders))
         inlets = [(_inlet(each, "beats"), _inlet(each, "hr_live")) for each in senders]
         for pair in inlets:
             for inlet in pair:

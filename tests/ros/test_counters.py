@@ -28,6 +28,7 @@ from lsl_to_ros.statistics.losses import (
     can_estimate_losses,
 )
 from tests.rigs.recorded_topics import header_of
+from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, overlaps, without
 
 # What became of a stream's samples is counted, estimated or unknown, but never made up.
 
@@ -521,3 +522,36 @@ def test_a_step_back_is_no_gap() -> None:
     finder = GapFinder(RATE, foreign=False)
     assert finder.find(np.array([9.0, 3.0, 3.01])) == []
     assert finder.last_stamp == 3.01
+
+
+# Other programs that stamp on arrival: only what is longer than a burst and their jitter is a gap.
+ARRIVALS = {"bursts": bursts(delays(200)), "overlaps": overlaps(delays(200))}
+
+
+@pytest.mark.parametrize("name", ARRIVALS)
+def test_samples_that_are_stamped_on_arrival_are_not_missing(name: str) -> None:
+    found = GapFinder(NOMINAL_HZ, foreign=True).find(ARRIVALS[name])
+    # Until stamps overlap for the first time, a late packet looks like a loss.
+    counted = [each for each in found if each.missing]
+    assert len(counted) <= (name == "overlaps")
+    assert all(each.place <= 2 * BURST for each in counted)
+    assert len(found) <= 1
+
+
+@pytest.mark.parametrize("name", ARRIVALS)
+@pytest.mark.parametrize("lost", [1, 3])
+def test_bursts_that_are_missing_are_counted(name: str, lost: int) -> None:
+    stamps = without(ARRIVALS[name], [100 * BURST], lost * BURST)
+    found = [each for each in GapFinder(NOMINAL_HZ, foreign=True).find(stamps) if each.missing]
+    (gap,) = (each for each in found if each.place > 2 * BURST)
+    # Of a burst, it is known with the next one whether it was only late.
+    assert gap.place == (100 + (name == "bursts")) * BURST
+    assert gap.missing == pytest.approx(lost * BURST, abs=BURST / 4)
+
+
+@settings(deadline=None)
+@given(name=st.sampled_from(list(ARRIVALS)), cut=cuts)
+def test_bursts_are_the_same_in_any_blocks(name: str, cut: list[int]) -> None:
+    compare(
+        without(ARRIVALS[name], [9 * BURST], BURST)[: 30 * BURST].tolist(), cut, 130.0, foreign=True
+    )

@@ -29,6 +29,13 @@ from biosensor_common.stream_header import StreamHeader
 GAP_PERIODS = 1.5
 # Other programs often use the time of the push as stamp, so their stamps jitter.
 FOREIGN_JITTER_S = 0.1
+# Within this part of a period, two stamps count as equal: the sender stamps on arrival.
+AT_ONCE = 0.1
+# A larger step back is another clock's.
+STEP_BACK_S = 1.0
+# What was seen last says how long bursts are, and by how much stamps overlap.
+_REMEMBERED, _FEWEST_BURSTS = 16, 5
+_JITTERS = 2.0
 # A step to another clock must not give a count that no message can hold.
 MOST_MISSING = 1_000_000_000
 # Up to this number of stamps, a loop is faster than numpy.
@@ -43,7 +50,7 @@ class Gap(NamedTuple):
     place
         Index of the first sample after the gap.
     missing
-        Estimated number of missing samples.
+        Estimated number of missing samples; 0 if that is known only with the next ones.
     """
 
     place: int
@@ -52,6 +59,9 @@ class Gap(NamedTuple):
 
 class GapFinder:
     """Finds gaps between the stamps of one stream, in the order of arrival.
+
+    Other programs may stamp on arrival, many samples at once. There, a gap is a step that is longer
+    than a burst and twice the largest jitter seen lately.
 
     Parameters
     ----------
@@ -66,6 +76,12 @@ class GapFinder:
         self._rate = rate
         jitter = FOREIGN_JITTER_S if foreign else 0.0
         self._longest_step = max(GAP_PERIODS / rate, jitter) if rate > 0 else math.inf
+        self._at_once = AT_ONCE / rate if foreign and rate > 0 else -math.inf
+        self._burst = 1
+        # nothing is dropped: these are memories of how samples came, and hold no samples
+        self._bursts: deque[int] = deque(maxlen=_REMEMBERED)
+        self._doubtful_s = 0.0
+        self._jitters: deque[float] = deque(maxlen=_REMEMBERED)  # nothing is dropped: as above
 
     @property
     def last_stamp(self) -> float:
@@ -76,13 +92,19 @@ class GapFinder:
         """Add the stamps of a block; return its gaps."""
         if len(stamps) == 1:
             return self._find_one(0, stamps.item())
-        if len(stamps) <= FEW:
+        if len(stamps) <= FEW or self._bursts or self._jitters or self._burst > 1:
             stepwise = enumerate(stamps.tolist())
             return [gap for place, stamp in stepwise for gap in self._find_one(place, stamp)]
         finite = np.flatnonzero(np.isfinite(stamps))
         if not len(finite):
             return []  # nothing is dropped: NaN stamps are reported where they are published
         times = stamps[finite]
+        before = -np.inf if self._last is None else self._last
+        with np.errstate(over="ignore"):
+            is_odd = np.diff(times, prepend=before) <= self._at_once
+        if is_odd.any():
+            stepwise = enumerate(stamps.tolist())
+            return [gap for place, stamp in stepwise for gap in self._find_one(place, stamp)]
         previous, self._last = self._last, float(times[-1])
         if math.isinf(self._longest_step):
             return []  # nothing is dropped: an irregular stream has no gaps
@@ -95,9 +117,45 @@ class GapFinder:
         if not math.isfinite(stamp):
             return []  # nothing is dropped: as above
         previous, self._last = self._last, stamp
-        if previous is None or stamp - previous <= self._longest_step:
+        if previous is None:
             return []  # nothing is dropped: there is no gap
-        return [self._gap(place, stamp - previous)]
+        step_s = stamp - previous
+        if step_s <= self._at_once:
+            if step_s >= -self._at_once:
+                self._burst += 1
+            elif step_s >= -STEP_BACK_S:
+                self._jitters.append(-step_s)
+            return []  # nothing is dropped: as above
+        burst = self._next_burst()
+        allowed_s = self._longest_step + _JITTERS * max(self._jitters, default=0.0)
+        if burst > 1:
+            allowed_s += burst / self._rate
+        # The first burst may have begun before anybody listened, and a few tell the jitter.
+        is_known = burst == 1 or len(self._bursts) >= _FEWEST_BURSTS
+        if burst == 1:
+            return [self._gap(place, step_s)] if step_s > allowed_s else []
+        excess_s = step_s - burst / self._rate
+        found = self._settle(place, excess_s)
+        if is_known and step_s > allowed_s:
+            # Nothing is counted yet, for the burst may only be very late.
+            self._doubtful_s = excess_s
+            found = [Gap(place, sum(each.missing for each in found))]
+        elif len(self._bursts) > 1:
+            self._jitters.append(abs(excess_s))
+        return found
+
+    def _settle(self, place: int, excess_s: float) -> list[Gap]:
+        """Count what seemed to be missing before the last burst, unless this one came early."""
+        doubtful_s, self._doubtful_s = self._doubtful_s, 0.0
+        missing = round(min(doubtful_s * self._rate, MOST_MISSING))
+        return [Gap(place, missing)] if missing and -excess_s < doubtful_s / 2 else []
+
+    def _next_burst(self) -> int:
+        """End a burst; return how long bursts are, 1 where samples come one by one."""
+        if self._burst > 1 or self._bursts:
+            self._bursts.append(self._burst)
+        self._burst = 1
+        return max(self._bursts, default=1)
 
     def _gap(self, place: int, step_s: float) -> Gap:
         periods = step_s * self._rate
