@@ -20,7 +20,8 @@ from biosensor_gateway.recording.replay import playback
 from biosensor_gateway.recording.replay.outlet import played_info
 from biosensor_gateway.recording.replay.player import Player, PlayOptions, Timeline, Track
 from biosensor_gateway.recording.replay.source import ReplayError, opened
-from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from tests.recording_export import odd_shapes
 from tests.xdf.checking import read
 
@@ -176,3 +177,17 @@ def test_times_before_0_are_moved_in_a_bag_and_come_back(tmp_path: Path) -> None
     import_bag(bag.path, tmp_path / "again.xdf")
     again = read((tmp_path / "again.xdf").read_bytes())
     assert [each.sample_count for each in again.streams] == [odd_shapes.COUNT, 3]
+
+
+def test_a_name_too_long_for_what_is_made_of_it_is_no_fault_of_the_recording(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / f"{'x' * 245}.xdf"
+    path.write_bytes(FILES["cut off"][1])
+    for is_salvaged in (False, True):
+        with pytest.raises(RecordingError) as caught:
+            _ = salvage(path, salvaged_path(path)) if is_salvaged else _exported(path)
+        assert caught.value.reason is RecordingReason.UNWRITABLE
+        assert str(caught.value).startswith("cannot write ")
+        assert str(caught.value).endswith("; choose a shorter name")
+    assert list(tmp_path.iterdir()) == [path]

@@ -107,7 +107,7 @@ def test_a_loop_begins_again_is_not_played_twice_and_ends_by_ctrl_c(tmp_path: Pa
 CLOSING_NEVER_ENDS = """
 import threading
 from biosensor_gateway.recording.replay import player_process
-player_process.words.ended = lambda *_arguments, **_options: threading.Event().wait()
+player_process.playback.ended = lambda *_arguments, **_options: threading.Event().wait()
 player_process.ENDS_WITHIN_S = 0.5
 player_process.play_for_another()
 """

@@ -155,7 +155,7 @@ def test_a_killed_program_flows_again_within_two_seconds_of_its_return(
     assert statistics.median(returns_s) < MEDIAN_S
     lives = [message.data[0] for message in heard]
     assert lives == sorted(lives)
-    assert node.count("[WARN]", f"{topic[1:]}: the stream came back as") == (
+    assert node.count("[WARN]", f"{topic[1:]}: the stream was restarted as") == (
         RETURNS if case == "other rates" else 0
     )
 

@@ -187,7 +187,7 @@ def test_what_a_killed_program_sent_flows_again_two_seconds_after_it_is_back(
         runs = [message.data[0] for message in heard[name]]
         assert runs == sorted(runs)
         changes = len(returns) if name == "new_rate" else 0
-        assert node.count("[WARN]", f"{name}/EEG: the stream came back as") == changes
+        assert node.count("[WARN]", f"{name}/EEG: the stream was restarted as") == changes
 
 
 def test_what_lsl_drops_when_a_program_is_killed_is_counted(

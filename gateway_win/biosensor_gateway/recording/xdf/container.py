@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 from uuid import UUID
 
-from biosensor_common.errors import GatewayError
+from biosensor_common.errors import GatewayError, cannot_write
 
 MAGIC = b"XDF:"
 BOUNDARY = UUID("43a546dc-cbf5-410f-b30e-d5467383cbe4").bytes
@@ -302,10 +302,14 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
                 message = f"{path} is no XDF recording: {_what_it_is(head)}"
                 raise RecordingError(RecordingReason.NOT_XDF, message)
             yield OpenRecording(file, size, is_whole)
-    except FileNotFoundError:
-        message = f"there is no file {path}"
-        raise RecordingError(RecordingReason.NOT_FOUND, message) from None
     except OSError as error:
+        if error.filename is not None and os.fspath(error.filename) != os.fspath(path):
+            # What is made of the recording cannot be written.
+            message = cannot_write(os.fspath(error.filename), error)
+            raise RecordingError(RecordingReason.UNWRITABLE, message) from error
+        if isinstance(error, FileNotFoundError):
+            message = f"there is no file {path}"
+            raise RecordingError(RecordingReason.NOT_FOUND, message) from None
         why = "it is a folder" if path.is_dir() else error.strerror or str(error)
         message = f"cannot read {path}: {why}"
         raise RecordingError(RecordingReason.UNREADABLE, message) from error
