@@ -13,19 +13,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from biosensor_common.refusal import Refusal
 from biosensor_gateway.devices.movesense.driver import protocol
-from biosensor_gateway.devices.movesense.driver.emitter import PacketSeries, StampClock
+from biosensor_gateway.devices.movesense.driver.emitter import (
+    MovesenseEmitter,
+    PacketSeries,
+    StampClock,
+)
 from biosensor_gateway.devices.movesense.driver.protocol import (
+    TEMPERATURE,
     Assembler,
     Kind,
     Message,
     Packet,
+    ecg,
     parse_ecg,
     parse_heart_rate,
     parse_message,
     parse_temperature,
     parse_vectors,
 )
+from tests.rigs.emitter_sink import EmitterSink
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/movesense_gsp.json").read_text(encoding="utf-8")
@@ -282,3 +290,18 @@ def test_what_can_be_no_packet_is_none() -> None:
     cut = [Message(Kind.DATA, 99, packet(number, 17)) for number in range(4)]
     assert not assembled(assembler, cut)
     assert assembler.dropped_bytes == 3 * 17
+
+
+def test_a_packet_that_comes_twice_is_left_out_and_said() -> None:
+    sink = EmitterSink("movesense")
+    emitter, wanted = MovesenseEmitter(sink, ()), ecg(200, in_millivolts=False)
+    emitter.started(wanted)
+    packets = [struct.pack("<I16i", 1000 + 80 * at, *range(16)) for at in range(4)]
+    for at, payload in enumerate([*packets, packets[2], packets[3]]):
+        emitter.take(wanted, Packet(payload, 10 + 0.08 * at))
+    assert len(sink.values("ecg")) == 4 * 16
+    warm = struct.pack("<If", 2000, 300.0)
+    for _ in range(2):
+        emitter.take(TEMPERATURE, Packet(warm, 11.0))
+    assert len(sink.values("temp")) == 1
+    assert sink.refusals.count(Refusal.LEFT_OUT) == 2 * 16 + 1

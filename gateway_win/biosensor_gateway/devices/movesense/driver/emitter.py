@@ -39,6 +39,8 @@ QUALITY_PERIOD_S = 1.0
 RATE_TOLERANCE = 0.15
 WINDOW_PACKETS = 256
 """About 20 s, of which the resolution of 1 ms is 50 ppm."""
+_SEEN_PACKETS = 64
+"""A packet that comes twice does so soon."""
 _TURN_MS = 1 << 32
 
 
@@ -174,6 +176,8 @@ class MovesenseEmitter:
         self._series: dict[str, PacketSeries] = {}
         self._beats = StoredBeats()
         self._restarts = RestartCheck(sink)
+        # nothing is dropped: these are remembered, not held back
+        self._seen: deque[tuple[str, bytes]] = deque(maxlen=_SEEN_PACKETS)
         self._beat_s: float | None = None
         self._searched_from_s: float | None = None
         self._quality_s = -math.inf
@@ -201,7 +205,7 @@ class MovesenseEmitter:
         if measurement is HEART_RATE:
             is_readable = self._heart_rate(packet)
         elif measurement is TEMPERATURE:
-            is_readable = self._temperature(packet)
+            is_readable = self._temperature(measurement, packet)
         else:
             is_readable = self._block(measurement, packet)
         if not is_readable:
@@ -219,9 +223,21 @@ class MovesenseEmitter:
             if is_ecg
             else parse_vectors(packet.payload, len(measurement.streams))
         )
-        if block is not None:
+        if block is None:
+            return False
+        if not self._came_before(measurement, packet, block.samples.shape[1]):
             self._regular(measurement, block, packet.arrival_s)
-        return block is not None
+        return True
+
+    def _came_before(self, measurement: Measurement, packet: Packet, samples: int) -> bool:
+        """Leave out a packet that is one of the last ones again, with its timestamp."""
+        seen = (measurement.path, packet.payload)
+        if seen not in self._seen:
+            self._seen.append(seen)
+            return False
+        wanted = [name for name in measurement.streams if name not in self.silent]
+        self._sink.left_out(samples * len(wanted), "their packet came twice")
+        return True
 
     def _regular(self, measurement: Measurement, block: Block, arrival_s: float) -> None:
         stamp_s = self._device_s(block.stamp_ms, arrival_s)
@@ -254,10 +270,12 @@ class MovesenseEmitter:
             self._sink.note_arrival("ibi", packet.arrival_s, len(placed))
         return True
 
-    def _temperature(self, packet: Packet) -> bool:
+    def _temperature(self, measurement: Measurement, packet: Packet) -> bool:
         measured = parse_temperature(packet.payload)
         if measured is None:
             return False
+        if self._came_before(measurement, packet, 1):
+            return True
         stamp_ms, celsius = measured
         stamp_s = self._device_s(stamp_ms, packet.arrival_s)
         self._sink.observe(stamp_s, packet.arrival_s, TEMPERATURE.path)
