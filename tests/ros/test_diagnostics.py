@@ -17,7 +17,7 @@ from biosensor_common.lsl.inlet import Block
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
 from biosensor_common.refusal import Refusal, Refusals
-from biosensor_common.ros.messages import AgentSays
+from biosensor_common.ros.messages import AgentSays, said_of_streams
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
@@ -392,6 +392,11 @@ class Lab:
         """Have the agent tell that the device whose stream was told last does not send."""
         self._bridges[-1][1].counters.said = AgentSays(away=state)
 
+    def refused(self, *sentences: str) -> None:
+        """Have the agent tell of the device whose stream was told last what it leaves out."""
+        text = counters_text({"a-b-c": Counters()}, of_devices={"a-b-c": sentences})
+        self._bridges[-1][1].counters.said = said_of_streams(text)["a-b-c"]
+
     def statuses(self) -> dict[str, DiagnosticStatus]:
         statuses = list(device_statuses(self._bridges))
         names = [status.name.removeprefix("lsl_to_ros: device ") for status in statuses]
@@ -461,6 +466,16 @@ def test_what_a_device_sent_before_it_was_away_is_not_of_now(
     assert status.level == DiagnosticStatus.WARN
     assert said in status.message
     assert values(status) == {}
+
+
+def test_what_an_agent_leaves_out_of_a_device_is_told_beside_its_battery(lab: Lab) -> None:
+    lab.tell("zephyr", BATTERY, 5)
+    lab.refused("41 bytes were garbled")
+    status = lab.status()
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message == "battery at 5 %; 41 bytes were garbled"
+    lab.refused()
+    assert lab.status().message == "battery at 5 %"
 
 
 @pytest.mark.seam

@@ -225,10 +225,13 @@ class AgentSays(NamedTuple):
         State of the stream's device while that does not send; else empty.
     refused
         What is not passed on as it came, one sentence each.
+    of_device
+        The same of no single stream of its device, in the entry of one of its streams.
     """
 
     away: str = ""
     refused: tuple[str, ...] = ()
+    of_device: tuple[str, ...] = ()
 
 
 def said_of_streams(text: str) -> dict[str, AgentSays]:
@@ -246,9 +249,16 @@ def said_of_streams(text: str) -> dict[str, AgentSays]:
 
 
 def _says(entry: Any) -> AgentSays:  # noqa: ANN401 - whatever JSON holds
-    away, refused = entry.get("away"), entry.get("refused")
-    sentences = cast("list[object]", refused) if isinstance(refused, list) else []
-    return AgentSays(away if isinstance(away, str) else "", tuple(map(str, sentences)))
+    away = entry.get("away")
+    return AgentSays(
+        away if isinstance(away, str) else "",
+        _sentences(entry.get("refused")),
+        _sentences(entry.get("of_device")),
+    )
+
+
+def _sentences(told: object) -> tuple[str, ...]:
+    return tuple(map(str, cast("list[object]", told))) if isinstance(told, list) else ()
 
 
 def clock_of(counters: Mapping[str, float]) -> dict[str, float]:

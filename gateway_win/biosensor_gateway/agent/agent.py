@@ -354,10 +354,15 @@ class Agent:
                 # Sends states that have waited for a receiver.
                 device.sink.release()
                 merged |= device.sink.counters
-            outlet.push_text(
-                counters_text(merged, self._clocks(), self._refused(), self._off(), self._away()),
-                pylsl.local_clock(),
+            text = counters_text(
+                merged,
+                self._clocks(),
+                self._refused(),
+                self._off(),
+                self._away(),
+                self._refused_of_devices(),
             )
+            outlet.push_text(text, pylsl.local_clock())
             own = (announcer.refusals, self._markers.refusals)
             virtual = self._reload.is_virtual
             features = self._feature_refusals = feature_refusals.read(self._folder)
@@ -396,6 +401,14 @@ class Agent:
             source: [e.sentence for e in refusals.present if e.what is not Refusal.PAUSED]
             for device in self.devices
             for source, refusals in device.sink.refused.items()
+        }
+
+    def _refused_of_devices(self) -> dict[str, list[str]]:
+        """Return what is refused of no single stream now, by each device's first source_id."""
+        return {
+            next(iter(sink.counters)): [each.sentence for each in sink.refusals.present]
+            for sink in (each.sink for each in self.devices)
+            if sink.counters
         }
 
     def _clocks(self) -> dict[str, ClockState]:

@@ -63,11 +63,13 @@ def counters_text(
     refused: Mapping[str, Sequence[str]] | None = None,
     off: Collection[str] = (),
     away: Mapping[str, str] | None = None,
+    of_devices: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
     A device's clock is in the entry of one of its streams, if it has one. So are sentences of what
-    is not passed on as it came, in those streams of which there is any now. Streams that are *off*,
+    is left out of no single stream. Those of what is not passed on as it came are in the entries of
+    those streams of which there is any now. Streams that are *off*,
     because the settings or the model of the device have none, say so: nothing of them is missing.
     While a device is *away*, each of its streams has its state, as in heartbeats: what came last
     is of the past then.
@@ -84,6 +86,7 @@ def counters_text(
                 **_clock_entry((clocks or {}).get(source_id)),
                 **_refused_entry((refused or {}).get(source_id, ())),
                 **({"off": True} if source_id in off else {}),
+                **_refused_entry((of_devices or {}).get(source_id, ()), "of_device"),
                 **({"away": away[source_id]} if away and source_id in away else {}),
             }
             for source_id, c in counters.items()
@@ -92,8 +95,8 @@ def counters_text(
     )
 
 
-def _refused_entry(sentences: Sequence[str]) -> dict[str, Sequence[str]]:
-    return {"refused": sentences} if sentences else {}
+def _refused_entry(sentences: Sequence[str], key: str = "refused") -> dict[str, Sequence[str]]:
+    return {key: sentences} if sentences else {}
 
 
 def _clock_entry(clock: ClockState | None) -> dict[str, dict[str, float]]:

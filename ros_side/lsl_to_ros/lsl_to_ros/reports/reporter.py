@@ -221,20 +221,26 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
     Yields
     ------
     DiagnosticStatus
-        WARN if it is paused or not connected, a battery is at 10 % or less, or a sensor reports
-        that it is not worn.
+        WARN if it is paused or not connected, a battery is at 10 % or less, a sensor reports that
+        it is not worn, or its agent leaves out some of what it sends.
     """
     devices: defaultdict[str, list[Bridge]] = defaultdict(list)
     for name, bridge in bridges:
-        if not bridge.header.foreign and (_told(bridge.header) or bridge.counters.clock):
+        counters = bridge.counters
+        is_about_device = _told(bridge.header) or counters.clock or counters.said.of_device
+        if not bridge.header.foreign and is_about_device:
             devices[name].append(bridge)
     for name, told in devices.items():
         away = next((each.counters.said.away for each in told if each.counters.said.away), "")
         # What it sent last is of the past while it is away.
         of_now = [] if away else told
         level, message = _judge_device(of_now)
+        refused = [sentence for each in of_now for sentence in each.counters.said.of_device]
         if away:
             level, message = DiagnosticStatus.WARN, away_sentence(away)
+        elif refused:
+            alone = [] if level == DiagnosticStatus.OK else [message]
+            level, message = DiagnosticStatus.WARN, "; ".join([*alone, *refused])
         texts = dict(_texts(of_now))
         yield status(f"device {name}", level, message, texts, told[0].header.identity.unit)
 
