@@ -28,6 +28,21 @@ PREFIX = "replay:"
 _REPLAY = "desc/replay"
 _MAX_CHARACTERS = 1024
 
+STALE_AFTER_S = 5.0
+"""Age of the newest sample after which there is no rate; some devices send in lumps of seconds."""
+_SLOW_PERIODS = 3
+
+
+def stale_after_s(nominal_hz: float) -> float:
+    """Return the age in seconds at which the newest sample of a regular stream is outdated.
+
+    Parameters
+    ----------
+    nominal_hz
+        Its nominal rate, 0 if it has none; it is longer for slow streams.
+    """
+    return max(STALE_AFTER_S, _SLOW_PERIODS / nominal_hz) if nominal_hz > 0 else STALE_AFTER_S
+
 
 @dataclass(frozen=True, slots=True)
 class Replay:

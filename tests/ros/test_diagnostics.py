@@ -19,7 +19,7 @@ from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType,
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros.messages import AgentSays, said_of_streams
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_common.stream_header import StreamHeader
+from biosensor_common.stream_header import STALE_AFTER_S, StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
@@ -29,7 +29,7 @@ from lsl_to_ros.reports.diagnostics import StreamStatus, stream_facts, stream_st
 from lsl_to_ros.reports.reporter import LOW_BATTERY_PERCENT, device_statuses
 from lsl_to_ros.statistics import status as stream_status_module
 from lsl_to_ros.statistics.losses import NodeCounters
-from lsl_to_ros.statistics.status import RATE_WINDOW_S, STALE_AFTER_S
+from lsl_to_ros.statistics.status import RATE_WINDOW_S
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
@@ -163,6 +163,17 @@ def test_the_rate_of_a_stream_that_has_fallen_silent_is_not_of_now(stream: Strea
     status = stream.pass_time(STALE_AFTER_S + 0.1).look()
     assert status.level == DiagnosticStatus.STALE
     assert values(status)["rate_measured"] == "0.00"
+
+
+def test_a_stream_that_is_slow_is_not_stale_between_its_samples(ros: Ros, clock: SetClock) -> None:
+    slow = Stream(ros, clock, replace(HEADER, rate=0.15))
+    for age in (20.0, 20.0 * 2 / 3, 20.0 / 3, 0.0):
+        slow.receive(age)
+        for _ in range(6):
+            status = slow.pass_time(1.0).look()
+            assert status.level == DiagnosticStatus.OK, status.message
+    assert float(values(slow.look())["rate_measured"]) == pytest.approx(0.15, abs=0.01)
+    assert slow.pass_time(21.0).look().level == DiagnosticStatus.STALE
 
 
 @pytest.mark.parametrize(("age", "level"), [(20.0, b"\x00"), (-1e9, b"\x01")])

@@ -4,20 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 
+from biosensor_common.stream_header import stale_after_s
+
 RATE_OVER_S = 10.0
 """Interval over which a rate is measured, by the samples' stamps."""
-STALE_AFTER_S = 5.0
-"""Age of the newest sample after which there is no rate; some devices send in lumps of seconds.
-
-It is longer for slow streams, see `stale_after_s`."""
-
-
-_SLOW_PERIODS = 3
-
-
-def stale_after_s(nominal_hz: float) -> float:
-    """Return the age in seconds at which the newest sample of a regular stream is outdated."""
-    return max(STALE_AFTER_S, _SLOW_PERIODS / nominal_hz) if nominal_hz > 0 else STALE_AFTER_S
 
 
 class RateMeter:

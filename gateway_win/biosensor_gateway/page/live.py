@@ -16,8 +16,8 @@ from starlette.routing import Router, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from biosensor_common.stream_header import stale_after_s
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.agent.rate_meter import stale_after_s
 from biosensor_gateway.page.static_files import LIVE
 
 KEPT_S = 60.0

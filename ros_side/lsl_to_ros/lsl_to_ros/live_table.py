@@ -194,7 +194,7 @@ class Row:
         return (
             self.topic,
             self.message_type.rpartition("/")[2],
-            f"{self.meter.rate(self.received, self.newest):.2f}",
+            f"{self.meter.rate(self.received, self.newest, nominal):.2f}",
             f"{nominal:.2f}" if nominal else "irregular",
             _shown(self.last, self.facts.get("unit_of_measurement", "")),
             age,

@@ -13,9 +13,8 @@ import numpy as np
 from biosensor_common import naming
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat, ChannelRole
 from biosensor_common.refusal import Refusal
-from biosensor_common.stream_header import CoreFields, StreamHeader
+from biosensor_common.stream_header import CoreFields, StreamHeader, stale_after_s
 from biosensor_gateway.agent.device_states import STATE_WORDS
-from biosensor_gateway.agent.rate_meter import stale_after_s
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.downsampling import DRAWN_CHANNELS, chosen
 from biosensor_gateway.page.live import is_of_now

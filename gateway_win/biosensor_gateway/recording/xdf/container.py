@@ -305,7 +305,7 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
     except OSError as error:
         if error.filename is not None and os.fspath(error.filename) != os.fspath(path):
             # What is made of the recording cannot be written.
-            message = cannot_write(os.fspath(error.filename), error)
+            message = cannot_write(str(error.filename), error)
             raise RecordingError(RecordingReason.UNWRITABLE, message) from error
         if isinstance(error, FileNotFoundError):
             message = f"there is no file {path}"

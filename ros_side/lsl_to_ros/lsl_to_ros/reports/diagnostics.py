@@ -5,8 +5,8 @@ Levels of a stream:
 * ERROR: errors of :class:`biosensor_common.refusal.Refusal`: two units or two streams claim its
   name; another sender with the same source_id is left out; another node publishes it, too, for
   longer than DDS remembers a node that was killed.
-* STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
-  agent, from which nothing at all has come for 1.5 s.
+* STALE: a regular stream, without a sample for 5 s, or three periods if that is longer; any
+  stream of a computer with an agent, from which nothing at all has come for 1.5 s.
 * WARN: its sensor is paused or not connected; other data was left out, duplicated, renamed or
   guessed, now or in the last 10 s; in the last 10 s samples were lost, or the measured rate is more
   than 10 % off; a topic is published faster than subscribers receive it.
@@ -24,8 +24,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from biosensor_common import process_limits
 from biosensor_common.naming import AGENT, TopicName
 from biosensor_common.refusal import Level, Refusal, Refusals, Refused
+from biosensor_common.stream_header import stale_after_s
 from lsl_to_ros.statistics.losses import Delays, NodeCounters, can_estimate_losses
-from lsl_to_ros.statistics.status import RATE_WINDOW_S, STALE_AFTER_S, LoadFacts, StreamStatus
+from lsl_to_ros.statistics.status import RATE_WINDOW_S, LoadFacts, StreamStatus
 from lsl_to_ros.topics.bridge import Bridge
 
 _MOST_NAMED = 5
@@ -185,7 +186,7 @@ def stream_facts(
         topic=topic,
         bridge=bridge,
         age_s=bridge.age_s(now_s),
-        rate=status.meter.rate(counters.received, bridge.last_stamp),
+        rate=status.meter.rate(counters.received, bridge.last_stamp, bridge.header.rate),
         correction_s=correction_s,
         spread_s=spread_s,
         delays=counters.take_delays(),
@@ -278,7 +279,7 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
     if facts.trouble:
         return DiagnosticStatus.STALE, facts.trouble
     # Not by the age of samples: they may keep coming with old stamps, or stamps of another clock.
-    is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
+    is_silent = facts.silent_s > stale_after_s(bridge.header.rate) or not bridge.last_stamp
     away = away_sentence(bridge.counters.said.away)
     if bridge.header.rate > 0 and is_silent:
         return DiagnosticStatus.STALE, f"no samples: {away}" if away else "no samples"

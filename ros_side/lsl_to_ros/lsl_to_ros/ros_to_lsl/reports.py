@@ -18,11 +18,11 @@ from collections.abc import Mapping, Sequence
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.refusal import Level, Refusals, Refused
+from biosensor_common.stream_header import stale_after_s
 from lsl_to_ros.reports.diagnostics import status, words_of
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.stamps import StampSource
-from lsl_to_ros.statistics.status import STALE_AFTER_S
 
 PROGRAM = "ros_to_lsl"
 
@@ -47,7 +47,7 @@ def topic_status(topic: Topic) -> DiagnosticStatus:
     """Make the status of one topic."""
     bridge = topic.bridge
     lost = bridge.losses.lost
-    rate = topic.status.meter.rate(bridge.received, bridge.newest_s)
+    rate = topic.status.meter.rate(bridge.received, bridge.newest_s, bridge.request.rate)
     level, message = _judge(topic)
     values = {
         "type": topic.kind.name if topic.kind else bridge.request.type_name,
@@ -97,7 +97,7 @@ def _judge(topic: Topic) -> tuple[bytes, str]:
     errors = [each.sentence for each in present if each.what.level is Level.ERROR]
     if errors:
         return DiagnosticStatus.ERROR, errors[0]
-    if bridge.request.rate and silent_s > STALE_AFTER_S:
+    if bridge.request.rate and silent_s > stale_after_s(bridge.request.rate):
         return DiagnosticStatus.STALE, "no messages"
     if present:
         return DiagnosticStatus.WARN, "; ".join(each.sentence for each in present)

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import NamedTuple
 
+from biosensor_common.stream_header import stale_after_s
+
 Clock = Callable[[], float]
 
 # Starting up, and finding many streams at once, takes a whole core for some seconds.
@@ -128,8 +130,6 @@ class Load:
 
 
 RATE_WINDOW_S = 10.0
-STALE_AFTER_S = 5.0
-"""After this time without a sample a regular stream is stale, and its rate is of the past."""
 
 
 class RateMeter:
@@ -142,14 +142,17 @@ class RateMeter:
     def __init__(self) -> None:
         self._points: deque[_Point] = deque()
 
-    def rate(self, count: int, newest_s: float) -> float:
-        """Add the present count and the newest sample's time; return samples per second."""
-        now = monotonic()
+    def rate(self, count: int, newest_s: float, nominal_hz: float = 0.0) -> float:
+        """Add the present count and the newest sample's time; return samples per second.
+
+        It is 0 once the stream is stale, of which several periods of a slow stream are no sign.
+        """
+        now, stale_s = monotonic(), stale_after_s(nominal_hz)
         if newest_s and (not self._points or count != self._points[-1].samples):
             self._points.append(_Point(now, count, newest_s))
-        while self._points and now - self._points[0].seen_s > RATE_WINDOW_S:
+        while self._points and now - self._points[0].seen_s > max(RATE_WINDOW_S, 2 * stale_s):
             self._points.popleft()
-        if len(self._points) < 2 or now - self._points[-1].seen_s > STALE_AFTER_S:
+        if len(self._points) < 2 or now - self._points[-1].seen_s > stale_s:
             return 0.0
         first, last = self._points[0], self._points[-1]
         elapsed = last.newest_s - first.newest_s
