@@ -134,6 +134,7 @@ class Study:
             expect(said).to_contain_text(f"the file is called {called}")
         else:
             expect(standing).to_contain_text("recording, all streams grow")
+            expect(standing).to_have_class(re.compile("good"))
         begun = pylsl.local_clock()
         marked = self._mark(participant, "begin")
         away = during()

@@ -104,6 +104,19 @@ def test_who_stops_while_others_go_on_is_named(written: Written) -> None:
     assert written.codes() == []
 
 
+def test_a_stream_that_has_not_begun_is_named_until_it_has(written: Written) -> None:
+    written.write(HEAD + TWO + MARKERS)
+    assert written.codes() == [("", "not-begun")]
+    written.write(data(1, 101.0) + data(1, 104.0))
+    (found,) = written.growth.problems()
+    assert (found.level, found.text) == (Level.WARNING, "nothing was recorded yet of two")
+    assert written.codes(silent=("two-id",)) == []
+    written.write(data(1, 106.5))
+    assert written.codes() == [("two", "stopped")]
+    written.write(data(2, 106.5))
+    assert written.codes() == []
+
+
 def test_a_slow_stream_has_time_for_some_samples(written: Written) -> None:
     written.write(HEAD + stream_header(2, "slow", rate=0.1))
     written.write(data(1, 101.0) + data(2, 101.0) + offset(1, 106.0) + data(1, 130.0))
@@ -120,16 +133,16 @@ def test_what_had_waited_in_a_device_is_no_beginning(written: Written) -> None:
 
 def test_who_never_begins_is_named(written: Written) -> None:
     written.write(HEAD + TWO + data(1, 101.0) + data(1, 107.0))
-    assert written.codes() == []
+    assert written.codes() == [("", "not-begun")]
     written.write(offset(1, 107.0) + data(1, 113.0))
     assert written.codes("one-id", "two-id", "x-id") == [("x-id", "missing"), ("two", "stopped")]
 
 
 def test_missing_is_not_said_before_all_headers_are_there(written: Written) -> None:
     written.write(HEAD)
-    assert written.codes("two-id") == []
+    assert written.codes("two-id") == [("", "not-begun")]
     written.write(TWO + data(1, 101.0))
-    assert written.codes("two-id") == []
+    assert written.codes("two-id") == [("", "not-begun")]
 
 
 @pytest.mark.parametrize("error_s", [1.8e9, 500.0, -500.0])

@@ -54,6 +54,7 @@ BLOCK_BYTES = 8192
 STILL_S, EMPTY_S = 15.0, 90.0
 """How long a fast file may stay unchanged, and how long a file may stay empty."""
 LITTLE_SPACE_BYTES = 200_000_000
+_MOST_NAMED = 3
 
 _STREAM_ID_BYTES = 4
 _CLOCK_OFFSET = struct.Struct("<dd")
@@ -461,9 +462,10 @@ class Growth:
         whose = other_participants(self._file, identities)
         found = [*self._problems_of_file(), *self._missing(required), *whose]
         if not self._is_closed:
-            for each in streams:
-                if not each.is_closed and each.source_id not in silent:
-                    found += self._problems_of_stream(each)
+            open_ones = [e for e in streams if not e.is_closed and e.source_id not in silent]
+            for each in open_ones:
+                found += self._problems_of_stream(each)
+            found += self._not_begun(open_ones)
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
 
     def story(self, source_id: str, own_started_s: float | None = None) -> Iterator[Finding]:
@@ -687,6 +689,15 @@ class Growth:
                 "or its answers do not arrive"
             )
             yield Finding(Level.ERROR, "no-offsets", stream.name, text)
+
+    def _not_begun(self, streams: Sequence[StreamProgress]) -> Iterator[Finding]:
+        """Yield which regular streams have no sample yet, before they count as stopped."""
+        due = [each for each in streams if each.nominal_hz and not each.samples]
+        names = [each.name for each in due if self._length_s <= self._longest_age_s(each)]
+        if names:
+            more = f" and {len(names) - _MOST_NAMED} more" * (len(names) > _MOST_NAMED)
+            text = f"nothing was recorded yet of {', '.join(names[:_MOST_NAMED])}{more}"
+            yield Finding(Level.WARNING, "not-begun", "", text)
 
     def _longest_age_s(self, stream: StreamProgress) -> float:
         periods_s = STOPPED_PERIODS / stream.nominal_hz if stream.nominal_hz else 0.0

@@ -362,6 +362,11 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Nothing is being recorded.",
         "Check the recorder and the disk; start another recording if it does not recover.",
     ),
+    "not-begun": Explanation(
+        "A stream has not begun",
+        "The recording runs, but has no sample of this stream yet.",
+        "Wait until this has gone before you begin; if it stays, check its sensor.",
+    ),
     "stopped": Explanation(
         "A stream has stopped",
         "Other streams continue, but this one has no new data.",
