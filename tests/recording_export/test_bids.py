@@ -689,6 +689,34 @@ def test_two_people_of_one_label_are_not_mixed(tmp_path: Path, root: Path) -> No
         _add(root, _recording(tmp_path, "P01", "two_task-talk.xdf"))
 
 
+def test_people_whose_names_differ_in_case_are_not_mixed_on_a_disk_that_ignores_it(
+    tmp_path: Path, root: Path
+) -> None:
+    _add(root, _recording(tmp_path, "P01", "one_task-walk.xdf"))
+    before = _files(root)
+    with pytest.raises(RecordingError, match=r"sub-P01 is 'P01' in the data set and 'p01' in this"):
+        _add(root, _recording(tmp_path, "p01", "two_task-talk.xdf"))
+    assert _files(root) == before
+
+
+@pytest.mark.parametrize("session", ["a", "A"])
+def test_two_recordings_of_different_sensors_do_not_become_one_run(
+    session: str, tmp_path: Path, root: Path
+) -> None:
+    strap, band = (DeviceIdentity(each, "A1", "P01") for each in ("polar_h10", "emotibit"))
+    morning, evening = tmp_path / "sub-P01_ses-a_task-walk.xdf", tmp_path / "evening"
+    evening.mkdir()
+    evening /= f"sub-P01_ses-{session}_task-walk.xdf"
+    morning.write_bytes(made.xdf(ours(1, strap, "ecg", numbers(9), times(9, 1.0), rate=1.0)))
+    later = (each + 3600.0 for each in times(9, 1.0))
+    evening.write_bytes(made.xdf(ours(1, band, "eda", numbers(9), later, rate=1.0)))
+    _add(root, morning)
+    before = _files(root)
+    with pytest.raises(RecordingError, match=r"ses-a.* is in the data set already, of another"):
+        _add(root, evening)
+    assert _files(root) == before
+
+
 def test_what_a_person_adds_to_the_table_stays(tmp_path: Path, root: Path) -> None:
     _add(root, _recording(tmp_path, "P01"))
     table = root / "participants.tsv"

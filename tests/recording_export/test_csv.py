@@ -209,6 +209,24 @@ def test_a_channel_that_is_called_like_a_column_of_times_gets_another_name(
 
 
 # Texts for Kubios and Ledalab.
+@pytest.mark.parametrize(("name", "kind"), [("kubios", "RR"), ("ledalab", "GSR")])
+def test_a_stream_that_is_called_as_the_readme_has_a_file_of_its_own(
+    name: str, kind: str, exported: Exporting
+) -> None:
+    unit = {"RR": "s", "GSR": "microsiemens"}[kind]
+    desc = ET.fromstring(
+        f"<desc><channels><channel><label>x</label><unit>{unit}</unit></channel></channels></desc>"
+    )
+    content = made.xdf(
+        made.stream_header(1, "README", kind=kind, rate=0.0, desc=desc),
+        made.samples(1, "float32", [[0.75], [0.5]], [5.0, 6.0]),
+    )
+    folder = exported(content, name).written[0].path
+    assert {each.name for each in folder.iterdir()} == {"README.txt", "README_2.txt"}
+    assert "README_2.txt: " in (folder / "README.txt").read_text()
+    assert b"0.75" in (folder / "README_2.txt").read_bytes()
+
+
 def test_intervals_are_a_line_each(exported: Exporting) -> None:
     (written,) = exported(study(), "kubios").written
     intervals = (written.path / "P1-polar_h10-U1-ibi.txt").read_bytes()

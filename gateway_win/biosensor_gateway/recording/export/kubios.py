@@ -23,7 +23,7 @@ from biosensor_gateway.recording.export.exporter import (
     SampleCount,
     with_reasons,
 )
-from biosensor_gateway.recording.export.readme import write_readme
+from biosensor_gateway.recording.export.readme import README, write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     MOST_RUNS,
@@ -63,7 +63,7 @@ class Kubios:
         target.mkdir()
         count = SampleCount(chosen, progress)
         notes: list[str] = []
-        names, files = FileNames(), dict[int, list[str]]()
+        names, files = FileNames([Path(README).stem]), dict[int, list[str]]()
         for stream in chosen.streams:
             if _is_of(stream, ContentType.RR):
                 (name,) = names.of(stream)

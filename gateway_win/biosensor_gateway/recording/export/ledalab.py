@@ -26,7 +26,7 @@ from biosensor_gateway.recording.export.exporter import (
     with_reasons,
 )
 from biosensor_gateway.recording.export.marker_events import markers
-from biosensor_gateway.recording.export.readme import write_readme
+from biosensor_gateway.recording.export.readme import README, write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
     Runs,
@@ -73,7 +73,8 @@ class Ledalab:
         happened, codes = _numbered(chosen)
         notes: list[str] = []
         files: dict[int, list[str]] = {}
-        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
+        names = file_names(chosen.streams, [Path(README).stem])
+        for stream, name in zip(chosen.streams, names, strict=True):
             if _is_conductance(stream):
                 path = target / f"{name}.txt"
                 notes += _write_stream(chosen, options, stream, happened, codes, path)

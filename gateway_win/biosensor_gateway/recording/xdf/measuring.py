@@ -296,9 +296,10 @@ def cuts_of(
     Returns
     -------
     Cuts or None
-        None if the timestamps are exact, so single steps are enough; see `longest_step_s`.
+        None if the timestamps are exact, so single steps are enough; see `longest_step_s`. Also
+        if the stream is irregular, which has no gaps.
     """
-    if is_exact(header):
+    if is_exact(header) or not header.is_regular:
         return None
     cuts = Cuts(header.rate, min(section, section_of(header.rate)))
     for times in blocks:

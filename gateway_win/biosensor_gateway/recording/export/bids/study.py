@@ -10,9 +10,10 @@ from __future__ import annotations
 import csv
 import filecmp
 import hashlib
+import json
 import os
 import shutil
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
@@ -28,6 +29,8 @@ _DESCRIPTION, _PARTICIPANTS = "dataset_description.json", "participants.tsv"
 _ID, _CALLED = "participant_id", "recorded_as"
 ADDED = Path("sourcedata") / "recordings.tsv"
 _ADDED_COLUMNS = ("recording", "sha256")
+_ZERO = "TimeZero"
+_OF_A_RUN = frozenset({"sub", "ses", "task", "acq", "run"})
 _BLOCK_BYTES = 1 << 20
 Table = list[dict[str, str]]
 
@@ -69,9 +72,9 @@ class Study:
         Raises
         ------
         RecordingError
-            ``UNWRITABLE``, if its participant is undecided, one of its files exists from another
-            recording, its label belongs to another participant in the dataset, or the dataset
-            cannot be read or written; nothing is added then.
+            ``UNWRITABLE``, if its participant is undecided, one of its files or its run exists from
+            another recording, its label belongs to another participant in the dataset, or the
+            dataset cannot be read or written; nothing is added then.
         """
         digest = _digest(recording)
         try:
@@ -115,22 +118,37 @@ class Study:
             raise RecordingError(RecordingReason.UNWRITABLE, message)
 
     def _require_room(self, made: Path, recording: Path) -> None:
+        self._require_people(made, recording)
+        # Ignoring case, because on disks of Windows and macOS the dataset would be mixed.
+        there = {str(each).casefold(): each for each in self._files()}
         for file in _data_of(made):
-            place = self._root / file.relative_to(made)
+            name = file.relative_to(made)
+            known = there.get(str(name).casefold())
             # Equal files were left behind by an interrupted attempt with the same recording.
-            if os.path.lexists(place) and not filecmp.cmp(file, place, shallow=False):
-                message = (
-                    f"{recording}: {place.relative_to(self._root)} is in the data set already, of "
-                    "another recording; export it with another --session or --task, or alone"
-                )
-                raise RecordingError(RecordingReason.UNWRITABLE, message)
-        people = _read_table(self._root / _PARTICIPANTS)
-        there = {each.get(_ID): each.get(_CALLED, "") for each in people}
+            if known and (
+                known != name or not filecmp.cmp(file, self._root / known, shallow=False)
+            ):
+                raise _in_the_way(recording, known)
+        # Files of different sensors have different names even if they are of two recordings.
+        zeros = {_run_of(name): zero for name, zero in _zeros(made)}
+        for name, zero in _zeros(self._root, zeros):
+            if zero != zeros[_run_of(name)]:
+                raise _in_the_way(recording, name)
+
+    def _files(self) -> Iterator[Path]:
+        if self._root.is_dir():
+            yield from (each.relative_to(self._root) for each in _data_of(self._root))
+
+    def _require_people(self, made: Path, recording: Path) -> None:
+        there = {
+            each.get(_ID, "").casefold(): each for each in _read_table(self._root / _PARTICIPANTS)
+        }
         for person in _read_table(made / _PARTICIPANTS):
-            called = there.get(person[_ID], person[_CALLED])
-            if called not in {person[_CALLED], NOTHING, ""}:
+            known = there.get(person[_ID].casefold(), person)
+            called = known.get(_CALLED, "")
+            if known[_ID] != person[_ID] or called not in {person[_CALLED], NOTHING, ""}:
                 message = (
-                    f"{recording}: {person[_ID]} is {called!r} in the data set and "
+                    f"{recording}: {known[_ID]} is {called!r} in the data set and "
                     f"{person[_CALLED]!r} in this recording; BIDS has no place for both"
                 )
                 raise RecordingError(RecordingReason.UNWRITABLE, message)
@@ -184,6 +202,42 @@ class Study:
         lines = [line(_ADDED_COLUMNS), *map(line, cells)]
         (self._root / ADDED).parent.mkdir(exist_ok=True)
         _replace(self._root / ADDED, "".join([*lines, line([name, digest])]))
+
+
+def _in_the_way(recording: Path, name: Path) -> RecordingError:
+    message = (
+        f"{recording}: {name} is in the data set already, of another recording; export it with "
+        "another --session or --task, or alone"
+    )
+    return RecordingError(RecordingReason.UNWRITABLE, message)
+
+
+def _run_of(name: Path) -> frozenset[str]:
+    """Return the part of a file's name that is common to all files of one recording."""
+    parts = name.name.casefold().split("_")
+    return frozenset(each for each in parts if each.partition("-")[0] in _OF_A_RUN)
+
+
+def _zeros(
+    root: Path, runs: Collection[frozenset[str]] | None = None
+) -> Iterator[tuple[Path, object]]:
+    """Yield the time zero of each sidecar that has one, which is the same in all of a recording.
+
+    Parameters
+    ----------
+    runs
+        If given, other runs are left out.
+    """
+    for path in sorted(root.glob("sub-*/**/*.json")):
+        if runs is not None and _run_of(path) not in runs:
+            continue
+        try:
+            content = json.loads(path.read_bytes())
+        except ValueError:
+            # It is not of this program.
+            continue
+        if isinstance(content, dict) and _ZERO in content:
+            yield path.relative_to(root), content[_ZERO]
 
 
 def _data_of(made: Path) -> Iterator[Path]:
