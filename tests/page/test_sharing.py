@@ -91,6 +91,12 @@ def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: Op
     )
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert violations(page) == []
+    # Also below the panel of the recording.
+    bar = page.get_by_role("region", name="What is recorded now")
+    expect(bar).to_have_count(0)
+    page.set_viewport_size({"width": 400, "height": 300})
+    page.get_by_role("button").scroll_into_view_if_needed()
+    expect(bar.get_by_text("nothing is recorded")).to_be_in_viewport()
     assert page.locator("input").count() == 0
     pressed = page.get_by_role("button")
     expect(pressed).to_have_count(1)

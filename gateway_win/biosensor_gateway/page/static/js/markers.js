@@ -5,9 +5,11 @@ import { html, useEffect } from "../vendor/preact-htm.js";
 import { useKept } from "./kept.js";
 
 const KEYS = 9;
+// Not a box that was ticked, which keeps the focus and takes no digits.
+const TYPED_INTO = "input:not([type=checkbox], [type=radio]), textarea, select";
 
 function isTyping(event) {
-  return event.target.closest?.("input, textarea, select") || event.ctrlKey || event.altKey || event.metaKey;
+  return event.target.closest?.(TYPED_INTO) || event.ctrlKey || event.altKey || event.metaKey;
 }
 
 function said({ kind, marker, note }) {

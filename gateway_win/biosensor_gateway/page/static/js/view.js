@@ -1,7 +1,7 @@
 // The page as other computers see it: everything is shown, and nothing can be changed.
 
 import { html, render, useEffect, useRef, useState } from "../vendor/preact-htm.js";
-import { Bar } from "./bar.js";
+import { Bar, useScrolledPast } from "./bar.js";
 import { Cards } from "./cards.js";
 import { Detail } from "./detail.js";
 import { Live } from "./live.js";
@@ -19,6 +19,8 @@ function View() {
   useEffect(() => { live.current = new Live(setStatus); }, []);
   const { devices, device } = useShown(live, status, open);
   useTitle(status);
+  const session = useRef(null);
+  const isPast = useScrolledPast(session, Boolean(status) && !status.ended && !device);
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   if (!status || status.ended) {
     return html`<main><p class="panel problem" role="alert">The page on the other computer does not answer. Nothing can be seen of now. It may have been ended there, or the network is cut.</p></main>`;
@@ -29,12 +31,12 @@ function View() {
       <${Agent} status=${status} />
     </header>
     <main>
-      ${device && html`<${Bar} status=${status} />`}
+      ${(device || isPast) && html`<${Bar} status=${status} isOver=${!device} />`}
       <${Notices} status=${status} />
       <${ReplayNotice} replay=${status.replay} />
       ${!device && html`
         <div class="pair">
-          <section class="panel" aria-labelledby="session"><h2 id="session">Recording</h2><${Recording} recording=${status.recording} /></section>
+          <section ref=${session} class="panel" aria-labelledby="session"><h2 id="session">Recording</h2><${Recording} recording=${status.recording} /></section>
           ${status.markers.markers.length > 0 && html`<section class="panel" aria-labelledby="markers"><h2 id="markers">Markers</h2><${MarkerList} markers=${status.markers} /></section>`}
         </div>`}
       ${device
