@@ -91,6 +91,23 @@ def test_what_a_pause_cost_is_counted_and_stamps_stay(belt: Belt, steady: int) -
     assert sink.losses.get("force", 0) == pytest.approx(true_lost, abs=1)
 
 
+@pytest.mark.parametrize(("own_delay_s", "lost"), [(0.0, 3), (0.35, 0)])
+def test_what_this_computer_delayed_is_not_taken_for_lost(own_delay_s: float, lost: int) -> None:
+    sink = EmitterSink("vernier_respiration_belt")
+    sink.own_delay = lambda: own_delay_s
+    emitter = VernierEmitter(sink)
+    emitter.started(BeltChannels(*(Channel(k, "", "", 0, 0, 0) for k in (1, 2))), PERIOD_S)
+    for number in range(120):
+        measured_s = BEGIN_S + number * PERIOD_S
+        late_s = 0.3 if 100 <= number < 110 else 0.0
+        content = {1: (measured_s,), 2: (14.0,)}
+        kind = MeasurementKind.NORMAL_REAL32
+        emitter.take(Measurement(number % 256, kind, content), measured_s + late_s)
+    emitter.ended()
+    assert len(sink.values("force")) == 120
+    assert sink.losses.get("force", 0) == lost
+
+
 # How exact stamps are after a belt was started again, again and again.
 START_PERIOD_S, DRIFT = 0.1, 30e-6
 JITTER_S = 0.06
@@ -178,7 +195,9 @@ class World:
         self._random = random.Random(seed)
         self._arrival_s = 0.0
 
-    def packet(self, *, lost: bool = False, not_before_s: float = 0.0) -> None:
+    def packet(
+        self, *, lost: bool = False, not_before_s: float = 0.0, waited_s: float = 0.0
+    ) -> None:
         """Send the next packet; a lost one counts, but does not arrive."""
         values = tuple(map(float, range(self.index, self.index + self.samples)))
         self.index += self.samples
@@ -186,10 +205,11 @@ class World:
         if lost:
             return
         sent_s = self.true_s(values[-1]) + self._random.uniform(0.0, NUMBERING_JITTER_S)
-        self._arrival_s = max(sent_s, self._arrival_s, not_before_s)
+        self._arrival_s = max(sent_s + waited_s, self._arrival_s, not_before_s)
         measured = Measurement(self.counter, MeasurementKind.NORMAL_REAL32, {1: values})
         self.numbering.count(self.counter)
-        self.take(self.numbering.place(Arrived(measured, self.samples, self._arrival_s)))
+        packet = Arrived(measured, self.samples, self._arrival_s, waited_s)
+        self.take(self.numbering.place(packet))
 
     def packets(self, count: int) -> None:
         for _ in range(count):
@@ -275,6 +295,35 @@ def test_a_computer_that_is_slow_to_read_what_was_stored_has_lost_nothing(
     missing, wrong = world.missing_and_misplaced()
     assert (world.lost, missing) == (0, 0)
     assert max(wrong) < 1e-6
+
+
+@given(st.integers(0, 99), st.integers(5, 40), st.integers(0, 6))
+def test_a_busy_computer_has_lost_nothing_and_hides_no_loss(
+    seed: int, busy: int, unmeasured: int
+) -> None:
+    world = World(seed)
+    world.packets(WARM_UP)
+    # As on a computer with ten times as much to do as it can: each packet waits its turn.
+    waits = random.Random(seed)
+    for _ in range(busy):
+        world.packet(waited_s=waits.uniform(0.25, 0.45))
+    world.index += unmeasured
+    for _ in range(busy):
+        world.packet(waited_s=waits.uniform(0.25, 0.45))
+    world.packets(WARM_UP)
+    missing, _ = world.missing_and_misplaced()
+    assert (world.lost, missing) == (unmeasured, unmeasured)
+
+
+@given(st.integers(0, 99), st.integers(1, 5))
+def test_what_the_counter_tells_is_counted_at_once_on_a_busy_computer(seed: int, lost: int) -> None:
+    world = World(seed)
+    world.packets(WARM_UP)
+    for _ in range(lost):
+        world.packet(lost=True)
+    for _ in range(HELD_PACKETS):
+        world.packet(waited_s=0.08)
+    assert world.lost >= lost
 
 
 @given(st.integers(0, 99))

@@ -46,6 +46,8 @@ class Arrived(NamedTuple):
     ----------
     samples
         Number of samples per channel, at least 1.
+    waited_s
+        How long it may have waited for a busy computer.
     is_behind_pause
         Whether it arrived later than the duration of its samples.
     """
@@ -53,6 +55,7 @@ class Arrived(NamedTuple):
     measurement: Measurement
     samples: int
     arrival_s: float
+    waited_s: float = 0.0
     is_behind_pause: bool = False
 
 
@@ -94,6 +97,7 @@ class Numbering:
         self._restarted = True
         self._counter = _PacketCounter()
         self._suspicious = False
+        self._has_jumped = False
         self._may_be_stored = False
         self._arrival_s = -math.inf
         self._stored_s = -math.inf
@@ -104,17 +108,17 @@ class Numbering:
         self._origin_s, self._index = self._time(0), 0
         self._period_s = period_s
         self._restarted = True
-        self._suspicious = self._may_be_stored = False
+        self._suspicious = self._has_jumped = self._may_be_stored = False
         self._counter = _PacketCounter()
 
     def count(self, counter: int) -> None:
         """Add the packet counter of any packet; call this before :meth:`place`."""
         if self._counter.jumps(counter):
-            self._suspicious = True
+            self.suspect()
 
     def suspect(self) -> None:
-        """Expect that samples are missing before the next packet."""
-        self._suspicious = True
+        """Expect that samples are missing before the next packet, as the belt says."""
+        self._suspicious = self._has_jumped = True
 
     def place(self, packet: Arrived) -> list[Placed]:
         """Return the packets whose times are certain now, in order; none while unclear."""
@@ -176,8 +180,11 @@ class Numbering:
                 if _is_backlog(later, self._period_s) or self._missing(HELD_PACKETS) != lost:
                     placed += self._place_held(HELD_PACKETS)
                     continue  # nothing is dropped: they are placed
+            # What this computer may have delayed is judged again once it is less busy.
+            is_unclear = self._missing() != self._missing(is_computer_prompt=True)
             placed += self._place_by_pauses()
-            self._suspicious, self._may_be_stored = bool(self._held), False
+            self._suspicious, self._may_be_stored = is_unclear or bool(self._held), False
+            self._has_jumped = self._has_jumped and bool(self._held)
         return placed
 
     def _place_by_pauses(self, least: int = HELD_PACKETS) -> list[Placed]:
@@ -197,13 +204,21 @@ class Numbering:
         held, self._held = self._held[:count], self._held[count:]
         return [self._place_next(each, 0 if at else lost) for at, each in enumerate(held)]
 
-    def _missing(self, begin: int = 0, end: int | None = None) -> int:
-        """Return the number of samples that fit into the smallest delay of held packets."""
+    def _missing(
+        self, begin: int = 0, end: int | None = None, *, is_computer_prompt: bool = False
+    ) -> int:
+        """Return the number of samples that fit into the smallest delay of held packets.
+
+        Unless the belt says that samples are missing, or `is_computer_prompt`, the time for which
+        a packet may have waited for this computer is no part of its delay.
+        """
         samples = sum(packet.samples for packet in self._held[:begin])
         least_s = math.inf
         for packet in self._held[begin:end]:
             samples += packet.samples
             late_s = self._device_time(packet.arrival_s) - self._time(samples)
+            if not (self._has_jumped or is_computer_prompt):
+                late_s -= packet.waited_s
             least_s = min(least_s, late_s)
         return max(0, math.floor(least_s / self._period_s + EARLY_PERIODS))
 
@@ -341,7 +356,8 @@ class VernierEmitter:
     def _measurement(self, message: Measurement, arrival_s: float) -> None:
         count = len(message.samples.get(self._force, ()))
         if count:
-            for placed in self._numbering.place(Arrived(message, count, arrival_s)):
+            packet = Arrived(message, count, arrival_s, self._sink.own_delay())
+            for placed in self._numbering.place(packet):
                 self._emit(placed)
         elif self._last_s is not None:
             # Belts send both channels together; otherwise the force determines the time.
