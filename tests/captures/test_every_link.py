@@ -64,7 +64,11 @@ KINDS = {
     "struct": Kind(StructLineSensor, "acc"),
     "udp": Kind(UdpLineSensor, "acc"),
     "websocket": Kind(WebSocketLineSensor, "acc"),
-    "openearable": Kind(OpenEarableLineSensor, "acc"),
+    "openearable": Kind(
+        partial(OpenEarableLineSensor, wearables=["Renates OpenEarable"]),
+        "acc",
+        ["Renates", "id-0"],
+    ),
     "emotibit": Kind(
         partial(SimulatedEmotiBit, device="MD-V5-0004711"),
         "eda",

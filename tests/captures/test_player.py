@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 from collections.abc import Awaitable, Callable
 
@@ -259,6 +260,25 @@ def test_the_standard_places_are_replaced_whoever_reads_them() -> None:
     assert serial.bytes != b"SN-4711\0"
     assert serial.bytes.endswith(b"\0")
     assert model.bytes == b"H10"
+
+
+@pytest.mark.parametrize("number", ["7", "42", "001"])
+def test_a_serial_number_too_short_to_search_for_is_replaced_where_it_is_told(number: str) -> None:
+    told = number.encode() + b"\0"
+    at = normalize_uuid_16(0x2A25)
+    event = Event(t=0.0, link=0, what=What.READ, at=at, data=told.hex())
+    (replaced,) = redacted(event, serials=(number,))
+    assert replaced.bytes != told
+    assert (len(replaced.bytes), replaced.bytes[-1:]) == (len(told), b"\0")
+
+
+def test_a_name_with_escaped_letters_is_replaced_and_stays_json() -> None:
+    pattern = re.compile(rb'"name":"((?:[^"\\]|\\.)+)"')
+    told = json.dumps({"name": 'J\u00fcrgen "Joe" M\u00fcller'}, separators=(",", ":")).encode()
+    (event,) = redacted(came(told), patterns=(pattern,))
+    name = json.loads(event.bytes)["name"]
+    assert len(name) == len('J\u00fcrgen "Joe" M\u00fcller')
+    assert not {"rgen", "Joe", "ller"} & set(re.findall(r"[A-Za-z]+", name))
 
 
 def test_samples_stay_as_they_are() -> None:

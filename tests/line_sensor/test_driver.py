@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, closing
@@ -17,6 +18,8 @@ from biosensor_common.naming import source_id, topic
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.readiness import steady_streams
 from biosensor_gateway.agent.status import AgentStatus
+from biosensor_gateway.captures.file import Event
+from biosensor_gateway.captures.redaction import Redaction
 from biosensor_gateway.devices.line_sensor import driver as driver_module
 from biosensor_gateway.devices.line_sensor.driver import DRIVER
 from biosensor_gateway.devices.line_sensor.simulator import (
@@ -31,6 +34,7 @@ from biosensor_gateway.page.live import History
 from biosensor_gateway.recording.xdf.verdict import by_devices
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.transports.tap import What
 from tests.line_sensor.conftest import line_settings
 from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polling import until
@@ -275,3 +279,35 @@ async def test_the_page_shows_a_board_by_what_its_settings_declare() -> None:
     assert view.title == "chest_strap"
     shown = view.streams[source_id(device.sink.identity, "data")]
     assert (shown.topic, shown.units) == ("/biosensors/chest_strap/data", ["N"])
+
+
+WHO = ("Renate", "Eva", "48.13743", "4807.038", "4711", "iPhone", "01131.000")
+PHONE = {
+    "deviceName": "Renates iPhone",
+    "name": "Eva",
+    "serial": "00004711",
+    "athlete": {"name": "J\u00fcrgen", "first": "Eva"},
+    "acc": [0.0437, -0.9723],
+    "gsr": "4.8049",
+    "location": {"lat": 48.13743, "Longitude": 11.57549},
+}
+GPS = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
+CSV = b"9,90000,-0.9723,0.0437,0.2369\r\n"
+
+
+@pytest.mark.parametrize("packets", [1, 7])
+def test_of_a_capture_only_what_tells_who_and_where_is_replaced(packets: int) -> None:
+    said = json.dumps(PHONE).encode() + b"\n" + GPS + CSV
+    size = -(-len(said) // packets)
+    pieces = [said[at : at + size] for at in range(0, len(said), size)]
+    events = [Event(t=0.0, link=0, what=What.CAME, data=each.hex()) for each in pieces]
+    told = b"".join(
+        each.bytes for each in Redaction(lambda _: False, DRIVER.identifiers).of(events, [])
+    )
+    line, *rest = told.splitlines(keepends=True)
+    assert [each for each in WHO if each in told.decode()] == []
+    read = json.loads(line)
+    assert (read["acc"], read["gsr"], list(read)) == (PHONE["acc"], PHONE["gsr"], list(PHONE))
+    assert rest[1] == CSV
+    assert rest[0].startswith(b"$GPGGA,123519,4")
+    assert rest[0].endswith(b",E,1,08,0.9,545.4,M,46.9,M,,*47\r\n")

@@ -31,6 +31,8 @@ _ADDRESS_BYTES = 6
 _ADDRESS_TEXT = re.compile(rb"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
 _ADDRESS = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]?){5}[0-9A-Fa-f]{2}")
 _WORD = re.compile(r"[^\W_]+")
+_ESCAPE = re.compile(r"(\\(?:u[0-9A-Fa-f]{4}|.))")
+"""A character as JSON may spell it, which stays, because another one may be no JSON."""
 _HEX = frozenset(string.hexdigits)
 _NAME, _SYSTEM_ID, _SERIAL = map(normalize_uuid_16, (0x2A00, 0x2A23, 0x2A25))
 _LETTERS = (string.digits, string.ascii_uppercase, string.ascii_lowercase)
@@ -154,7 +156,10 @@ class Redaction:
             return event.model_copy(update={"data": secrets.token_hex(len(content))})
         text = content.decode("utf-8", "replace").strip("\0 ")
         if text and event.at == _SERIAL:
-            self._pseudonym("serial number", text)
+            pseudonym = self._pseudonym("serial number", text)
+            if len(text) < LEAST_SEARCHED:
+                data = content.replace(text.encode(), pseudonym.encode())
+                return event.model_copy(update={"data": data.hex()})
         elif text:
             replaced = self._name(text, Advertisement("")).encode()
             data = replaced if len(replaced) == len(content) else content
@@ -203,7 +208,8 @@ class Redaction:
         known = self._pseudonyms.get(secret)
         if known is None:
             # The first character of a serial number often identifies the model for drivers.
-            kept = secret[:1] if kind in ("serial number", "identifier") else ""
+            is_number = kind in ("serial number", "identifier") and len(secret) >= LEAST_SEARCHED
+            kept = secret[:1] if is_number else ""
             known = self._pseudonyms[secret] = kind, _like(secret, kept)
         return known[1]
 
@@ -315,7 +321,7 @@ def _like(secret: str, kept: str = "") -> str:
         if is_address(secret):
             candidate = kept + _address_like(secret)[len(kept) :]
         else:
-            candidate = kept + "".join(_drawn(each, classes) for each in rest)
+            candidate = kept + "".join(_drawn(each, classes) for each in _ESCAPE.split(rest))
         # The sum of a short text would reveal too much.
         is_alike = len(secret) < _LEAST_SUMMED or _sums(candidate) == _sums(secret)
         if candidate != secret and is_alike:
@@ -332,7 +338,11 @@ def _address_like(address: str) -> str:
     return drawn.lower() if address == address.lower() else drawn
 
 
-def _drawn(letter: str, classes: Sequence[str]) -> str:
+def _drawn(piece: str, classes: Sequence[str]) -> str:
+    return piece if piece.startswith("\\") else "".join(_letter(each, classes) for each in piece)
+
+
+def _letter(letter: str, classes: Sequence[str]) -> str:
     letters = next((each for each in classes if letter in each), "")
     if not letters and letter.isalpha():
         # A letter of another script is replaced by one with as many bytes.

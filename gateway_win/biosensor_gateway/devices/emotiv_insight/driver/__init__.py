@@ -388,8 +388,8 @@ IDENTIFIERS = (
     re.compile(rb'"(?:cortexToken|clientId|clientSecret)"\s*:\s*"(?P<secret>[^"]+)"'),
     # Only the number of a headset's id is replaced; the model stays, because it is needed.
     re.compile(rb"[A-Z][A-Z0-9]*-([0-9A-F]{8})"),
-    re.compile(rf'{_KEY}"{_MODEL}([^"\\]{{8,}})"'.encode()),
-    re.compile(rf'{_KEY}("[^"\\]{{1,7}}")'.encode()),
+    re.compile(rf'{_KEY}"{_MODEL}((?:[^"\\]|\\.){{8,}})"'.encode()),
+    re.compile(rf'{_KEY}("(?:[^"\\]|\\.){{1,7}}")'.encode()),
 )
 """All texts with exceptions; short ones include their quotation marks to exclude numbers."""
 DRIVER = DriverEntry(

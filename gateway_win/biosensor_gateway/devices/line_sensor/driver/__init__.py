@@ -323,7 +323,27 @@ def _declare(settings: DeviceSettings) -> SensorSpec:
     return own_settings(LineSettings, settings).spec
 
 
-IDENTIFIERS = (re.compile(rb'"(?:device_id|serial_number|mac)"\s*:\s*"([^"]{4,64})"'),)
+def _texts(key: str, behind: str = "") -> tuple[re.Pattern[bytes], ...]:
+    """Return patterns of the texts behind a key of JSON; short ones with their quotation marks."""
+    text = r'(?:[^"\\]|\\.)'
+    return (
+        re.compile(rf'{key}\s*:\s*"({text}{{4,64}})"{behind}'.encode()),
+        re.compile(rf'{key}\s*:\s*("{text}{{2,3}}"){behind}'.encode()),
+    )
+
+
+_WORDS_OF_THE_APP = "method|action|stream|event|sensor_id|type|message|name"
+_NO_SENSOR = '(?:(?!"sensor_id")[^{}])*'
+IDENTIFIERS = (
+    re.compile(rb'"(?:device_id|serial_number|serial|mac)"\s*:\s*"([^"]{4,64})"'),
+    *_texts(rf'"(?!(?:{_WORDS_OF_THE_APP})")\w+"(?!\s*:\s*"-?[0-9.]+")'),
+    # The sensor is asked for by its name; other names, as the wearable's, are often a person's.
+    *_texts(rf'[{{}}]{_NO_SENSOR}?"name"', r'(?![^{}]*"sensor_id")'),
+    # Places on earth: in JSON, and as GPS receivers write them.
+    re.compile(rb'"(?:lat|lon|lng|latitude|longitude)"\s*:\s*"?(-?[0-9]{1,3}\.[0-9]{3,})', re.I),
+    re.compile(rb"\b([0-9]{4,5}\.[0-9]{2,}),[NSEW]\b"),
+)
+"""All texts of JSON but numbers and the words by which the OpenEarable app is asked; positions."""
 FORMS = frozenset(
     {"sequence_column", "time_column", "struct_format", "frame_start", "openearable_sensor"}
 )
