@@ -11,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.brainflow.driver.emitter import Frames, Rows, SampleCount, Told
+from biosensor_gateway.devices.brainflow.driver.emitter import (
+    Frames,
+    PresetEmitter,
+    Rows,
+    SampleCount,
+    Told,
+)
+from tests.rigs.emitter_sink import EmitterSink
 
 # What comes from the process that reads a board, in any pieces, and when it is none of it.
 
@@ -98,3 +105,18 @@ def test_a_board_that_counts_nothing_loses_nothing(numbers: list[float]) -> None
     places, missing = SampleCount(0).place(np.array(numbers))
     assert places.tolist() == [0, 1, 2, 3]
     assert missing == 0
+
+
+@pytest.mark.parametrize(("true_hz", "is_said"), [(200.0, True), (251.0, False)])
+def test_another_rate_than_the_declared_one_is_shown_and_not_only_logged(
+    true_hz: float, is_said: bool
+) -> None:
+    sink = EmitterSink("polar_h10")
+    where = {"timestamp_channel": 0, "package_num_channel": 1, "num_rows": 2}
+    emitter = PresetEmitter((), where, 250.0, 256, sink, sink)
+    for second in range(25):
+        numbers = np.arange(second * true_hz, (second + 1) * true_hz)
+        values = np.stack([numbers / true_hz, numbers % 256])
+        emitter.take(Rows(0, float(values[0, -1]), values), 1000 + float(values[0, -1]))
+    said = [*sink.watch.remarks.values()]
+    assert any("200.0 samples a second and 250 are declared" in each for each in said) == is_said

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -39,29 +40,43 @@ def emitted(datagrams: Iterable[Sequence[Packet]], ppg_hz: float = 25) -> Emitte
     return sink
 
 
+CHANNEL_HZ: dict[str, float] = {
+    **dict.fromkeys(("PI", "PR", "PG", "AX", "AY", "AZ"), 25.0),
+    "EA": 15.0,
+    "T1": 7.5,
+}
+
+
+_NO_OTHERS: Mapping[str, float] = MappingProxyType({})
+
+
 def rounds(
-    ppg_hz: float = 25, *, seconds: int = 60, apart_every: int = 10**9
+    ppg_hz: float = 25,
+    *,
+    seconds: int = 60,
+    apart_every: int = 10**9,
+    apart: Sequence[str] = ("PG", "AZ"),
+    more: bool = True,
+    others: Mapping[str, float] = _NO_OTHERS,
 ) -> Iterator[list[Packet]]:
     """Measure numbers from 0 on; each value is its sample's number.
 
     Parameters
     ----------
     apart_every
-        In which rounds green light and Z are read one look later than what belongs to them.
+        In which rounds the channels *apart* are read one look later than what belongs to them, or
+        with a sample fewer.
+    others
+        Rates that are not the nominal ones.
     """
-    channels = {
-        **dict.fromkeys(("PI", "PR", "PG"), ppg_hz),
-        **dict.fromkeys(("AX", "AY", "AZ"), 25.0),
-        "EA": 15.0,
-        "T1": 7.5,
-    }
+    channels = {**CHANNEL_HZ, **dict.fromkeys(("PI", "PR", "PG"), ppg_hz), **others}
     done = dict.fromkeys(channels, 0)
     number = 0
     for count in range(1, 10 * seconds):
         packets: list[Packet] = []
         for tag, hz in channels.items():
-            is_apart = tag in ("PG", "AZ") and count % apart_every == 0
-            until_s = count / 10 + is_apart * (1 / hz + 1 / READ_HZ)
+            is_apart = tag in apart and count % apart_every == 0
+            until_s = count / 10 + is_apart * (1 / hz + 1 / READ_HZ if more else -1 / hz)
             upto = int(until_s * hz + 1e-9)
             values = range(done[tag], upto)
             done[tag] = upto
@@ -122,6 +137,28 @@ def test_channels_that_are_read_apart_make_whole_rows(ppg_hz: float, apart_every
     assert_whole(sink, {"ppg": ppg_hz, "acc": 25, "eda": 15, "st": 7.5})
 
 
+@pytest.mark.parametrize("tag", ["PI", "PR", "PG", "AX"])
+@pytest.mark.parametrize("ppg_hz", [25.0, 100.0])
+def test_a_channel_that_is_read_with_a_sample_fewer_makes_whole_rows(
+    ppg_hz: float, tag: str
+) -> None:
+    made = rounds(ppg_hz, seconds=30, apart_every=7, apart=[tag], more=False)
+    assert_whole(emitted(made, ppg_hz), {"ppg": ppg_hz, "acc": 25})
+
+
+def test_a_channel_that_lost_a_sample_is_beside_the_others_again() -> None:
+    made = [
+        [each if each.tag != "PR" or at != 99 else each._replace(payload=each.payload[1:])
+         for each in packets]
+        for at, packets in enumerate(rounds(100.0, seconds=30))
+    ]  # fmt: skip
+    sink = emitted(made, 100.0)
+    apart = [len(set(row)) > 1 for row in sink.emitted["ppg"]]
+    assert 0 < sum(apart) < 60
+    assert not any(apart[-1500:])
+    assert not any(sink.losses.values())
+
+
 @given(
     seed=st.integers(0, 10**6), share=st.floats(0.01, 0.2), pieces=st.integers(1, 3),
     behind=st.integers(1, 3), apart_every=st.sampled_from(list(ROUNDS)),
@@ -151,6 +188,28 @@ def test_lost_datagrams_are_counted_among_channels_read_apart(seed: int, apart_e
         missing = last + 1 - len(sink.emitted[name])
         assert sink.losses.get(name, 0) == pytest.approx(missing, abs=1)
         assert np.abs(errors_s(sink, name, hz)[~np.isnan(sink.values(name))]).max() < 1 / hz
+
+
+@pytest.mark.parametrize(
+    ("name", "others"),
+    [
+        ("eda", {"EA": 30.0}),
+        ("eda", {"EA": 14.0}),
+        ("st", {"T1": 3.75}),
+        ("acc", dict.fromkeys(("AX", "AY", "AZ"), 50.0)),
+        ("acc", dict.fromkeys(("AX", "AY", "AZ"), 26.0)),
+    ],
+)
+def test_a_sensor_of_another_rate_is_said_and_stamped_by_that(
+    name: str, others: dict[str, float]
+) -> None:
+    sink = emitted(rounds(seconds=30, others=others))
+    hz = min(others.values())
+    assert f"{name} is measured {hz:.1f} times a second" in " ".join(sink.watch.remarks.values())
+    assert len(sink.watch.remarks) == 1
+    assert not any(sink.losses.values())
+    assert np.abs(errors_s(sink, name, hz)[round(12 * hz) :]).max() < 0.02
+    assert np.diff(sink.device_times[name]).min() > 0
 
 
 def test_the_first_temperatures_are_not_lost_while_thermometers_are_looked_for() -> None:

@@ -16,7 +16,6 @@ from biosensor_common.device_clock import DeviceClock
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.brainflow import BoardStream, Description
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.system.device_log import DeviceLog
 
 _HEAD = struct.Struct("<cBI")
 _SAMPLES = struct.Struct("<dI")
@@ -189,7 +188,7 @@ class PresetEmitter:
         self._sink, self._stamps = sink, stamps
         self._states: dict[str, tuple[float, ...]] = {}
         self._begin: tuple[float, int] | None = None
-        self._log = DeviceLog("biosensor_gateway.brainflow", sink.identity)
+        self._remark = ""
 
     def take(self, rows: Rows, arrival_s: float) -> None:
         """Emit rows received together; *arrival_s* is the LSL time when they were sent."""
@@ -226,7 +225,7 @@ class PresetEmitter:
                 self._stamps.emit(name, sample[np.newaxis], [time_s])
 
     def _watch_rate(self, measured_s: float, place: int) -> None:
-        """Warn once if a board's rate differs from the declared one."""
+        """Say if a board's rate differs from the declared one."""
         if self._begin is None:
             self._begin = measured_s, place
         elapsed_s = measured_s - self._begin[0]
@@ -234,13 +233,15 @@ class PresetEmitter:
             return  # nothing is dropped: the rate is watched for longer
         rate = (place - self._begin[1]) / elapsed_s
         self._begin = measured_s, place
+        text = ""
         if abs(rate / self._rate_hz - 1) > _RATE_ERROR:
-            self._log.warn_once(
-                "the board sends at another rate than declared, so its stamps are wrong; set "
-                "rate_hz",
-                declared_hz=self._rate_hz,
-                measured_hz=round(rate, 1),
+            text = (
+                f"the board sends {rate:.1f} samples a second and {self._rate_hz:g} are declared, "
+                "so its stamps are wrong; set rate_hz"
             )
+        if text != self._remark:
+            self._remark = text
+            self._sink.remark(f"rate of {[each.spec.data_name for each in self._streams]}", text)
 
 
 def own_clock(sink: Sink) -> _Stamps:

@@ -27,6 +27,9 @@ TOGETHER_S = 0.006
 """Largest difference between timestamps of channels that were read together."""
 LATE_S = 0.02
 """Largest deviation of reading times from the sample count."""
+BETWEEN_S = 0.025
+"""Largest such deviation of a channel that was read with a sample more or less than the others, at
+100 Hz. A slower sensor's samples are further apart, so one was lost."""
 ROUNDS_KEPT = 4
 """A channel that is missing after this many rounds, at ten per second, was lost."""
 HOLE_S = 0.5
@@ -45,6 +48,8 @@ POINTS = 120
 LEAST_S, SETTLED_S = 5.0, 20.0
 """Before the first time the nominal rate is better, before the second the estimate is rough."""
 TOLERANCE = 0.03
+FITS_S, FITS_POINTS = 0.02, 8
+"""Beyond it, the sensor has another rate if so many reading times deviate no more from a line."""
 GAIN, GAIN_SETTLED = 1 / 16, 1 / 64
 """Fraction of its distance by which the line moves towards a new time."""
 AGREES_S = 0.02
@@ -65,9 +70,15 @@ class Oscillator:
         Mean delay of reading its samples.
     period_s
         Sample period, if known from before.
+
+    Attributes
+    ----------
+    is_other
+        Whether the sensor has another rate than the nominal one.
     """
 
     def __init__(self, rate_hz: float, late_s: float, period_s: float = 0.0) -> None:
+        self.is_other = False
         self._rate_hz, self._late_s = rate_hz, late_s
         self._nominal_s = 1 / rate_hz
         self._period_s = period_s or self._nominal_s
@@ -92,6 +103,8 @@ class Oscillator:
             self.restart(index, count, read_s + self._late_s)
             return  # nothing is dropped: a new line begins with it
         gain = GAIN_SETTLED if self._span_s > SETTLED_S else GAIN
+        if self.is_other and abs(read_s - expected_s) > AGREES_S:
+            gain = 1.0  # The line was wrong until the rate was known.
         end_s = expected_s + gain * (read_s - expected_s)
         if index - before > count:
             self._line.append((index - count, end_s - count * self._period_s))
@@ -141,9 +154,18 @@ class Oscillator:
         self._points.append((index, read_s))
         if self._span_s > LEAST_S:
             indices, times = zip(*self._points, strict=True)
-            period_s = linear_regression(indices, times).slope
-            if abs(period_s / self._nominal_s - 1) < TOLERANCE:
-                self._period_s = period_s
+            line = linear_regression(indices, times)
+            is_other = abs(line.slope / self._nominal_s - 1) >= TOLERANCE
+            if is_other:
+                wrong_s = (line.slope * at + line.intercept - each for at, each in self._points)
+                if len(times) < FITS_POINTS or max(map(abs, wrong_s)) > FITS_S:
+                    return  # nothing is dropped: the times are on no line yet
+            self.is_other, self._period_s = is_other, line.slope
+
+    @property
+    def rate_hz(self) -> float:
+        """The rate as it is known by now."""
+        return 1 / self._period_s
 
 
 class Rows(NamedTuple):
@@ -173,8 +195,14 @@ class SensorRows:
         self._oscillator = oscillator
         self._rounds: list[tuple[float, int]] = []
         self._last: list[tuple[float, int] | None] = [None] * channels
+        self._apart = [0] * channels
         self._rows: dict[int, list[float]] = {}
         self._next: int | None = None
+
+    @property
+    def other_hz(self) -> float | None:
+        """The sensor's rate if it is not the nominal one."""
+        return self._oscillator.rate_hz if self._oscillator.is_other else None
 
     def restarted(self) -> SensorRows:
         """Return a copy for a restarted device."""
@@ -227,14 +255,28 @@ class SensorRows:
 
     def _place(self, channel: int, count: int, time_s: float, *, gap: bool) -> int:
         """Return the index of a packet's last sample, counted from the very first one."""
-        for round_s, index in reversed(self._rounds):
-            if abs(round_s - time_s) <= TOGETHER_S:
-                return index
-        index = self._follow(channel, count, time_s, gap=gap)
+        beside = (at for at_s, at in reversed(self._rounds) if abs(at_s - time_s) <= TOGETHER_S)
+        index = next(beside, None)
+        if index is None:
+            index = self._follow(channel, count, time_s, gap=gap)
+        else:
+            index = self._beside(index, channel, count, time_s, gap=gap)
         if not self._rounds or index > self._rounds[-1][1]:
             # Only the most advanced channel updates the clock, because the others add nothing new.
             self._lead(index, count, time_s)
         return index
+
+    def _beside(self, index: int, channel: int, count: int, time_s: float, *, gap: bool) -> int:
+        """Return the index in a round of others, of which it may have a sample more or less."""
+        own = self._last[channel]
+        if own is None or gap:
+            return index
+        follows = own[1] + count
+        hole_s = time_s - own[0] - count / self._rate_hz
+        self._apart[channel] = self._apart[channel] + 1 if follows != index else 0
+        # A channel that stays behind has lost samples.
+        is_brief = self._apart[channel] <= ROUNDS_KEPT
+        return follows if is_brief and abs(hole_s) <= BETWEEN_S else index
 
     def _follow(self, channel: int, count: int, time_s: float, *, gap: bool) -> int:
         """Continue after the channel's last sample, which may be read later than the others'."""
@@ -298,14 +340,20 @@ class EmotiBitEmitter:
 
     def __init__(self, sink: Sink, ppg_hz: float) -> None:
         self._sink = sink
-        self._sensors = {
-            "eda": _sensor("eda", CONDUCTANCE_HZ, 0.0),
-            "ppg": _sensor("ppg", ppg_hz, READ_LATE_S),
-            "st": _sensor("st", TEMPERATURE_HZ, 0.0),
-            **{name: _sensor(name, MOTION_HZ, READ_LATE_S) for name in ("acc", "gyro", "mag")},
-        }
         self._order, self._times = InOrder(), PacketTimeline(TIMES_MS)
         self._is_first = False
+        self._nominal_hz = {
+            "eda": CONDUCTANCE_HZ,
+            "ppg": ppg_hz,
+            "st": TEMPERATURE_HZ,
+            **dict.fromkeys(("acc", "gyro", "mag"), MOTION_HZ),
+        }
+        self._sensors = {
+            # The processor triggers conductance and temperature itself.
+            name: _sensor(name, hz, 0.0 if name in ("eda", "st") else READ_LATE_S)
+            for name, hz in self._nominal_hz.items()
+        }
+        self._remarks: dict[str, str] = {}
         self._gaps = 0
         self._gaps_before: dict[str, int] = {}
         self._observed_s: float | None = None
@@ -316,6 +364,7 @@ class EmotiBitEmitter:
     def connected(self) -> None:
         """Prepare for a new connection, with lost packets or a restarted device."""
         self._is_first = True
+        self._remarks.clear()
         self.ended()
         for sensor in self._sensors.values():
             sensor.break_off()
@@ -435,6 +484,19 @@ class EmotiBitEmitter:
                 self._sink.emit(data_name, rows.values, rows.times_s)
             if rows.lost:
                 self._sink.lost(data_name, rows.lost)
+            self._compare_rate(data_name, sensor.other_hz)
+
+    def _compare_rate(self, data_name: str, other_hz: float | None) -> None:
+        text = ""
+        if other_hz is not None:
+            nominal_hz = self._nominal_hz[data_name]
+            text = (
+                f"{data_name} is measured {other_hz:.1f} times a second, and its header says "
+                f"{nominal_hz:g}; install the firmware of EmotiBit as it is delivered"
+            )
+        if text != self._remarks.get(data_name, ""):
+            self._remarks[data_name] = text
+            self._sink.remark(f"rate of {data_name}", text)
 
 
 def _sensor(data_name: str, rate_hz: float, late_s: float) -> SensorRows:
