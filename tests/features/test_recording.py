@@ -24,6 +24,7 @@ from biosensor_gateway.cli.features import compute_recording, features
 from biosensor_gateway.devices.emotibit import SPEC as EMOTIBIT
 from biosensor_gateway.devices.empatica_e4 import SPEC as EMPATICA_E4
 from biosensor_gateway.features.outputs import features_of
+from biosensor_gateway.recording.contents.opening import open_contents
 from tests.features import signals
 from tests.recording_export.study import ecg_values, ours
 from tests.xdf import xdf_file as made
@@ -208,6 +209,54 @@ def test_a_stream_whose_features_another_one_gives_is_named(tmp_path: Path) -> N
     assert sentence == (
         "no beats, hr_live, hr_live_quality, hr_state, hrv_live of stream 'strap' of type PPG: "
         "stream 'strap' of type ECG has the source_id 's1' and gives them"
+    )
+
+
+def _ecg_from(number: int, begin_s: float, clock_s: float = OFFSET_S) -> tuple[bytes, list[float]]:
+    """Return 30 s of one ECG whose outlet may be in the file again, and its beats."""
+    signal, beats = signals.ecg(130, 30)
+    stamps: list[float] = (begin_s + np.arange(len(signal)) / 130).tolist()
+    header = made.stream_header(number, "amp", kind="ECG", rate=130.0, source_id="a1")
+    rows = signal[:, np.newaxis].tolist()
+    moments = (stamps[0], stamps[-1])
+    content = made.offsets(number, moments, clock_s) + made.samples(number, "float32", rows, stamps)
+    return header + content, [begin_s + clock_s + float(each) for each in beats]
+
+
+@pytest.mark.parametrize("suffix", [".xdf", ".csv"])
+def test_a_stream_that_was_recorded_again_has_features_of_both_times(
+    tmp_path: Path, suffix: str
+) -> None:
+    path, target = tmp_path / "study.xdf", tmp_path / f"features{suffix}"
+    # Behind the first, and of a computer that was started again in between.
+    later, later_beats = _ecg_from(1, 60.0, BEGIN_S)
+    first, first_beats = _ecg_from(2, BEGIN_S)
+    path.write_bytes(made.xdf(later, first))
+    result = CliRunner().invoke(_COMMAND, [str(path), "--output", str(target), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.output)["refused"] == []
+    if suffix == ".csv":
+        with target.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["stream"].endswith("-beats")]
+        times = [float(row["time_s"]) for row in rows if row["channel"] == "interval"]
+    else:
+        with open_contents(target) as contents:
+            (stream,) = [e for e in contents.streams if e.header.name.endswith("-beats")]
+            times = [each for block in stream.blocks() for each in block.times.tolist()]
+    for beats in (first_beats, later_beats):
+        found = [min(abs(each - beat) for each in times) < 0.05 for beat in beats]
+        assert found.count(False) <= 2
+
+
+def test_two_streams_of_one_source_id_at_one_time_are_no_success(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(made.xdf(_ecg_from(1, BEGIN_S)[0], _ecg_from(2, BEGIN_S + 10)[0]))
+    result = CliRunner().invoke(_COMMAND, [str(path), "--json"])
+    assert result.exit_code == 1
+    (sentence,) = json.loads(result.output)["refused"]
+    assert sentence == (
+        "no features of one of the streams 'amp': another one was recorded at the same time with "
+        "its source_id, 'a1'; give each sender one of its own"
     )
 
 

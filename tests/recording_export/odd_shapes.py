@@ -325,6 +325,41 @@ def _huge_offsets() -> list[bytes]:
     return [_signal(_even(), clock=clock), _events()]
 
 
+_YEARS_S = 1.7e9
+
+
+def _clock_set(
+    *, clock_s: float = 0.0, stamps_s: float = 0.0, offset_s: float = 0.0
+) -> list[bytes]:
+    """A stream whose clock is set in the middle.
+
+    Parameters
+    ----------
+    clock_s, stamps_s
+        By how much its clock, and its stamps, are set forward.
+    offset_s
+        By how much clock offsets differ without anything being set.
+    """
+    half, stamps, values = COUNT // 2, _even(), _wave(COUNT)
+    stamps[half:] += stamps_s
+    begin = [(BEGIN_S + each, 0.0) for each in (0.0, 2.0, 4.0, 6.0, 8.0)]
+    end = [(at + 10 + clock_s, offset_s - clock_s) for at, _ in begin]
+    return [
+        made.stream_header(1, "ecg", kind="ECG", rate=RATE, source_id="id1"),
+        *(made.clock_offset(1, *each) for each in begin),
+        _chunks(1, stamps[:half].tolist(), values[:half]),
+        *(made.clock_offset(1, *each) for each in end),
+        _chunks(1, stamps[half:].tolist(), values[half:]),
+        made.footer(1, COUNT),
+        _events(),
+    ]
+
+
+def _offset_of_years() -> list[bytes]:
+    clock = [(BEGIN_S + 2 * at, _YEARS_S * (at == 4)) for at in range(10)]
+    return [_signal(_even(), clock=clock), _events()]
+
+
 def _odd_values() -> list[bytes]:
     values: list[list[float]] = [[each, np.nan, np.inf, -1e308] for each in range(COUNT)]
     values[3][3] = 1e308
@@ -446,6 +481,12 @@ def _code_page() -> list[bytes]:
     return [header, _chunks(1, _even().tolist(), _wave(COUNT)), made.footer(1, COUNT), marker]
 
 
+def nameless(stamps: Array) -> list[bytes]:
+    """Return the parts of a recording with a stream without a name."""
+    clock = [(BEGIN_S, 0.0), (BEGIN_S + 20, 0.0)]
+    return [_signal(stamps, name="", source_id="", clock=clock), _events()]
+
+
 Made = Callable[[], list[bytes]]
 
 SHAPES: dict[str, Made] = {
@@ -490,6 +531,13 @@ SHAPES: dict[str, Made] = {
     "no clock offset": _no_offset,
     "clock offsets that are no number": _bad_offsets,
     "clock offsets of years": _huge_offsets,
+    "clock offsets of years from the middle on": lambda: _clock_set(offset_s=_YEARS_S),
+    "clock offsets of years before": lambda: _clock_set(offset_s=-_YEARS_S),
+    "one clock offset of years": _offset_of_years,
+    "a clock that was set to the date": lambda: _clock_set(clock_s=_YEARS_S, stamps_s=_YEARS_S),
+    "a clock that was set to the date, and stamps that were not": lambda: _clock_set(
+        clock_s=_YEARS_S
+    ),
     "odd values": _odd_values,
     "a header twice": _same_header_twice,
     "samples before their header": _samples_first,
@@ -520,7 +568,7 @@ SHAPES: dict[str, Made] = {
         _events(stamps=[BEGIN_S + each for each in (3.0, 1.0, 2.0)]),
     ],
     "characters of Windows": _code_page,
-    "a stream without a name": lambda: [_signal(_even(), name="", source_id=""), _events()],
+    "a stream without a name": lambda: nameless(_even()),
     "a unit that is not ASCII": lambda: [
         _signal(_even(), desc=_channels(["lead"], ["µV"])),
         _events(),

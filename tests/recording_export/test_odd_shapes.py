@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import gzip
 import math
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from backports import zstd
 from numpy.typing import NDArray
 
 from biosensor_common.stream_header import Replay
+from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.bag.types import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
@@ -21,7 +27,9 @@ from biosensor_gateway.recording.replay.outlet import played_info
 from biosensor_gateway.recording.replay.player import Player, PlayOptions, Timeline, Track
 from biosensor_gateway.recording.replay.source import ReplayError, opened
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.verdict import check
 from tests.recording_export import odd_shapes
 from tests.xdf.checking import read
 
@@ -124,11 +132,7 @@ def _content(path: Path) -> Content:
     return found
 
 
-# Stamps that none of the clock offsets is about.
-WILD = {"clock offsets of years"}
-
-
-@pytest.mark.parametrize("shape", [each for each in FILES if each not in WILD])
+@pytest.mark.parametrize("shape", FILES)
 def test_by_way_of_a_bag_each_sample_comes_back_or_it_is_said(shape: str, tmp_path: Path) -> None:
     path = _written(shape, tmp_path)
     try:
@@ -153,6 +157,33 @@ def test_by_way_of_a_bag_each_sample_comes_back_or_it_is_said(shape: str, tmp_pa
             continue
         assert told_times == pytest.approx(times, abs=2e-6)
         assert told_values == values
+
+
+@pytest.mark.parametrize(
+    ("shape", "told"),
+    [
+        ("a clock that was set to the date", "clock-reset"),
+        ("a clock that was set to the date, and stamps that were not", "clock-reset"),
+        ("clock offsets of years", "unused-offsets"),
+        ("clock offsets of years from the middle on", "unused-offsets"),
+        ("clock offsets of years before", "unused-offsets"),
+        ("one clock offset of years", "unused-offsets"),
+    ],
+)
+def test_a_clock_that_is_off_by_years_moves_no_sample_and_is_told(
+    shape: str, told: str, tmp_path: Path
+) -> None:
+    path = _written(shape, tmp_path)
+    (times, _), *_ = _content(path).values()
+    expected = odd_shapes.BEGIN_S + np.arange(odd_shapes.COUNT) / odd_shapes.RATE
+    assert times == pytest.approx(expected.tolist(), abs=2e-3)
+    findings = check(path).findings
+    assert [each.level for each in findings if each.code == told] == [Level.WARNING]
+    if told == "unused-offsets":
+        outcome = _exported(path)
+        computed = compute(path, tmp_path / "features.csv")
+        for notes in (outcome.clock_notes, computed.remarks):
+            assert any("not used" in note and note.startswith("ecg: ") for note in notes), notes
 
 
 def test_a_replay_says_what_it_does_with_time_that_steps_back(tmp_path: Path) -> None:
@@ -191,3 +222,58 @@ def test_a_name_too_long_for_what_is_made_of_it_is_no_fault_of_the_recording(
         assert str(caught.value).startswith("cannot write ")
         assert str(caught.value).endswith("; choose a shorter name")
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_no_sentence_about_a_stream_without_a_name_begins_with_nothing(tmp_path: Path) -> None:
+    # Its stamps are unix time, and one of them is missing, so that there is something to say.
+    stamps = odd_shapes.BEGIN_S + 1.7e9 + np.arange(odd_shapes.COUNT) / odd_shapes.RATE
+    stamps[7] = np.nan
+    path = tmp_path / "rec.xdf"
+    path.write_bytes(odd_shapes.made.xdf(*odd_shapes.nameless(stamps)))
+    formats = ("csv", "edf", "kubios", "bids", "mcap", "ledalab")
+    outcome = export(path, Task(formats, Selection()), lambda _name, _s: lambda _done: None)
+    judged = check(path)
+    with opened(path) as contents:
+        chosen = choose(contents, Selection())
+        played = list(playback.left_out(Player(chosen, PlayOptions(), "hash")))
+    sentences = [
+        *(note for each in outcome.written for note in each.notes),
+        *(each.why for each in outcome.without),
+        *outcome.clock_notes,
+        *(f"{each.stream}: {each.text}" for each in judged.findings),
+        *compute(path, tmp_path / "features.csv").remarks,
+        *played,
+    ]
+    assert sum("nameless ECG" in each for each in sentences) > 6
+    for each in sentences:
+        assert not each.startswith(":"), each
+        assert "''" not in each, each
+        assert ": :" not in each, each
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+@pytest.mark.parametrize("is_bag", [False, True])
+def test_no_room_for_temporary_files_is_no_fault_of_what_is_packed(
+    is_bag: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import resource  # noqa: PLC0415 - not on Windows
+
+    plain = tmp_path / "rec.xdf"
+    plain.write_bytes(odd_shapes.made.xdf(*odd_shapes.nameless(np.arange(1e5) / 130)))
+    pack = zstd.compress if is_bag else gzip.compress
+    path = tmp_path / ("a_0.mcap.zstd" if is_bag else "rec.xdfz")
+    path.write_bytes(pack(plain.read_bytes()))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # A write beyond it fails, as one to a disk that is full.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        with pytest.raises((RecordingError, BagError)) as caught:
+            _ = import_bag(path, tmp_path / "again.xdf") if is_bag else check(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.reason in {RecordingReason.UNWRITABLE, BagReason.UNWRITABLE}
+    assert str(caught.value).startswith(f"cannot write temporary files to {tmp_path}/temporary: ")
+    assert str(caught.value).endswith("; the variable TMPDIR (on Windows TEMP) says where")
+    assert not list((tmp_path / "temporary").iterdir())

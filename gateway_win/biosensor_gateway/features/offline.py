@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 
@@ -51,7 +52,8 @@ class Computed:
         Problems with the stamps of other streams, what could not be read, and whose data may be
         another person's; sentences.
     is_whole
-        Whether all of the recording could be read, and is of one agent.
+        Whether all of the recording could be read, is of one agent, and has no stream twice at the
+        same time.
     """
 
     written: Path
@@ -78,8 +80,8 @@ def compute(path: Path, target: Path) -> Computed:
         If the recording cannot be read.
     """
     with open_contents(path) as contents:
-        streams, remarks = with_true_rates(contents.streams)
-        pairs, refused = _sources(streams)
+        rated, remarks = with_true_rates(contents.streams)
+        pairs, refused, doubled = _sources(_in_parts(contents.streams, rated))
         if not any(source.features for _, source in pairs):
             why = "; ".join(refused) or "it has no stream of a type that features are of"
             why += "".join(f"; {each}" for each in remarks) + contents.why_incomplete
@@ -94,43 +96,77 @@ def compute(path: Path, target: Path) -> Computed:
         except OSError as error:
             message = cannot_write(target, error)
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
+        read = [each for parts, _ in pairs for each in parts]
         remarks += [
-            f"{each.header.name}: {each.untimed} samples are left out, for their stamps are no "
+            f"{each.header.title}: {each.untimed} samples are left out, for their stamps are no "
             "number"
-            for each, _ in pairs
+            for each in read
             if each.untimed
         ]
         remarks += [
-            f"{each.header.name}: {each.clock_error}, so the times of its features are in doubt"
-            for each, _ in pairs
+            f"{each.header.title}: {each.clock_error}, so the times of its features are in doubt"
+            for each in read
             if each.clock_error
         ]
         remarks += [
-            f"{each.header.name}: {span.text(contents.begin_s)}"
-            for each, _ in pairs
+            f"{each.header.title}: {span.text(contents.begin_s)}"
+            for each in read
             for span in each.clock.doubtful_spans
+        ]
+        remarks += [
+            f"{each.header.title}: {each.clock.unused}" for each in read if each.clock.unused
         ]
         others = contents.of_other_agents
         mismatch = compare_file(path, (each.header.identity for each in contents.streams))
         remarks += [*others, *([mismatch.sentence] if mismatch else [])]
         if contents.damages:
             remarks.append(f"not all of {path} can be read{contents.why_incomplete}")
-        is_whole = not (contents.damages or others)
-        return Computed(target, counts, tuple(refused), tuple(remarks), is_whole)
+        is_whole = not (contents.damages or others or doubled)
+        return Computed(target, counts, (*refused, *doubled), tuple(remarks), is_whole)
 
 
-_Pairs = Sequence[tuple[Stream, Source]]
+_Parts = tuple[Stream, ...]
+"""A stream in the order of time: a recorder begins it again when its outlet comes back."""
+_Pairs = Sequence[tuple[_Parts, Source]]
 
 
-def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
+def _in_parts(recorded: Sequence[Stream], rated: Sequence[Stream]) -> list[_Parts]:
+    """Put together streams that go on with each other; what has the same time stays apart."""
+    ends = [each.ends() or (-math.inf, -math.inf) for each in recorded]
+    found: list[list[int]] = []
+    for at in sorted(range(len(recorded)), key=lambda each: ends[each]):
+        begin_s, _ = ends[at]
+        for parts in found:
+            before = parts[-1]
+            if ends[before][1] <= begin_s and _is_twin(recorded[before], recorded[at]):
+                parts.append(at)
+                break
+        else:
+            found.append([at])
+    found.sort(key=min)
+    return [tuple(rated[at] for at in parts) for parts in found]
+
+
+def _is_twin(one: Stream, other: Stream) -> bool:
+    """Whether two streams have one source_id, and also else the same header."""
+    ids = {one.header.source_id, other.header.source_id}
+    # Rates may be those of the samples, which differ a little.
+    rate = other.meaning.rate
+    return len(ids) == 1 and "" not in ids and replace(one.meaning, rate=rate) == other.meaning
+
+
+def _sources(streams: Sequence[_Parts]) -> tuple[_Pairs, list[str], list[str]]:
+    """Return the sources, why other streams are none, and which are left out as duplicates."""
     found: list[Source] = []
     refused: list[str] = []
-    by_header = {id(stream.meaning): stream for stream in streams}
-    for stream in streams:
+    doubled: list[str] = []
+    fullest = [max(parts, key=lambda each: each.sample_count) for parts in streams]
+    by_header = {id(each.meaning): parts for each, parts in zip(fullest, streams, strict=True)}
+    for stream in fullest:
         if is_feature(stream.header.xml):
             continue  # nothing is dropped: features of features are not asked for
         try:
-            source = judge(stream.header.name, stream.header.source_id, stream.meaning)
+            source = judge(stream.header.title, stream.header.source_id, stream.meaning)
         except FeatureError as error:
             # nothing is dropped: `refused` is printed
             refused.append(str(error))
@@ -138,26 +174,43 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
         if source is not None:
             found.append(source)
     # A stream without samples gets what is left: which of two has any may depend on the model.
-    full = [each for each in found if by_header[id(each.header)].sample_count]
-    empty = [each for each in found if not by_header[id(each.header)].sample_count]
+    full = [each for each in found if _has_samples(by_header[id(each.header)])]
+    empty = [each for each in found if not _has_samples(by_header[id(each.header)])]
     taken: Taken = set()
     chosen = [*choose(full, taken), *choose(empty, taken)]
     kept = {id(each.header): each.features for each in chosen}
     for each in found:
         left = [one for one in each.features if one not in kept.get(id(each.header), ())]
-        if why := left_out(each, left, chosen):
+        if left and _is_doubled(
+            by_header[id(each.header)], [by_header[id(one.header)] for one in chosen]
+        ):
+            doubled.append(
+                f"no features of one of the streams {each.name!r}: another one was recorded at the "
+                f"same time with its source_id, {each.source_id!r}; give each sender one of its own"
+            )
+        elif why := left_out(each, left, chosen):
             refused.append(why)
-    return [(by_header[id(each.header)], each) for each in chosen], refused
+    return [(by_header[id(each.header)], each) for each in chosen], refused, doubled
+
+
+def _has_samples(parts: _Parts) -> bool:
+    return any(each.sample_count for each in parts)
+
+
+def _is_doubled(parts: _Parts, chosen: Iterable[_Parts]) -> bool:
+    return _has_samples(parts) and any(
+        each is not parts and _is_twin(each[0], parts[0]) for each in chosen
+    )
 
 
 def _witnesses(pairs: _Pairs) -> Witnesses:
     """Return the witnesses of all devices, over the whole recording."""
     witnesses: Witnesses = {}
-    for stream, source in pairs:
+    for parts, source in pairs:
         witness = source.new_witness(keep_s=math.inf)
-        if witness is not None and stream.sample_count:
+        if witness is not None and _has_samples(parts):
             witnesses[source.key] = witness
-            for samples in stream.blocks():
+            for samples in chain.from_iterable(each.blocks() for each in parts):
                 witness.take(samples.stamps, source.scaled(samples.values))
     return witnesses
 
@@ -179,11 +232,11 @@ def _computed(
 class _Written:
     """A stream of a feature in an XDF file, with the data of its footer."""
 
-    def __init__(self, number: int, stream: Stream, feature: Feature) -> None:
+    def __init__(self, number: int, parts: _Parts, feature: Feature) -> None:
         self.number, self._feature = number, feature
         self.first = self.last = 0.0
         self.sample_count = 0
-        self.clock_offsets = stream.clock_offsets
+        self.clock_offsets = [each for part in parts for each in part.clock_offsets]
 
     def chunk(self, events: Sequence[Event]) -> bytes:
         own = [each for each in events if each.feature == self._feature.name]
@@ -200,7 +253,7 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) ->
     writing.begin(file, begun, ())
     counts: dict[str, int] = {}
     witnesses, number = _witnesses(pairs), 0
-    for stream, source in pairs:
+    for parts, source in pairs:
         written: list[_Written] = []
         names: list[str] = []
         for feature in source.features:
@@ -208,11 +261,13 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) ->
             info = stream_info(source, feature)
             names.append(info.name())
             file.write(writing.stream_header(number, info.as_xml()))
-            written.append(_Written(number, stream, feature))
-            for taken_at, offset in stream.clock_offsets:
-                file.write(writing.clock_offset(number, taken_at, offset))
-        for _, events in _computed(stream, source, witnesses, remarks):
-            file.writelines(each.chunk(events) for each in written)
+            written.append(_Written(number, parts, feature))
+        for part in parts:
+            for each in written:
+                for taken_at, offset in part.clock_offsets:
+                    file.write(writing.clock_offset(each.number, taken_at, offset))
+            for _, events in _computed(part, source, witnesses, remarks):
+                file.writelines(each.chunk(events) for each in written)
         for name, each in zip(names, written, strict=True):
             file.write(writing.boundary() + writing.footer(each.number, each))
             counts[name] = each.sample_count
@@ -225,20 +280,21 @@ def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str, remarks: list[str]) -
     rows.writerow(["time_s", "stream", "channel", "unit", "value"])
     counts: dict[str, int] = {}
     witnesses = _witnesses(pairs)
-    for stream, source in pairs:
+    for parts, source in pairs:
         known = {each.name: each for each in source.features}
         names = {name: stream_info(source, each).name() for name, each in known.items()}
         counts |= dict.fromkeys(names.values(), 0)
-        for samples, events in _computed(stream, source, witnesses, remarks):
-            to_recorder = _clock(stream, samples)
-            for event in events:
-                name = names[event.feature]
-                counts[name] += 1
-                time_s = repr(to_recorder(event.stamp))
-                channels = known[event.feature].stream.channels
-                for channel, value in zip(channels, event.values, strict=True):
-                    number = "" if np.isnan(value) else str(np.float32(value))
-                    rows.writerow([time_s, name, channel.label, channel.unit, number])
+        for part in parts:
+            for samples, events in _computed(part, source, witnesses, remarks):
+                to_recorder = _clock(part, samples)
+                for event in events:
+                    name = names[event.feature]
+                    counts[name] += 1
+                    time_s = repr(to_recorder(event.stamp))
+                    channels = known[event.feature].stream.channels
+                    for channel, value in zip(channels, event.values, strict=True):
+                        number = "" if np.isnan(value) else str(np.float32(value))
+                        rows.writerow([time_s, name, channel.label, channel.unit, number])
     text.detach()
     return counts
 

@@ -1,14 +1,17 @@
-"""Creates files and folders atomically, without replacing existing ones."""
+"""Creates files and folders atomically, without replacing existing ones, and temporary ones."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import stat
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+from biosensor_common.errors import GatewayError, cannot_write
 
 _ANY_MODE = 0o666
 _OWNER_MODE = 0o600
@@ -52,6 +55,32 @@ def _create(path: Path, mode: int) -> int:
     # Without O_BINARY, Windows translates line ends.
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     return os.open(path, flags, mode)
+
+
+@contextmanager
+def temporary_disk(raised: Callable[[str], GatewayError]) -> Generator[None]:
+    """Raise another error, which takes a sentence, where temporary files cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        place = ""
+        with suppress(OSError):  # there may be no folder for them at all
+            place = f" to {tempfile.gettempdir()}"
+        told = cannot_write(f"temporary files{place}", error)
+        raise raised(f"{told}; the variable TMPDIR (on Windows TEMP) says where") from error
+
+
+@contextmanager
+def temporary_file(raised: Callable[[str], GatewayError]) -> Generator[BinaryIO]:
+    """Open a file without a name, for reading and writing; see `temporary_disk`."""
+    with temporary_disk(raised):
+        file = tempfile.TemporaryFile()  # noqa: SIM115 - closed below
+    try:
+        yield file
+    finally:
+        # What could not be written has been told.
+        with suppress(OSError):
+            file.close()
 
 
 _FOLDER_MODE = 0o755

@@ -475,7 +475,7 @@ def _contents(path: Path) -> RecordingContents:
 def _stream(stream: Stream) -> RecordedStream:
     identity = stream.header.identity
     return RecordedStream(
-        name=stream.header.name,
+        name=stream.header.title,
         wearer="" if identity is None else identity.participant,
         samples=stream.sample_count,
     )

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import sqlite3
 import struct
 from binascii import crc32
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from enum import IntEnum, unique
 from importlib import import_module
-from io import BytesIO
+from io import BytesIO, RawIOBase
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
@@ -30,7 +29,9 @@ from biosensor_gateway.recording.bag.types import (
     Note,
     Topic,
 )
+from biosensor_gateway.system.new_file import temporary_disk
 
+_BLOCK_BYTES = 1 << 20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -56,16 +57,33 @@ def unpack_zstd_file(packed: Path, target: Path) -> None:
     ------
     MessageError
         If it is invalid or damaged; the data before the damage is written.
+    BagError
+        ``UNWRITABLE``, if there is no room for it.
     OSError
-        If one file cannot be read or the other cannot be written.
+        If it cannot be read.
     """
     zstd = _zstd()
-    with target.open("wb") as unpacked:
+    with temporary_disk(_unwritable):
+        unpacked = target.open("wb", buffering=0)
+    with unpacked:
         try:
             with zstd.open(packed, "rb") as file:
-                shutil.copyfileobj(file, unpacked)
+                while block := file.read(_BLOCK_BYTES):
+                    _write_all(unpacked, block)
         except (zstd.ZstdError, EOFError) as error:
             raise MessageError("not all of it can be unpacked") from error
+
+
+def _write_all(file: RawIOBase, block: bytes) -> None:
+    left = memoryview(block)
+    with temporary_disk(_unwritable):
+        while left:
+            # On a disk that is nearly full, only a part of it.
+            left = left[file.write(left) or 0 :]
+
+
+def _unwritable(sentence: str) -> BagError:
+    return BagError(BagReason.UNWRITABLE, sentence)
 
 
 def unpack_lz4(packed: bytes, most: int) -> bytes:
@@ -394,6 +412,8 @@ def read_bag(path: Path, note: Note) -> Iterator[Message]:
         except BagError as error:
             if file.suffix != _PACKED:
                 raise
+            if error.reason is BagReason.UNWRITABLE:
+                raise
             # The error names the temporary decompressed file, so it is replaced by the file's
             # name.
             note(f"{file.name}: nothing of it can be read ({error.reason.name.lower()})")
@@ -412,7 +432,9 @@ def _plain(file: Path, note: Note) -> Generator[Path]:
     if file.suffix != _PACKED:
         yield file
         return
-    with TemporaryDirectory(prefix="biosensor-gateway-bag-") as folder:
+    with ExitStack() as stack:
+        with temporary_disk(_unwritable):
+            folder = stack.enter_context(TemporaryDirectory(prefix="biosensor-gateway-bag-"))
         plain = Path(folder, _unpacked_path(file).name)
         try:
             unpack_zstd_file(file, plain)

@@ -43,7 +43,7 @@ from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import Texts
-from biosensor_gateway.recording.xdf.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf.sender_clock import Offset, SenderClock, is_plausible
 
 OFFSETS_EVERY_S = 5.0
 """LabRecorder measures clocks at this interval."""
@@ -99,7 +99,7 @@ class StreamWriter:
         self._write = write
         self.number = number
         self._form, self._channels = form, channels
-        self._due = None if clock_offsets is None else list(reversed(clock_offsets))
+        self._due = None if clock_offsets is None else _in_order(clock_offsets)
         self._clock = SenderClock(clock_offsets or ())
         self._times: list[NDArray[np.float64]] = []
         self._values: list[Any] = []
@@ -159,8 +159,8 @@ class StreamWriter:
 
     def _tell_clock(self, first: float, until: float) -> None:
         if self._due is not None:
-            while self._due and sum(self._due[-1]) <= until:
-                self._tell(*self._due.pop())
+            while self._due and self._due[-1][0] <= until:
+                self._tell(*self._due.pop()[1])
             return
         if not self.clock_offsets:
             self._tell(first, 0.0)
@@ -173,6 +173,14 @@ class StreamWriter:
     def _tell(self, taken_at: float, offset: float) -> None:
         self.clock_offsets.append((taken_at, offset))
         self._write(writing.clock_offset(self.number, taken_at, offset))
+
+
+def _in_order(offsets: Sequence[Offset]) -> list[tuple[float, Offset]]:
+    """Return the recorder's time of each clock offset, with the offset, the first one last."""
+    # None waits behind one that is not used, whose time may never come.
+    is_used = is_plausible(np.array(offsets, np.float64).reshape(-1, 2)).tolist()
+    times = [sum(each) if used else -math.inf for each, used in zip(offsets, is_used, strict=True)]
+    return list(zip(reversed(times), reversed(offsets), strict=True))
 
 
 ToLsl = Callable[[NDArray[np.int64]], NDArray[np.float64]]

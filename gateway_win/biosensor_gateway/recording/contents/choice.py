@@ -123,7 +123,7 @@ def choose(contents: Contents, selection: Selection) -> Chosen:
     streams = [each for each in contents.streams if _is_of(each, selection)]
     for pattern in selection.streams:
         if not any(_fits(each, pattern) for each in streams):
-            names = _listed({each.header.name for each in streams})
+            names = _listed({each.header.title for each in streams})
             message = f"there is no stream {pattern!r} in {contents.path}; {names}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     if selection.streams:

@@ -53,7 +53,7 @@ class Contents:
         found: list[str] = []
         for stream, texts, ahead_s in self.events:
             told = other_agent_told(texts, self.begin_s - ahead_s)
-            found += [f"{stream.header.name}: {told}"] if told else []
+            found += [f"{stream.header.title}: {told}"] if told else []
         return found
 
     @property
@@ -138,7 +138,7 @@ def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list
             continue
         found.append(stream.with_rate(true_hz))
         notes.append(
-            f"{stream.header.name}: its header says {nominal_hz:g} Hz; it is taken as "
+            f"{stream.header.title}: its header says {nominal_hz:g} Hz; it is taken as "
             f"{true_hz:.6g} Hz, that of a line through its stamps"
         )
     return tuple(found), notes
@@ -168,7 +168,7 @@ def with_rates(
     found: list[Stream] = []
     notes: list[str] = []
     for stream in streams:
-        name = stream.header.name
+        name = stream.header.title
         known = [hz for fit, hz in wanted.items() if _fits(stream, fit)]
         rate_hz = known[0] if known else estimated_rate(stream)
         if stream.header.is_regular or rate_hz is None:

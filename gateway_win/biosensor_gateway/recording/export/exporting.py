@@ -193,12 +193,12 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
         )
     if clock is Clock.WALL and wall is not None and wall.doubt:
         yield f"the time of day {wall.doubt}"
-    if guessed := [each.header.name for each in chosen.streams if each.is_guessed]:
+    if guessed := [each.header.title for each in chosen.streams if each.is_guessed]:
         yield (
             f"not all of {', '.join(guessed[:3])}{', ...' if len(guessed) > 3 else ''} is UTF-8, "
             "so characters were guessed, as in Windows"
         )
-    unmeasured = [each.header.name for each in chosen.streams if not each.clock.is_known]
+    unmeasured = [each.header.title for each in chosen.streams if not each.clock.is_known]
     if unmeasured:
         streams = "1 stream" if len(unmeasured) == 1 else f"{len(unmeasured)} streams"
         yield (
@@ -208,12 +208,16 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
     for each in chosen.streams:
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
-            yield Missing(f"{each.header.name}: {samples} left out, for their stamps are no number")
+            yield Missing(
+                f"{each.header.title}: {samples} left out, for their stamps are no number"
+            )
+        if each.clock.unused:
+            yield f"{each.header.title}: {each.clock.unused}"
         for span in each.clock.doubtful_spans:
-            yield f"{each.header.name}: {span.text(chosen.contents.begin_s)}"
+            yield f"{each.header.title}: {span.text(chosen.contents.begin_s)}"
         if each.clock_error:
             yield (
-                f"{each.header.name}: {each.clock_error}, so its time relative to the "
+                f"{each.header.title}: {each.clock_error}, so its time relative to the "
                 "other streams is unknown"
             )
 

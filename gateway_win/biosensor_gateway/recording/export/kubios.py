@@ -90,7 +90,7 @@ def _is_of(stream: Stream, kind: ContentType) -> bool:
 
 
 def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str]:
-    name, unit = stream.header.name, stream.meaning.units[0]
+    name, unit = stream.header.title, stream.meaning.units[0]
     if unit not in _IN_SECONDS:
         yield Missing(f"{name}: left out, because its unit is {unit!r}, neither s nor ms")
         return
@@ -127,7 +127,7 @@ def _write_ecg(
     notes: list[str],
 ) -> list[str]:
     """Write an ECG and add notes for the user; return its file names."""
-    name = stream.header.name
+    name = stream.header.title
     cut = Runs(chosen, stream, options.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:

@@ -149,22 +149,23 @@ def _write_stream(
             file.writelines(b"%b\t%b\t%b\n" % row for row in rows)
     if begin_s is None:
         path.unlink()
-        yield Missing(f"{stream.header.name}: left out, because it has no values")
+        yield Missing(f"{stream.header.title}: left out, because it has no values")
         return
     if unit.lower() in _CONDUCTANCES | _RESISTANCES:
-        yield f"{stream.header.name}: its values were converted from {unit} to microsiemens"
+        yield f"{stream.header.title}: its values were converted from {unit} to microsiemens"
     elif unit not in _MICROSIEMENS:
         yield (
-            f"{stream.header.name}: its unit is {unit!r}, and Ledalab interprets it as microsiemens"
+            f"{stream.header.title}: its unit is {unit!r}, and Ledalab interprets it as "
+            "microsiemens"
         )
     for what in told_of.sentences(len(happened)):
-        yield f"{stream.header.name}: {what}"
+        yield f"{stream.header.title}: {what}"
     if runs is not None:
         for what in runs.remarks_on_times():
-            yield f"{stream.header.name}: {what}"
+            yield f"{stream.header.title}: {what}"
         if gaps := runs.gaps():
             told = gap_text([each.lost for each in gaps])
-            yield f"{stream.header.name}: {told}; the marker {BAD_GAP} precedes each gap"
+            yield f"{stream.header.title}: {told}; the marker {BAD_GAP} precedes each gap"
 
 
 def _with_gaps(

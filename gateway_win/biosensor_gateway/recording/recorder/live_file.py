@@ -485,7 +485,7 @@ class Growth:
         worst: dict[str, Gaps] = {}
         for each in self._streams.values():
             header, gaps = each.header, self._gaps_of(each)
-            device = header.name.rpartition("-")[0] if header.is_ours else header.name
+            device = header.name.rpartition("-")[0] if header.is_ours else header.title
             if gaps.count and not header.is_counters:
                 worst[device] = max(worst.get(device, gaps), gaps, key=lambda one: one.count)
         for device, gaps in worst.items():
@@ -521,7 +521,7 @@ class Growth:
         for each in self._streams.values():
             if each.counted.strange_since is not None:
                 text = f"{STRANGE_SAMPLES}; stop it and record again"
-                yield Finding(Level.ERROR, "another-agent", each.header.name, text)
+                yield Finding(Level.ERROR, "another-agent", each.header.title, text)
         logs = [(each.header, each.log) for each in self._streams.values() if each.log]
         for header, log in logs:
             own_s = own_started_s if header.source_id == source_id else None
@@ -531,7 +531,7 @@ class Growth:
                     f"from {_clock_time(since_s, log)} on {OF_ANOTHER_AGENT}; stop it and record "
                     "again"
                 )
-                yield Finding(Level.ERROR, "another-agent", header.name, text)
+                yield Finding(Level.ERROR, "another-agent", header.title, text)
 
     @property
     def _length_s(self) -> float:
@@ -607,7 +607,7 @@ class Growth:
     def _progress(self, stream: _StreamReader) -> StreamProgress:
         header = stream.header
         return StreamProgress(
-            name=header.name,
+            name=header.title,
             source_id=header.source_id,
             host=header.hostname,
             nominal_hz=header.rate,

@@ -165,14 +165,14 @@ class PlayedOutlet:
 
     def __init__(self, header: RecordedHeader, source_id: str, replay: Replay) -> None:
         if header.format is ChannelFormat.INT64 and sys.platform == "win32":
-            message = f"pylsl cannot send int64 on Windows; leave {header.name!r} out by --streams"
+            message = f"pylsl cannot send int64 on Windows; leave {header.title!r} out by --streams"
             raise ReplayError(ReplayReason.NO_OUTLET, message)
         self.tap: Tap | None = None
         try:
             info = played_info(header, source_id, replay)
             self._outlet, self._format = LslOutlet(info), header.format
         except RuntimeError as error:
-            message = f"LSL cannot offer the stream {header.name!r} ({error})"
+            message = f"LSL cannot offer the stream {header.title!r} ({error})"
             raise ReplayError(ReplayReason.NO_OUTLET, message) from error
 
     def block(self, samples: Samples, stamps: NDArray[np.float64]) -> Block:

@@ -151,7 +151,7 @@ def damaged(damages: Sequence[Damage]) -> Iterator[str]:
 def left_out(player: Player) -> Iterator[str]:
     """Yield warnings about streams and samples that are not played, or not as recorded."""
     for each in player.streams:
-        name = each.header.name
+        name = each.header.title
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
             yield f"warning: {name}: {samples} not played, for their stamps are no number"
@@ -164,8 +164,8 @@ def left_out(player: Player) -> Iterator[str]:
             yield f"warning: a stream without a name is played as {NAMELESS!r}"
     for each in player.left_out:
         yield (
-            f"warning: {each.header.name} is not played, because {each.clock_error}; --streams "
-            f"{each.header.name!r} plays it alone"
+            f"warning: {each.header.title} is not played, because {each.clock_error}; --streams "
+            f"{each.header.title!r} plays it alone"
         )
 
 

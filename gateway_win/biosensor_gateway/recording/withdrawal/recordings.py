@@ -76,10 +76,10 @@ def look(path: Path, person: Person, pieces: Pieces) -> Seen:
             _take_pieces(stream, pieces)
         people = {each.header.identity.participant for each in rest if each.header.identity} - {""}
         return Seen(
-            tuple(each.header.name for each in own),
+            tuple(each.header.title for each in own),
             tuple(sorted(people)),
             sum(each.header.identity is None for each in rest),
-            tuple(each.header.name for each in rest if _names(each, person)),
+            tuple(each.header.title for each in rest if _names(each, person)),
             len(contents.damages),
         )
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 import zlib
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,6 +19,7 @@ from typing import BinaryIO, NamedTuple
 from uuid import UUID
 
 from biosensor_common.errors import GatewayError, cannot_write
+from biosensor_gateway.system.new_file import temporary_disk, temporary_file
 
 MAGIC = b"XDF:"
 BOUNDARY = UUID("43a546dc-cbf5-410f-b30e-d5467383cbe4").bytes
@@ -219,7 +219,7 @@ class RecordingReason(Enum):
     EMPTY = "empty"
     """No sample can be read."""
     UNWRITABLE = "unwritable"
-    """The salvaged file cannot be written."""
+    """What is made of it, or a temporary file, cannot be written."""
 
 
 class RecordingError(GatewayError):
@@ -293,7 +293,7 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
             file: BinaryIO = stack.enter_context(path.open("rb"))
             packed, is_whole = file, True
             if file.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC:
-                file = stack.enter_context(tempfile.TemporaryFile())
+                file = stack.enter_context(temporary_file(_unwritable))
                 is_whole = _unpack(packed, file)
             size = file.seek(0, os.SEEK_END)
             file.seek(0)
@@ -340,11 +340,19 @@ def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:
         if member.eof:
             member = zlib.decompressobj(_GZIP_WINDOW)
         try:
-            target.write(member.decompress(block))
+            unpacked = member.decompress(block)
         except zlib.error:
-            return False
+            break
+        with temporary_disk(_unwritable):
+            target.write(unpacked)
         rest = member.unused_data
+    with temporary_disk(_unwritable):
+        target.flush()
     return member.eof
+
+
+def _unwritable(sentence: str) -> RecordingError:
+    return RecordingError(RecordingReason.UNWRITABLE, sentence)
 
 
 def read_chunks(file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> tuple[Damage, ...]:

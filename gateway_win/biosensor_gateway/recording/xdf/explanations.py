@@ -270,6 +270,13 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "that moment, but unknown around it.",
         "Find out what happened, and treat it as a gap.",
     ),
+    "unused-offsets": Explanation(
+        "Clock offsets that cannot be right",
+        "Some of its clock offsets would put it weeks or years away from its others, as where a "
+        "computer's clock is set to the date while it answers. They are not used; all others are.",
+        "Nothing, if it is one of many. Otherwise compare its times with another stream's, such as "
+        "one event that both show.",
+    ),
     "drift": Explanation(
         "A clock drifts",
         "One of the computers has an inaccurate clock, or its clock was adjusted during the "

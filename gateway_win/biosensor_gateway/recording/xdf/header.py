@@ -96,6 +96,11 @@ class RecordedHeader:
     window_s: float | None = None
 
     @property
+    def title(self) -> str:
+        """What a sentence calls the stream: its name, or that it has none."""
+        return self.name if self.name.strip() else f"nameless {self.content_type or 'stream'}"
+
+    @property
     def is_ours(self) -> bool:
         """Whether the capture agent made the stream."""
         return self.identity is not None

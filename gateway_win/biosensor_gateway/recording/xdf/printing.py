@@ -152,7 +152,7 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
     kind, source_id = printable(header.content_type), printable(header.source_id)
     host = f"on {printable(header.hostname)}" if header.hostname else "on a computer without a name"
     yield (
-        f"{printable(header.name)}: {kind}, {channels} of {header.format}, "
+        f"{printable(header.title)}: {kind}, {channels} of {header.format}, "
         f"{rate}, {owner}, {host}, source_id {source_id!r}"
     )
     yield f"    {', '.join(_sample_facts(measured))}"

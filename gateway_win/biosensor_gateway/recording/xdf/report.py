@@ -24,7 +24,7 @@ class Measured:
     @property
     def name(self) -> str:
         """The stream's name."""
-        return self.stream.header.name
+        return self.stream.header.title
 
     @property
     def recorder_offset_s(self) -> float:

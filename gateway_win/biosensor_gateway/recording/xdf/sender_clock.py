@@ -29,6 +29,10 @@ LEAST_FOR_DRIFT = 3
 """Fewer offsets are too few to estimate drift; their median is used for all times."""
 EXTRAPOLATED_S = 600.0
 """The drift is extrapolated this long before the first and after the last measurement."""
+MOST_APART_S = 30 * 86400.0
+"""Offsets that put the recorder's clock further apart are not of one recording."""
+# Samples come soon after the clock offsets of their run, unless a sender stamps by another clock.
+_FAR_S = 3600.0
 
 _ROUNDS = 20
 # Huber's constant: 95 % as efficient as least squares for normally distributed errors.
@@ -110,6 +114,7 @@ class SenderClock:
 
     def __init__(self, offsets: Sequence[tuple[float, float]]) -> None:
         self._lines = [_fit(begin, run) for begin, run in runs_of(offsets)]
+        self._offsets = np.array(offsets, np.float64).reshape(-1, 2)
 
     @property
     def is_known(self) -> bool:
@@ -120,6 +125,19 @@ class SenderClock:
     def restarts(self) -> int:
         """How often the clock restarted."""
         return max(0, len(self._lines) - 1)
+
+    @property
+    def unused(self) -> str:
+        """Which clock offsets are not used, as the rest of a sentence; empty if all are."""
+        is_used = is_plausible(self._offsets)
+        if is_used.all():
+            return ""
+        count = len(is_used) - int(np.count_nonzero(is_used))
+        offsets = "1 clock offset is" if count == 1 else f"{count} clock offsets are"
+        return (
+            f"{offsets} not used, of {len(is_used)}, for no clock differs so much while it is "
+            "recorded; compare its times with those of another stream"
+        )
 
     @property
     def doubtful_spans(self) -> list[DoubtfulSpan]:
@@ -160,7 +178,20 @@ class SenderClock:
         for before, line in pairwise(near):
             is_later = line.away(stamps) < before.away(stamps)
             offsets[is_later] = line.offsets(stamps)[is_later]
+        if len(self._lines) > len(near):
+            self._look_further(stamps, near, offsets)
         return stamps + offsets
+
+    def _look_further(
+        self, stamps: NDArray[np.float64], near: Sequence[_Line], offsets: NDArray[np.float64]
+    ) -> None:
+        """Replace the offsets of timestamps that are on a clock of long before or after."""
+        least_s = np.min([each.away(stamps) for each in near], axis=0)
+        for line in self._lines if (least_s > _FAR_S).any() else ():
+            away_s = line.away(stamps)
+            is_closer = (least_s > _FAR_S) & (away_s < least_s)
+            offsets[is_closer] = line.offsets(stamps)[is_closer]
+            least_s[is_closer] = np.maximum(away_s[is_closer], np.nextafter(_FAR_S, np.inf))
 
     def parts(self, times: NDArray[np.float64]) -> list[slice]:
         """Split times on the recorder's clock where the stream's own clock restarted."""
@@ -195,9 +226,10 @@ class SenderClock:
 def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[Offset]]]:
     """Split offsets where the clock restarted; each run has its index in the file's offsets.
 
-    Values that no clock can show come from damage and are ignored.
+    Values that no clock can show are ignored, see `is_plausible`.
     """
-    known = [(at, *each) for at, each in enumerate(offsets) if all(map(is_reading, each))]
+    is_known = is_plausible(np.array(offsets, np.float64).reshape(-1, 2)).tolist()
+    known = [(at, *each) for at, each in enumerate(offsets) if is_known[at]]
     begins = [
         number
         for number, (_, time_s, offset) in enumerate(known)
@@ -232,6 +264,30 @@ def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> l
         if step_s > least_s and max(np.ptp(before), np.ptp(after)) < step_s / _USUAL_CHANGES:
             found.append(at)
     return [begin + at for at in found]
+
+
+def is_plausible(offsets: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which clock offsets can be right, shape (n,).
+
+    Values that no clock can show come from damage. Where a computer corrects its clock to the date
+    while it answers, times on the recorder's clock would be years apart; most of them are right.
+
+    Parameters
+    ----------
+    offsets : ndarray of float64, shape (n, 2)
+    """
+    is_good = np.asarray((np.abs(offsets) <= READING_LIMIT_S).all(axis=1))
+    known = np.flatnonzero(is_good)
+    if not len(known):
+        return is_good
+    times = offsets[known].sum(axis=1)
+    order = np.argsort(times, kind="stable")
+    groups = np.split(known[order], np.flatnonzero(np.diff(times[order]) > MOST_APART_S) + 1)
+    # Of as many, those that were measured first.
+    most = max(groups, key=lambda each: (len(each), -int(each.min())))
+    is_good[:] = False
+    is_good[most] = True
+    return is_good
 
 
 def is_reading(value: float) -> bool:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
 from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.report import Extent, Measured
-from biosensor_gateway.recording.xdf.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf.sender_clock import SenderClock, is_plausible
 
 Verdict = tuple[Level, str, str]
 """Level, code and text of a finding."""
@@ -238,6 +240,12 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         text = f"its sender's clock was restarted or set {times}; "
         text += told or "its timestamps tell before from after, so times are right"
         yield Level.WARNING, "clock-reset", text
+    if unused := SenderClock(measured.stream.clock_offsets).unused:
+        # The last one alone is that of an outlet that was closing, and no sample comes after it.
+        is_used = is_plausible(np.array(measured.stream.clock_offsets))
+        is_only_last = len(is_used) > 1 and bool(is_used[:-1].all())
+        level = Level.NOTE if is_only_last else Level.WARNING
+        yield level, "unused-offsets", unused
     if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
         text = f"its clock offsets scatter by {offsets.scatter_s * 1e3:.0f} ms: a slow network"
         yield Level.WARNING, "offset-scatter", text

@@ -141,10 +141,10 @@ def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
         if source_id and count > 1:
             text = f"{count} streams have the source_id {source_id!r}"
             yield Finding(Level.ERROR, "duplicate-source-id", "", text)
-    names = Counter(each.name for each in measured)
+    names = Counter(each.stream.header.name for each in measured)
     for name, count in names.items():
         if count > 1:
-            text = f"{count} streams have the name {name!r}"
+            text = f"{count} streams have {f'the name {name!r}' if name else 'no name'}"
             yield Finding(Level.WARNING, "duplicate-name", "", text)
 
 
@@ -199,7 +199,7 @@ def judge_robot_clocks(streams: Sequence[Measured]) -> Iterator[Finding]:
         if doubts:
             worst = max(doubts, key=lambda one: 0.0 if math.isnan(one.edge_s) else abs(one.edge_s))
             text = f"{_how_far(worst)}; its first sample has the time of its {robot.stamped_by}"
-            yield Finding(Level.WARNING, "robot-clock", header.name, text)
+            yield Finding(Level.WARNING, "robot-clock", header.title, text)
 
 
 def _how_far(told: _Told) -> str:
@@ -254,7 +254,7 @@ def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], lis
         readings, unreadable = parse_readings(counters.stream.texts, counters.stream.stamps)
         if unreadable:
             text = f"{unreadable} of its samples cannot be read"
-            found = Finding(Level.ERROR, "counters", header.name, text, About.OURSELVES)
+            found = Finding(Level.ERROR, "counters", header.title, text, About.OURSELVES)
             findings.append(found)
         for source_id, run in readings.items():
             places = _places(streams, source_id, header.hostname)
@@ -284,7 +284,7 @@ def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> M
 
 def _refused(stream: Measured, run: Sequence[Reading]) -> Iterator[Finding]:
     for sentence in refusals(run):
-        yield Finding(Level.WARNING, "refused", stream.stream.header.name, sentence)
+        yield Finding(Level.WARNING, "refused", stream.stream.header.title, sentence)
 
 
 def _left_out(

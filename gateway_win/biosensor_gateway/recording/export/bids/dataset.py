@@ -220,7 +220,7 @@ class _Dataset:
             raise RecordingError(RecordingReason.EMPTY, message)
         describe(self._root, self._options.name, self._subjects, written)
         missing = [
-            Missing(f"{each.header.name}: left out, because {each.clock_error}")
+            Missing(f"{each.header.title}: left out, because {each.clock_error}")
             for each in self._away
         ]
         return [*missing, *sentences(writer.remarks, self._subjects)]
@@ -425,7 +425,7 @@ class Events:
 def _row(stream: Stream, event: MarkerEvent, start_s: float = 0.0) -> str:
     undone = "yes" if event.undone else "no"
     onset = f"{event.onset_s - start_s:.6f}"
-    told = (event.name, undone, stream.header.name, event.note, event.text)
+    told = (event.name, undone, stream.header.title, event.note, event.text)
     length_s = event.duration_s
     duration = NOTHING if length_s is None else f"{length_s:.6f}"
     return line((onset, duration, *told))
@@ -466,12 +466,12 @@ def _write_run_events(root: Path, file: RunFile, own: Sequence[tuple[Stream, Mar
         for _, each in own
     ]
     for onset_s, duration_s, text in file.gap_events():
-        told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_GAP, "no", file.stream.header.name)
+        told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_GAP, "no", file.stream.header.title)
         rows.append((onset_s, line((*told, text, NOTHING))))
         count = round(duration_s * file.rate_hz)
         marks.append((round(onset_s * file.rate_hz), count, BAD_GAP))
     for onset_s, duration_s, text in file.without:
-        told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_VALUE, "no", file.stream.header.name)
+        told = (f"{onset_s:.6f}", f"{duration_s:.6f}", BAD_VALUE, "no", file.stream.header.title)
         rows.append((onset_s, line((*told, text, NOTHING))))
     # BrainVision markers need a row, so earlier and later events are only in the table.
     inside = sorted(each for each in marks if 0 <= each[0] < file.rows)

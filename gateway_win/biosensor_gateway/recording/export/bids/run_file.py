@@ -102,7 +102,7 @@ class RunFile:
         told = zip(names, types, units, stream.header.labels, strict=True)
         rate = f"{self.rate_hz:.12g}"
         rows = [
-            (name, kind, unit, rate, f"{label} of {stream.header.name}")
+            (name, kind, unit, rate, f"{label} of {stream.header.title}")
             for name, kind, unit, label in told
         ]
         write_rows(root / self.path("channels.tsv"), [_HEAD, *rows])

@@ -62,7 +62,7 @@ def described_columns(stream: Stream) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     told = zip(columns(stream), stream.header.labels, stream.meaning.units, strict=True)
     for name, label, unit_name in told:
-        facts = {"Description": f"{label} of {stream.header.name}"}
+        facts = {"Description": f"{label} of {stream.header.title}"}
         if unit_name in _NOT_SAID:
             facts["Description"] += f", {_NOT_SAID[unit_name]}"
         if unit(unit_name):

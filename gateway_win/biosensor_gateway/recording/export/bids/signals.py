@@ -214,7 +214,7 @@ class SignalWriter:
         if stream.header.is_regular:
             return self._write_regular(stream, place)
         if next(self._batches(stream), None) is None:
-            self.remarks.without_samples.append(stream.header.name)
+            self.remarks.without_samples.append(stream.header.title)
             return False
         self._write_irregular(stream, place)
         return True
@@ -242,7 +242,7 @@ class SignalWriter:
         table.parent.mkdir(parents=True, exist_ok=True)
         samples = write_irregular(table, self._counted(self._batches(stream, is_first=True)))
         content = {
-            "Description": f"the stream {stream.header.name}, which has no rate",
+            "Description": f"the stream {stream.header.title}, which has no rate",
             "Columns": [ONSET, DURATION, *sidecars.columns(stream)],
             # Onsets do not refer to another table's column but are seconds since TimeZero.
             "OnsetSource": "",
@@ -280,11 +280,11 @@ class SignalWriter:
             self.runs.append(file)
             moved += table.moved
         if len(timing.parts) > 1:
-            self.remarks.runs.append(stream.header.name)
+            self.remarks.runs.append(stream.header.title)
         if moved:
-            self.remarks.moved.append(stream.header.name)
+            self.remarks.moved.append(stream.header.title)
         if not has_exact_numbers(stream):
-            self.remarks.rounded.append(stream.header.name)
+            self.remarks.rounded.append(stream.header.title)
         return True
 
     def _write_emg(self, stream: Stream, place: Place) -> bool:
@@ -299,10 +299,10 @@ class SignalWriter:
             self._timeline,
         )
         self.runs += files
-        self.remarks.sentences += [f"{stream.header.name}: {each}" for each in notes]
+        self.remarks.sentences += [f"{stream.header.title}: {each}" for each in notes]
         if files:
             self._count.add(stream.sample_count)
-            self.remarks.in_24_bits.append(stream.header.name)
+            self.remarks.in_24_bits.append(stream.header.title)
         return bool(files)
 
     def _write_regular(self, stream: Stream, place: Place) -> bool:
@@ -329,7 +329,7 @@ class SignalWriter:
         self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None
     ) -> bool:
         """Write the tables of a stream; return whether there are any."""
-        name = stream.header.name
+        name = stream.header.title
         first = self._batches(stream, runs, is_first=True)
         timing = find_timing((each.times for each in first), stream.header, cuts)
         if timing is None:
@@ -383,14 +383,14 @@ class SignalWriter:
         elif not all(each.is_told for each in eyes):
             told = "no header says which eye it is, so it is called cyclopean, which is both"
         if told:
-            self.remarks.sentences.append(f"{stream.header.name}: {told}")
+            self.remarks.sentences.append(f"{stream.header.title}: {told}")
         return eyes
 
     def _remark(self, stream: Stream, runs: Runs | None) -> None:
         """Note how timestamps were changed to even times."""
         if runs is None:
             return
-        name = stream.header.name
+        name = stream.header.title
         self.remarks.sentences += [f"{name}: {told}" for told in runs.remarks_on_times()]
         if gaps := runs.gaps():
             told = gap_text([each.lost for each in gaps])

@@ -125,7 +125,7 @@ class WideCsv:
         notes: list[str] = []
         if options.is_wide:
             notes += write_by_rate(chosen, options, names, target, is_packed=self._is_packed)
-        notes += [f"{stream.header.name}: {told}" for stream, runs in even for told in _told(runs)]
+        notes += [f"{stream.header.title}: {told}" for stream, runs in even for told in _told(runs)]
         files = {
             each.number: [f"{name}{suffix}"]
             for each, name in zip(chosen.streams, names, strict=True)
@@ -184,7 +184,7 @@ def _write_markers(
         for stream, each in in_order(all_of_them(), gaps):
             told = (each.name or each.text, each.note, "yes" if each.undone else "no")
             times = (round(each.onset_s, 6), line.begin_s + each.onset_s)
-            row = (*times, *told, each.participant, stream.header.name)
+            row = (*times, *told, each.participant, stream.header.title)
             file.write(tables.quoted([row]))
 
 
@@ -367,7 +367,7 @@ def _member(
     if not why and timing.rows > _MOST_ROWS:
         why = "its stamps are too far apart"
     if why:
-        told = f"{stream.header.name}: in no wide table, because {why}; its own table contains it"
+        told = f"{stream.header.title}: in no wide table, because {why}; its own table contains it"
         notes.append(Missing(told))
         return None
     return _Member(stream, runs, timing.rate_hz)

@@ -102,7 +102,7 @@ class Edf:
             if stream.header.is_markers:
                 continue
             if not stream.header.is_regular:
-                irregular.append(stream.header.name)
+                irregular.append(stream.header.title)
                 continue
             _write_stream(job, stream, target, names)
         if irregular:
@@ -126,7 +126,7 @@ class Edf:
 
 
 def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> None:
-    name, cut = stream.header.name, Runs(job.chosen, stream, job.times)
+    name, cut = stream.header.title, Runs(job.chosen, stream, job.times)
     runs = cut.found()
     if len(runs) > MOST_RUNS:
         job.notes.append(Missing(f"{name}: left out, because it has more than {MOST_RUNS} gaps"))
@@ -166,7 +166,7 @@ def _has_rate(job: _Job, stream: Stream, stretch: Stretch) -> bool:
     """Whether EDF supports the rate of a file."""
     if RATES_HZ[0] <= stretch.rate_hz <= RATES_HZ[1]:
         return True
-    job.notes.append(f"{stream.header.name}: a run of {stretch.rate_hz:g} Hz left out")
+    job.notes.append(f"{stream.header.title}: a run of {stretch.rate_hz:g} Hz left out")
     return False
 
 
@@ -178,7 +178,7 @@ def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Anno
     found, outside = dealt_to_spans(job.happened, spans)
     if outside:
         job.notes.append(
-            f"{stream.header.name}: {outside} of the markers came outside of its samples; they "
+            f"{stream.header.title}: {outside} of the markers came outside of its samples; they "
             "are annotations of the file before, or of the first, at times that it does not cover"
         )
     return [
@@ -314,7 +314,7 @@ def _facts(chosen: Chosen, clock: Clock, stream: Stream, stretch: Stretch) -> Fa
     if clock is Clock.WALL and wall is not None:
         begun_ns = int(wall.to_unix_ns(np.array([stretch.begin_s]))[0])
     participant = identity.participant if identity else ""
-    equipment = f"{identity.sensor}/{identity.unit}" if identity else stream.header.name
+    equipment = f"{identity.sensor}/{identity.unit}" if identity else stream.header.title
     return Facts(participant, equipment, begun_ns)
 
 
@@ -375,7 +375,7 @@ class Holes:
     def notes(self) -> Iterator[str]:
         """Yield sentences about missing values, after all samples were processed."""
         self._close_all()
-        name = self._stream.header.name
+        name = self._stream.header.title
         if self._missing:
             yield f"{name}: {self._missing} values are missing; annotations mark the places"
         if self._untold:

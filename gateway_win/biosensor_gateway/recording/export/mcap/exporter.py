@@ -320,7 +320,7 @@ class _Conversion:
         elif wall.doubt:
             yield f"the time of day of the bag's messages {wall.doubt}"
         for stream in self._chosen.streams:
-            topics, name = self._topics[stream.number], stream.header.name
+            topics, name = self._topics[stream.number], stream.header.title
             if missing := self._timeless.get(stream.number):
                 samples = "1 sample" if missing == 1 else f"{missing} samples"
                 are = "is" if missing == 1 else "are"

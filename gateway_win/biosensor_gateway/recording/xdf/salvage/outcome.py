@@ -290,7 +290,7 @@ def as_json(outcome: Outcome) -> str:
 def table(outcome: Outcome) -> list[tuple[str, str, str]]:
     """Return a row for each kept stream, with the columns of `HEADINGS`."""
     return [
-        (printable(stream.header.name), str(stream.sample_count), _lost_text(stream))
+        (printable(stream.header.title), str(stream.sample_count), _lost_text(stream))
         for stream in outcome.survey.streams.values()
     ]
 
@@ -331,7 +331,7 @@ def after_table(outcome: Outcome) -> Iterator[str]:
             "chunks, because its header is lost"
         )
     for number, new in known.new_headers.items():
-        name = printable(known.streams[number].header.name)
+        name = printable(known.streams[number].header.title)
         if new.wrong:
             yield f"{name}: its header was fixed, which had {', '.join(map(printable, new.wrong))}"
         else:
@@ -380,7 +380,7 @@ def _time_text(place: Place) -> str:
 
 
 def _stamps_text(stream: KeptStream) -> Iterator[str]:
-    name = printable(stream.header.name)
+    name = printable(stream.header.title)
     if stream.cut is not None:
         yield (
             f"{name}: its last sample was cut off, whose stamp is of another time: its outlet went "
