@@ -268,6 +268,7 @@ WRONG: list[tuple[tuple[str, ...], object]] = [
     (("arrivals", "udp"), {"port": True}),
     (("arrivals", "tcp"), {str(port): True for port in range(20000, 20100)}),
     (("look", "offset_s"), float("inf")),
+    (("look", "offset_s"), 10**400),
     (("look", "received"), 1),
     (("seen",), [{}] * 1000),
     (("own",), [{"name": 5}]),

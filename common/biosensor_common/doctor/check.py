@@ -91,10 +91,6 @@ class Guide:
     ask_itself, ask_others
         How LSL programs of this computer, and of another one, are made to ask this computer
         directly; ``{peer}`` is replaced by an address of this computer.
-    correct_file
-        How to adapt an existing ``lsl_api.cfg`` to the program.
-    edit
-        How to change the program's settings.
     alone
         How to run only the check ``{check}``, and to report it if it fails.
     """
@@ -185,7 +181,7 @@ class Check(NamedTuple):
 
 _COMMON = "biosensor_common.doctor"
 _COMPUTER, _NETWORK, _STREAMS = (f"{_COMMON}.{name}" for name in ("computer", "network", "streams"))
-_LSL_SETTINGS, _FIREWALL = f"{_COMMON}.lsl_settings", f"{_COMMON}.firewall"
+_FIREWALL = f"{_COMMON}.firewall"
 _AGENTS = partial(Check, program=AGENT)
 _AGENT = "biosensor_gateway.doctor"
 _DEVICES = f"{_AGENT}.devices"
@@ -197,7 +193,7 @@ CHECKS = (
         "settings file, state folder, running agent",
         f"{_AGENT}.context",
     ),
-    Check("lsl_config", Category.LSL, "the lsl_api.cfg in force and what it says", _LSL_SETTINGS),
+    Check("lsl_config", Category.LSL, "the lsl_api.cfg in force and what it says", _STREAMS),
     Check("discovery", Category.LSL, "a stream of this computer is found here", _STREAMS, 14.0),
     Check("streams", Category.LSL, "all streams in the network", _STREAMS, 15.0),
     Check(

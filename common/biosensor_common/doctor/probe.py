@@ -41,12 +41,8 @@ class SurveyedStream:
 
     Attributes
     ----------
-    ports
-        Its data ports and service ports.
     offset_s
         Correction of its clock in s; None if it could not be measured.
-    round_trip_s
-        Round trip of the best measurement.
     stamp_error_s
         Corrected stamp of a new sample minus its arrival time, in s; None if no sample came.
     data_port

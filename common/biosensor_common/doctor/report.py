@@ -135,18 +135,19 @@ def _lines(report: Report) -> Iterator[str]:
         if found:
             yield category.value
             for finding in found:
-                yield from _finding_lines(finding)
+                first, *rest = described(finding)
+                yield f"  {_MARKS[finding.level]} {first}"
+                yield from (f"{_INDENT}{line}" for line in rest)
             yield ""
 
 
-def _finding_lines(finding: Finding) -> Iterator[str]:
-    yield f"  {_MARKS[finding.level]} {finding.check}: {printable(finding.what)}"
+def described(finding: Finding) -> Iterator[str]:
+    """Yield the lines of a finding: what was found, why it matters, and the fix."""
+    yield f"{finding.check}: {printable(finding.what)}"
     if finding.why:
-        yield f"{_INDENT}why: {printable(finding.why)}"
-    if finding.fix:
-        first, *others = finding.fix.splitlines()
-        yield f"{_INDENT}fix: {printable(first)}"
-        yield from (f"{_INDENT}     {printable(line)}" for line in others)
+        yield f"why: {printable(finding.why)}"
+    for number, line in enumerate(finding.fix.splitlines()):
+        yield f"{'     ' if number else 'fix: '}{printable(line)}"
 
 
 def _summary(report: Report) -> str:

@@ -5,10 +5,10 @@ The other computer's facts are not trusted: the type and size of each field are 
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from ipaddress import IPv4Address
 from types import UnionType
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
@@ -22,11 +22,14 @@ from biosensor_common.lsl.api_file import Ports
 SYSTEMS = ("win32", "linux", "darwin")
 MAX_STREAMS = 256
 MAX_TEXT = 256
+MAX_NUMBER = 1e300
 MAX_TEST_PORTS = 8
 # The name becomes part of a liblsl query, so its characters are limited.
 _SOURCE_ID = re.compile(rf"[a-z]+-{NONCE.pattern}")
 
 Record = TypeVar("Record")
+Plain = TypeVar("Plain", str, bool, float, list[Any], dict[Any, Any])
+Several = TypeVar("Several", bound=Sized)
 
 
 def _wrong(name: str, what: str) -> ProtocolError:
@@ -56,7 +59,7 @@ def _source_id(_name: str, found: str) -> str:
     return found
 
 
-def _few(_name: str, found: tuple[int, ...]) -> tuple[int, ...]:
+def _few(_name: str, found: Several) -> Several:
     if len(found) > MAX_TEST_PORTS:
         raise _wrong("a list", f"of at most {MAX_TEST_PORTS} entries")
     return found
@@ -151,8 +154,6 @@ class Arrivals:
         Sender's addresses of received multicast; None if not tried.
     discovery
         Whether LSL's discovery port received anything; None if it could not be opened.
-    udp, tcp
-        Whether each port received anything, lowest port first.
     """
 
     multicast: tuple[str, ...] | None = None
@@ -243,70 +244,48 @@ def _read(name: str, kind: Any, found: object) -> object:  # noqa: ANN401 - also
         # All optional fields are unions with None.
         return None if found is None else _read(name, of[0], found)
     if origin is tuple:
-        return tuple(_read(name, of[0], each) for each in _entries(found))
-    if kind in _PLAIN:
-        return _PLAIN[kind](name, found)
-    fields = _object(found)
+        return tuple(_read(name, of[0], each) for each in _plain(list, "an entry", found))
+    if kind in _READERS:
+        return _READERS[kind](name, found)
+    fields = _plain(dict, "a message", found)
     hints = get_type_hints(kind, include_extras=True)
     return kind(**{each: _read(each, hint, fields.get(each)) for each, hint in hints.items()})
 
 
-def _text(name: str, found: object) -> str:
-    if not isinstance(found, str) or len(found) > MAX_TEXT:
-        raise _wrong(name, f"a text of at most {MAX_TEXT} characters")
-    return found
-
-
-def _flag(name: str, found: object) -> bool:
-    if not isinstance(found, bool):
-        raise _wrong(name, "true or false")
-    return found
-
-
-def _real(name: str, found: object) -> float:
-    # In Python, true and false are integers, too.
-    if isinstance(found, bool) or not isinstance(found, int | float):
-        raise _wrong(name, "a number")
-    if not math.isfinite(found):
-        raise _wrong(name, "a finite number")
-    return float(found)
+def _plain(kind: type[Plain], name: str, found: Any) -> Plain:  # noqa: ANN401 - looked at here
+    types, fits, what = _PLAIN[kind]
+    # The very type, because in Python true and false are integers, too.
+    if type(found) not in types or not fits(found):
+        raise _wrong(name, what)
+    return kind(found)
 
 
 def _number(name: str, found: object, within: range = _FREE) -> int:
-    if isinstance(found, bool) or not isinstance(found, int) or found not in within:
+    if type(found) is not int or found not in within:
         raise _wrong(name, f"a number from {within.start} to {within.stop - 1}")
     return found
 
 
-def _object(found: object) -> dict[str, object]:
-    if not isinstance(found, dict):
-        raise _wrong("a message", "an object")
-    return cast("dict[str, object]", found)
-
-
-def _entries(found: object) -> list[object]:
-    if not isinstance(found, list):
-        raise _wrong("an entry", "a list")
-    several = cast("list[object]", found)
-    if len(several) > MAX_STREAMS:
-        raise _wrong("a list", f"of at most {MAX_STREAMS} entries")
-    return several
-
-
 def _by_port(name: str, found: object) -> ByPort:
     """Parse a mapping of ports to booleans; JSON has the ports as text."""
-    fields = _object(found)
-    if len(fields) > MAX_TEST_PORTS:
-        raise _wrong("a list", f"of at most {MAX_TEST_PORTS} entries")
-    if not all(map(str.isdecimal, fields)):
+    ports = _few(name, _plain(dict, name, found))
+    if not all(map(str.isdecimal, ports)):
         raise _wrong(name, "ports")
-    return {int(port): _flag(port, came) for port, came in fields.items()}
+    return {int(port): _plain(bool, port, came) for port, came in ports.items()}
 
 
-_PLAIN: dict[object, Callable[[str, object], object]] = {
-    str: _text,
-    bool: _flag,
+_PLAIN: dict[Any, tuple[tuple[type, ...], Callable[[Any], bool], str]] = {
+    str: ((str,), lambda text: len(text) <= MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
+    bool: ((bool,), lambda _: True, "true or false"),
+    # Compared before it is converted: an integer of JSON may be too large for a float.
+    float: ((int, float), lambda number: abs(number) < MAX_NUMBER, "a finite number"),
+    list: ((list,), lambda several: len(several) <= MAX_STREAMS, f"at most {MAX_STREAMS} entries"),
+    dict: ((dict,), lambda _: True, "an object"),
+}
+_READERS: dict[Any, Callable[[str, object], object]] = {
+    str: partial(_plain, str),
+    bool: partial(_plain, bool),
+    float: partial(_plain, float),
     int: _number,
-    float: _real,
     ByPort: _by_port,
 }

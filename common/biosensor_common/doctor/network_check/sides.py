@@ -1,4 +1,9 @@
-"""The two sides of a conversation: the answering side listens, the asking side leads."""
+"""The two sides of a conversation: the answering side listens, the asking side leads.
+
+It starts each step on both sides: ``open`` test ports and a test stream, ``send`` to the other's
+ports, ``look`` for the other's test stream and for all real streams, ``knock`` at the data ports of
+the other's streams, ``compare`` the results.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
-from enum import StrEnum, unique
 from types import TracebackType
 from typing import Self
 
@@ -56,22 +60,6 @@ _BACKLOG, _STEP_S = 4, 0.5
 Say = Callable[[str], None]
 
 
-@unique
-class Command(StrEnum):
-    """Steps that the asking side starts on both sides, in this order."""
-
-    OPEN = "open"
-    """Open test ports and a test stream."""
-    SEND = "send"
-    """Send to the other's ports."""
-    LOOK = "look"
-    """Search for the other's test stream, and list all real streams."""
-    KNOCK = "knock"
-    """Connect to the data ports of the other's streams."""
-    COMPARE = "compare"
-    """Exchange the results."""
-
-
 class UnreachedError(TransportError):
     """The connection to the other computer failed.
 
@@ -107,9 +95,9 @@ def ask(context: Context, program: str, host: str, port: int, code: str) -> tupl
 
 
 def _led_through(channel: Channel, here: Station, run: str) -> tuple[End, End]:
-    def both(do: Command, details: Message, part: Callable[[], None] = lambda: None) -> Message:
+    def both(do: str, details: Message, part: Callable[[], None] = lambda: None) -> Message:
         """Start a step on the other side, and run it here at the same time."""
-        channel.send({"do": do.value, **details})
+        channel.send({"do": do, **details})
         part()
         reply = channel.receive(COMMAND_S)
         if "failed" in reply:
@@ -117,13 +105,13 @@ def _led_through(channel: Channel, here: Station, run: str) -> tuple[End, End]:
             raise ProtocolError(ProtocolReason.REFUSED, what)
         return reply
 
-    there = read(Opened, both(Command.OPEN, asdict(here.opened) | {"run": run}))
-    both(Command.SEND, {}, lambda: here.send(there.targets))
-    theirs = _streams_of(both(Command.LOOK, {}, lambda: here.look(there.source_id)))
-    both(Command.KNOCK, _with_streams(here), lambda: here.knock(theirs))
+    there = read(Opened, both("open", asdict(here.opened) | {"run": run}))
+    both("send", {}, lambda: here.send(there.targets))
+    theirs = _streams_of(both("look", {}, lambda: here.look(there.source_id)))
+    both("knock", _with_streams(here), lambda: here.knock(theirs))
     # The other side has sent everything before its last reply, so it has arrived by now.
     end = here.end()
-    return end, read(End, both(Command.COMPARE, {"end": as_message(end)}).get("end"))
+    return end, read(End, both("compare", {"end": as_message(end)}).get("end"))
 
 
 def _connected(host: str, port: int) -> socket.socket:
@@ -149,17 +137,10 @@ class Answerer:
 
     Parameters
     ----------
-    program
-        ``agent`` or ``node``.
     port
         0 for any free port.
     address
         Address of this computer to listen at; all of them by default.
-
-    Attributes
-    ----------
-    code
-        Code that the other side must know.
 
     Raises
     ------
@@ -263,7 +244,7 @@ class Answerer:
 
     def _converse(self, channel: Channel) -> tuple[End, End]:
         greet_as_answering(channel, self.code)
-        opening = _expected(channel, Command.OPEN)
+        opening = _expected(channel, "open")
         own, other = channel.connection.getsockname()[0], channel.connection.getpeername()[0]
         run, there = read_run(opening), read(Opened, opening)
         with ExitStack() as stack:
@@ -278,26 +259,26 @@ class Answerer:
 
 
 def _obey(channel: Channel, here: Station, there: Opened) -> tuple[End, End]:
-    _expected(channel, Command.SEND)
+    _expected(channel, "send")
     here.send(there.targets)
     channel.send({})
-    _expected(channel, Command.LOOK)
+    _expected(channel, "look")
     here.look(there.source_id)
     channel.send(_with_streams(here))
-    here.knock(_streams_of(_expected(channel, Command.KNOCK)))
+    here.knock(_streams_of(_expected(channel, "knock")))
     channel.send({})
-    found_there = read(End, _expected(channel, Command.COMPARE).get("end"))
+    found_there = read(End, _expected(channel, "compare").get("end"))
     end = here.end()
     channel.send({"end": as_message(end)})
     return end, found_there
 
 
-def _expected(channel: Channel, command: Command) -> Message:
+def _expected(channel: Channel, command: str) -> Message:
     message = channel.receive(COMMAND_S)
-    if message.get("do") != command.value:
+    if message.get("do") != command:
         raise ProtocolError(
             ProtocolReason.GARBAGE,
-            f"{channel.name} said {str(message.get('do'))!r:.40} in place of {command.value!r}",
+            f"{channel.name} said {str(message.get('do'))!r:.40} in place of {command!r}",
         )
     return message
 

@@ -69,8 +69,6 @@ class OpenPorts:
         Addresses of the two computers. Packets of other computers are not counted.
     adapters
         All addresses of this computer; LSL listens for multicast on each of them.
-    mark
-        Beginning of each packet of the other computer.
     """
 
     def __init__(
@@ -197,13 +195,7 @@ def _first_free(style: int, numbers: Iterable[int]) -> socket.socket | None:
 
 
 def open_ports(other: str, ports: Iterable[int], own: str = "") -> set[int]:
-    """Connect to TCP ports of the other computer, close at once, and return those that are open.
-
-    Parameters
-    ----------
-    own
-        Address of this computer to connect from; empty for the system's choice.
-    """
+    """Connect to TCP ports of the other computer, close at once, and return those that are open."""
     several = list(dict.fromkeys(ports))
     with ThreadPoolExecutor(_THREADS) as pool:
         found = pool.map(partial(_opens, own, other), several)
@@ -246,10 +238,6 @@ class Station:
 
     Parameters
     ----------
-    program
-        ``agent`` or ``node``.
-    own, other
-        Addresses of the conversation's two ends.
     run
         Number of this test, for the names of its streams and session, and in its packets.
     is_asking

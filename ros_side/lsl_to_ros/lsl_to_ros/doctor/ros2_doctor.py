@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from typing import Protocol, cast
+from typing import Any
 
 from biosensor_common.doctor.check import NODE, Context, Finding, Level, checks_of
-from biosensor_common.doctor.report import Report, printable, run_checks
+from biosensor_common.doctor.report import Report, described, run_checks
 from lsl_to_ros.doctor import GUIDE
 
 CATEGORY = "biosensors"
@@ -24,26 +24,6 @@ TITLE = "BIOSENSORS: LSL, DDS AND CLOCKS"
 _API, _FORMAT = "ros2doctor.api", "ros2doctor.api.format"
 
 
-class Result(Protocol):
-    """ros2doctor's counters of errors and warnings."""
-
-    def add_error(self) -> None:
-        """Count an error."""
-        ...
-
-    def add_warning(self) -> None:
-        """Count a warning."""
-        ...
-
-
-class Items(Protocol):
-    """ros2doctor's report: named lines."""
-
-    def add_to_report(self, item_name: str, item_info: str) -> None:
-        """Add a line."""
-        ...
-
-
 class BiosensorCheck:
     """Counts and prints the errors and warnings."""
 
@@ -51,9 +31,9 @@ class BiosensorCheck:
         """Return the category, which links the check with the report."""
         return CATEGORY
 
-    def check(self) -> Result:
+    def check(self) -> Any:  # noqa: ANN401 - a class of ros2doctor, as that of the report
         """Run all checks; a check that fails counts as a warning."""
-        result = cast("Result", import_module(_API).Result())
+        result = import_module(_API).Result()
         form = import_module(_FORMAT)
         for finding in examined().findings:
             if finding.level is Level.ERROR:
@@ -72,9 +52,9 @@ class BiosensorReport:
         """Return the category, which links the report with the check."""
         return CATEGORY
 
-    def report(self) -> Items:
+    def report(self) -> Any:  # noqa: ANN401 - see above
         """List the findings in the order of the checks."""
-        items = cast("Items", import_module(_API).Report(TITLE))
+        items = import_module(_API).Report(TITLE)
         for finding in examined().findings:
             items.add_to_report(finding.level.value, as_text(finding))
         return items
@@ -88,9 +68,5 @@ def examined() -> Report:
 
 def as_text(finding: Finding) -> str:
     """Format a finding: what was found, why it matters, and the fix, possibly in several lines."""
-    lines = [f"{finding.check}: {printable(finding.what)}"]
-    if finding.why:
-        lines.append(f"    why: {printable(finding.why)}")
-    for number, line in enumerate(finding.fix.splitlines()):
-        lines.append(f"    {'     ' if number else 'fix: '}{printable(line)}")
-    return "\n".join(lines)
+    first, *rest = described(finding)
+    return "\n".join((first, *(f"    {line}" for line in rest)))
