@@ -77,11 +77,6 @@ def run(
 def open_page_beside(settings: Path | None) -> None:
     """Start the page's process, which ends when neither a window nor an agent is left.
 
-    Parameters
-    ----------
-    settings
-        Settings file; None for the default one.
-
     Raises
     ------
     TransportError

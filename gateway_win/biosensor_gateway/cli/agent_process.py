@@ -123,15 +123,11 @@ def stream(
 
     Parameters
     ----------
-    settings
-        Settings file; None for the default one.
     simulate, faults
         Virtual devices instead of the settings' devices, and their faults; see
         `simulated_settings`.
     ask
         Whether to guide a person at the terminal first; None if the settings name no device.
-    verbose
-        Whether to log every detail.
 
     Raises
     ------
@@ -264,11 +260,6 @@ class FeatureProcess:
 
     A separate process, so that computing features never delays a sample of the agent. It reads
     the agent's LSL streams like any other program.
-
-    Parameters
-    ----------
-    lsl
-        LSL settings of the agent's streams.
     """
 
     def __init__(self, lsl: LslSettings) -> None:

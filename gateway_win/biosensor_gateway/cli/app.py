@@ -106,8 +106,6 @@ class Deferred(TyperCommand):
     place
         ``module:attribute`` of a command's function or of a group's Typer. A group's help is the
         docstring of its function `GROUP`.
-    hidden
-        Whether the list of commands leaves it out.
     """
 
     GROUP = "_group"

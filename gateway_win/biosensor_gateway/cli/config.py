@@ -72,8 +72,6 @@ class LslFile(LslApiFile):
     ----------
     text
         The whole file; empty for a new one.
-    source
-        Name of the file in messages.
 
     Raises
     ------
@@ -91,15 +89,7 @@ class LslFile(LslApiFile):
         return "".join(line.text for line in self._lines)
 
     def adapt(self, session_id: str, known_peers: Sequence[str], port_range: int) -> None:
-        """Set what LabRecorder needs; other peers and a larger port range are kept.
-
-        Parameters
-        ----------
-        known_peers
-            Hosts to ask directly.
-        port_range
-            Number of ports that the agent's streams may use.
-        """
+        """Set what LabRecorder needs; other peers and a larger port range are kept."""
         if self._get(SESSION) != session_id:
             self._set(SESSION, session_id, _WHY_SESSION)
         peers = tuple(dict.fromkeys((*self.known_peers, *known_peers)))

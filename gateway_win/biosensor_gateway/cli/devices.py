@@ -146,11 +146,6 @@ def is_wanted(path: Path) -> bool:
 def lead(path: Path) -> str:
     """Ask until there is something to stream.
 
-    Parameters
-    ----------
-    path
-        The settings file, which need not exist.
-
     Returns
     -------
     str

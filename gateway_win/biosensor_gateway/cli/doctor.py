@@ -8,7 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from biosensor_common.doctor.check import AGENT, Check, checks_of
+from biosensor_common.doctor.check import AGENT, checks_of
 from biosensor_common.doctor.network_check import command
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
@@ -74,7 +74,7 @@ def doctor(
     context = read_context(
         settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
     )
-    report = run_checks(_checks(only or []), context)
+    report = run_checks([each for each in _CHECKS if not only or each.name in only], context)
     text = as_text(report, sys.stdout.encoding or "ascii", columns(sys.stdout))
     typer.echo(as_json(report) if as_json_ else text)
     if not report.is_good:
@@ -98,10 +98,6 @@ def _network_check(
         raise typer.Exit(command.answer(context, AGENT, port, as_json=as_json_))
     code = code or typer.prompt(f"The code that {host} shows", err=True)
     raise typer.Exit(command.ask(context, AGENT, host, port, code, as_json=as_json_))
-
-
-def _checks(names: list[str]) -> list[Check]:
-    return [check for check in _CHECKS if not names or check.name in names]
 
 
 def doctor_probe() -> None:

@@ -6,10 +6,10 @@ ended for an upgrade that then fails has lost its recording for nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import psutil
 import typer
@@ -26,6 +26,7 @@ _PROGRAMS = frozenset({"biosensor-gateway.exe", "biosensor gateway.exe"})
 _OF_PAGE = frozenset({"page", "play-recording"})
 _OF_RECORDING = frozenset({"keep-recording", "record-streams"})
 _OF_AGENT = frozenset({"run", "send-features"})
+_Fact = TypeVar("_Fact")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,29 +113,22 @@ def _agent(state: Path) -> int | None:
 def _programs() -> Iterator[Program]:
     for process in psutil.process_iter():
         words = _words(process)
-        if _name(process, words).lower() in _PROGRAMS:
-            yield Program(process.pid, _user(process), words, frozenset(_family(process)))
+        name = _reported(process.name, PureWindowsPath(words[0]).name if words else "")
+        if name.lower() in _PROGRAMS:
+            user = _reported(process.username, "")
+            yield Program(process.pid, user, words, frozenset(_family(process)))
 
 
 def _words(process: psutil.Process) -> tuple[str, ...]:
+    return tuple(_reported(process.cmdline, ()))
+
+
+def _reported(ask: Callable[[], _Fact], otherwise: _Fact) -> _Fact:
+    """Return what the system reports of a process; of others' it may report nothing."""
     try:
-        return tuple(process.cmdline())
+        return ask()
     except (psutil.Error, OSError):
-        return ()
-
-
-def _name(process: psutil.Process, words: Sequence[str]) -> str:
-    try:
-        return process.name()
-    except (psutil.Error, OSError):
-        return PureWindowsPath(words[0]).name if words else ""
-
-
-def _user(process: psutil.Process) -> str:
-    try:
-        return process.username()
-    except (psutil.Error, OSError):
-        return ""
+        return otherwise
 
 
 def _family(process: psutil.Process) -> Iterator[int]:

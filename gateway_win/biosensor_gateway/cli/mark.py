@@ -121,11 +121,6 @@ def _buttons(names: list[str]) -> Iterator[tuple[str, str]]:
 def _show_web(*, renew: bool) -> None:
     """Print address, token, origins, and the link that opens each experiment.
 
-    Parameters
-    ----------
-    renew
-        Make another token first.
-
     Raises
     ------
     ConfigError

@@ -104,8 +104,6 @@ def several(choices: Sequence[str], prompt: str, if_empty: Sequence[int]) -> lis
 
     Parameters
     ----------
-    prompt
-        Has to say what Enter alone means.
     if_empty
         Indices that Enter alone chooses.
     """

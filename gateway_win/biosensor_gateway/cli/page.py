@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Self
@@ -165,13 +165,18 @@ def _serve(
     # The page starts short-lived threads as long as it is open, and malloc would keep an arena
     # for each.
     limit_arenas(os.environ)
-    with DeferredLog(page_folder(folder)) as log:
-        try:
-            server = AgentPage(folder, settings, ready, log.open, end_after_s, share_port)
-            server.run()
-        except OSError as error:
-            message = f"the page cannot be served: {error.strerror or error}"
-            raise TransportError(TransportReason.BUSY, message) from error
+    with DeferredLog(page_folder(folder)) as log, _is_servable():
+        server = AgentPage(folder, settings, ready, log.open, end_after_s, share_port)
+        server.run()
+
+
+@contextlib.contextmanager
+def _is_servable() -> Generator[None]:
+    try:
+        yield
+    except OSError as error:
+        message = f"the page cannot be served: {error.strerror or error}"
+        raise TransportError(TransportReason.BUSY, message) from error
 
 
 class DeferredLog:
@@ -208,13 +213,6 @@ class DeferredLog:
 def serve_network(settings: Path, show: Callable[[WayIn], None]) -> None:
     """Show the LSL streams that arrive here, until Ctrl-C.
 
-    Parameters
-    ----------
-    settings
-        A settings file; only its LSL section is used.
-    show
-        Opens the page in the browser, or prints its address.
-
     Raises
     ------
     ConfigError
@@ -230,8 +228,5 @@ def serve_network(settings: Path, show: Callable[[WayIn], None]) -> None:
 
     # Each inlet has threads, and inlets are opened for the streams that are shown.
     limit_arenas(os.environ)
-    try:
+    with _is_servable():
         NetworkPage(settings, ready).run()
-    except OSError as error:
-        message = f"the page cannot be served: {error.strerror or error}"
-        raise TransportError(TransportReason.BUSY, message) from error

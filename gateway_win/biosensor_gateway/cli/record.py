@@ -135,14 +135,9 @@ def warn(warnings: Iterable[str], *, silent: bool) -> None:
         typer.echo(f"! {warning}", err=True)
 
 
-def as_json_text(result: DataclassInstance) -> str:
-    """Return a result as JSON."""
-    return json.dumps(asdict(result), indent=2, default=str)
-
-
-def as_line(result: DataclassInstance) -> str:
-    """Return a result as JSON in one line."""
-    return json.dumps(asdict(result), default=str)
+def as_json_text(result: DataclassInstance, indent: int | None = 2) -> str:
+    """Return a result as JSON, in one line if *indent* is None."""
+    return json.dumps(asdict(result), indent=indent, default=str)
 
 
 _WATCH_S = 2.0
@@ -199,10 +194,10 @@ def _status(recording: LocalRecorder) -> LocalStatus | None:
 def local_status(*, watch: bool, as_json: bool) -> None:
     """Print the status of a recording that is made without LabRecorder; exit code 1 on errors."""
     recording = LocalRecorder(state_folder())
-    in_json = as_line if watch else as_json_text
+    indent = None if watch else 2
     status = _status(recording)
     while status is not None:
-        typer.echo(in_json(status) if as_json else local_text(status))
+        typer.echo(as_json_text(status, indent) if as_json else local_text(status))
         if not watch or not status.recording:
             break
         time.sleep(_WATCH_S)
@@ -222,7 +217,8 @@ def watch_file(file: Path, *, as_json: bool) -> None:
         with suppress(ConfigError):
             started_s = status_file.running_status(state_folder()).get("started_s")
         found = (*growth.problems(), *growth.story(own_events(), started_s))
-        typer.echo(as_line(progress) if as_json else progress_text(str(file), progress, found))
+        text = progress_text(str(file), progress, found)
+        typer.echo(as_json_text(progress, None) if as_json else text)
         if progress.is_closed:
             return
         time.sleep(_WATCH_S)

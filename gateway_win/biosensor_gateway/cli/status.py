@@ -44,11 +44,7 @@ def status(
     With --watch, a terminal shows a table that is updated in place, and a pipe or a file gets a
     line for each change; with --watch --json, one line of JSON per second.
     """
-    try:
-        current = status_file.running_status(state_folder())
-    except ConfigError as error:
-        # Exit code 1: the command was right, but no agent runs.
-        raise TransportError(TransportReason.ABSENT, str(error)) from error
+    current = _status()
     if watch:
         from biosensor_gateway.cli import live_table  # only needed for --watch
 

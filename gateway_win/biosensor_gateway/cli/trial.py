@@ -64,8 +64,6 @@ class Trial:
 
     Parameters
     ----------
-    folder
-        Where to put the recording and the tables.
     seconds
         How long to run after all sensors stream; None to go on until Ctrl-C.
     """
@@ -242,8 +240,6 @@ def expected_streams(
     ----------
     devices
         Its virtual devices by sensor, as ``run --simulate`` names them.
-    seconds
-        Length of the recording.
     """
     for device in status["devices"]:
         identity = identity_of(device)

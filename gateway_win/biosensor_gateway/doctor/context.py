@@ -51,8 +51,6 @@ class Context(check.Context):
         The settings file, which need not exist.
     devices
         Devices of the file; empty if it cannot be read.
-    problem
-        Why the settings cannot be read.
     """
 
     settings_path: Path

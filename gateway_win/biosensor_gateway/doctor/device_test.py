@@ -81,8 +81,6 @@ class StreamTest:
         Newest values, or text.
     nominal_hz
         0 for an irregular stream.
-    units
-        Of the channels; empty before the device is connected.
     """
 
     samples: int = 0
@@ -118,10 +116,6 @@ class DeviceTest:
 
     Attributes
     ----------
-    info
-        Information from the device; None if it never connected.
-    streams
-        By data name.
     problems
         One sentence each; empty if nothing is wrong.
     """
@@ -171,11 +165,6 @@ async def run_device_test(
     """Connect to a device, receive for *seconds*, and check the samples.
 
     The device has `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
-
-    Parameters
-    ----------
-    ending
-        Called before the driver closes the connection.
     """
     sink = _TestSink(settings)
     supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)

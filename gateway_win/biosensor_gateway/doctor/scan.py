@@ -96,8 +96,6 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
 
     Parameters
     ----------
-    seconds
-        How long to listen for Bluetooth LE.
     configured
         Devices of the settings, which have the addresses of services.
     """

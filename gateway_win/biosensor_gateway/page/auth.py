@@ -72,11 +72,6 @@ def is_same(given: str, secret: str) -> bool:
 class Keys:
     """Secrets that open the page: tokens for one use, and the cookie that replaces them.
 
-    Parameters
-    ----------
-    on_spent
-        Called with each token that opens nothing any more.
-
     Attributes
     ----------
     same_site
@@ -144,8 +139,6 @@ class BrowserRules:
     ----------
     origins
         Addresses of the server, such as ``http://127.0.0.1:1234``.
-    refused
-        Sentence for requests without the cookie.
     """
 
     max_body = MAX_BODY
@@ -220,8 +213,6 @@ class ExperimentRules:
     token
         Needed by each request. A WebSocket sends it in its first message, because scripts cannot
         set its headers.
-    on_foreign
-        Called with the origin of a page that was refused.
     """
 
     max_body = MAX_EXPERIMENT_BODY

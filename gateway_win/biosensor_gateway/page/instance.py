@@ -115,17 +115,7 @@ def _ask(folder: Path, command: str) -> dict[str, Any] | None:
 async def reachable(
     folder: Path, new_window: Command, end: Command, problem: ConfigError | None
 ) -> AsyncGenerator[None]:
-    """Answer `ask_for_window` and `ask_to_end` while the context lasts.
-
-    Parameters
-    ----------
-    folder
-        The agent's state folder.
-    new_window, end
-        Commands for the two requests.
-    problem
-        Why other programs cannot find this page; it is logged.
-    """
+    """Answer `ask_for_window` and `ask_to_end` while the context lasts."""
     # Imported here, because the commands that only ask a page do not need it.
     import structlog
 

@@ -10,14 +10,11 @@ from fastapi import APIRouter
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.network import configure_lsl
-from biosensor_gateway.agent.feed_frames import (
-    Samples,
-)
 from biosensor_gateway.features.outputs import feature_streams
 from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.models import Problem, SeenStreamView
-from biosensor_gateway.page.network.source import Reader
-from biosensor_gateway.page.routes.agent import Access, add_agent, add_quit, add_secrets
+from biosensor_gateway.page.network.source import Reader, into
+from biosensor_gateway.page.routes.agent import add_agent, add_quit, add_secrets
 from biosensor_gateway.page.routes.api import new_app
 from biosensor_gateway.page.routes.capture import Capturing, add_capture
 from biosensor_gateway.page.routes.devices import add_devices, worn_by
@@ -50,7 +47,7 @@ class Interface:
         add_devices(router, session)
         add_recording(router, recorder)
         add_markers(router, self._marking)
-        add_secrets(router, Access(session.configured))
+        add_secrets(router, session)
         add_doctor(router, session, self._answer)
         add_replay(router, recorder, self._replaying)
         add_files(router, session)
@@ -90,20 +87,13 @@ class Features:
 
     async def run(self) -> None:
         """Receive until cancelled."""
-        loop = asyncio.get_running_loop()
-
-        def hand_over(samples: list[Samples]) -> None:
-            # The loop may end a moment before the thread.
-            with contextlib.suppress(RuntimeError):
-                loop.call_soon_threadsafe(self._take, samples)
-
         # Not before an agent has come: liblsl reads its settings at its first call, and they must
         # be those with which the agent was started.
         await self._session.came.wait()
         with contextlib.suppress(ConfigError):
             lsl = self._session.loaded().lsl
             configure_lsl(lsl.overrides)
-        reader = await asyncio.to_thread(Reader, hand_over, feature_streams())
+        reader = await asyncio.to_thread(Reader, into(self._session.traces), feature_streams())
         try:
             while True:
                 self._look(reader)
@@ -123,7 +113,3 @@ class Features:
     def _of_the_agent(self, features: list[SeenStreamView]) -> frozenset[str]:
         sources = self._session.sources()
         return frozenset(each.source_id for each in features if each.derived_from in sources)
-
-    def _take(self, samples: list[Samples]) -> None:
-        for each in samples:
-            self._session.traces.take(each)

@@ -45,13 +45,7 @@ def is_of_now(age_s: float | None, *, nominal_hz: float, is_signal: bool) -> boo
 
 
 class History:
-    """Stores the newest samples by source_id.
-
-    Parameters
-    ----------
-    kept_s
-        How long samples are stored.
-    """
+    """Stores the newest samples by source_id."""
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
         self._kept_s = kept_s
@@ -97,18 +91,7 @@ class History:
 
 
 class Traces:
-    """Stores samples, and passes them to the browsers; used only on the server's loop.
-
-    Parameters
-    ----------
-    kept_s
-        How long samples are stored.
-
-    Attributes
-    ----------
-    opened
-        Number of browsers so far.
-    """
+    """Stores samples, and passes them to the browsers; used only on the server's loop."""
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
         self.history = History(kept_s)
@@ -175,11 +158,6 @@ class Screen:
 
     A trace never has more bins than pixels: for a slow browser, samples that have left the window
     are discarded.
-
-    Parameters
-    ----------
-    history
-        Samples from before the browser's request.
     """
 
     def __init__(self, history: History) -> None:
@@ -260,13 +238,7 @@ STATUS_EVERY = 10
 
 
 def live(source: Source, more: Callable[[], BaseModel]) -> ASGIApp:
-    """Return the application with the WebSocket.
-
-    Parameters
-    ----------
-    more
-        Returns what else the page shows; called twice a second.
-    """
+    """Return the application with the WebSocket."""
 
     async def show(socket: WebSocket) -> None:
         await socket.accept()
@@ -315,10 +287,6 @@ class Source(Protocol):
 
     Attributes
     ----------
-    traces
-        Received samples; the source adds to them.
-    has_ended
-        Whether the page was ended.
     turns
         Counts changes after which the status is sent at once.
     """

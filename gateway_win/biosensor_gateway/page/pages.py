@@ -31,16 +31,12 @@ from biosensor_gateway.system.browser import WayIn
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-    from biosensor_gateway.page.network.source import NetworkSource
-    from biosensor_gateway.settings.models import LslSettings
-
-if TYPE_CHECKING:
-    from starlette.types import ASGIApp
-
     from biosensor_gateway.page.agent import AgentLink
     from biosensor_gateway.page.interface import Interface
     from biosensor_gateway.page.models import ShareView
+    from biosensor_gateway.page.network.source import NetworkSource
     from biosensor_gateway.page.session import Session, Shutdown
+    from biosensor_gateway.settings.models import LslSettings
 
 _FIRST_S = 1.5
 

@@ -77,17 +77,8 @@ class PageServer:
 
     Parameters
     ----------
-    document
-        The page's HTML file in `static`.
     run
         Loads the other parts and runs them; when it returns, the server ends.
-
-    Attributes
-    ----------
-    front
-        Receives the applications that are loaded later.
-    pages
-        The folder of the page's files.
     """
 
     front: Front

@@ -44,12 +44,8 @@ class Session:
         Whether the server is about to end, of which its windows are notified.
     turns
         How often an agent has come or gone.
-    came
-        Set once there was an agent.
     replay_view
         Returns the view of the replay; `Replaying` replaces it.
-    features
-        Live features on the network.
     told
         Set once a status was returned in which the agent is not starting.
     """

@@ -6,7 +6,7 @@ import contextlib
 import datetime
 import ipaddress
 import socket
-from collections.abc import AsyncGenerator, Generator, Sequence
+from collections.abc import AsyncGenerator, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
@@ -48,8 +48,6 @@ async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[Sha
     ----------
     session
         State to show; its `share` is set.
-    pages
-        The folder of the page's files.
     port
         Port on every network of this computer; 0 for any free port.
 
@@ -63,7 +61,14 @@ async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[Sha
         number: int = listening.getsockname()[1]
         addresses = _addresses()
         names = [*addresses, socket.gethostname().lower()]
-        certificate = _certificate(session.folder, names)
+        try:
+            certificate = own_certificate(session.folder, names)
+        except OSError as error:
+            message = (
+                f"other computers cannot look on: the certificate cannot be kept in "
+                f"{session.folder} ({error.strerror or error})"
+            )
+            raise TransportError(TransportReason.ABSENT, message) from error
         keys = ViewKeys(number)
         session.share = view = ShareView(
             addresses=[f"https://{each}:{number}{DOOR}?token={keys.token}" for each in addresses],
@@ -110,29 +115,15 @@ def _status(session: Session) -> StatusView:
     )
 
 
-@contextlib.contextmanager
-def _listening(port: int) -> Generator[socket.socket]:
+def _listening(port: int) -> socket.socket:
     try:
-        listening = listening_at(EVERYWHERE, port)
+        return listening_at(EVERYWHERE, port)
     except OSError as error:
         message = (
             f"other computers cannot look on: TCP {port} cannot be opened "
             f"({error.strerror or error}); choose another with --share-port"
         )
         raise TransportError(TransportReason.BUSY, message) from error
-    with listening:
-        yield listening
-
-
-def _certificate(folder: Path, names: Sequence[str]) -> Certificate:
-    try:
-        return own_certificate(folder, names)
-    except OSError as error:
-        message = (
-            f"other computers cannot look on: the certificate cannot be kept in {folder} "
-            f"({error.strerror or error})"
-        )
-        raise TransportError(TransportReason.ABSENT, message) from error
 
 
 def _addresses() -> Sequence[str]:

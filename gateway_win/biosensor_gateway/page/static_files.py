@@ -26,15 +26,7 @@ Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 
 
 class Front:
-    """The application of a server whose API and WebSocket are loaded later.
-
-    Parameters
-    ----------
-    document
-        Name of the page's HTML file.
-    lifespan
-        Runs alongside the requests.
-    """
+    """The application of a server whose API and WebSocket are loaded later."""
 
     def __init__(self, pages: Path, document: str, lifespan: Lifespan | None = None) -> None:
         # On Windows the type comes from the registry, which any program may have changed.

@@ -45,15 +45,7 @@ COARSEST_CLOCK_S = 0.2
 
 
 class Conversation:
-    """The messages of one WebSocket.
-
-    Parameters
-    ----------
-    origin
-        Origin of the page, which the guard has accepted.
-    token
-        Token that the first message must have.
-    """
+    """The messages of one WebSocket."""
 
     def __init__(self, socket: WebSocket, origin: str, token: str, sending: Sending) -> None:
         self._socket = socket

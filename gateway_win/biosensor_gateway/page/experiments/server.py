@@ -171,12 +171,7 @@ _BYTES = 24
 
 
 def experiment_token(folder: Path) -> str:
-    """Return the stored token, or create one.
-
-    Parameters
-    ----------
-    folder
-        The state folder, where only its user can read it.
+    """Return the token in the state folder, where only its user can read it, or create one.
 
     Raises
     ------

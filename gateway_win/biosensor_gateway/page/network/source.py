@@ -76,14 +76,7 @@ class NetworkSource:
 
     async def run(self) -> None:
         """Follow the streams until cancelled."""
-        loop = asyncio.get_running_loop()
-
-        def hand_over(samples: list[Samples]) -> None:
-            # nothing is dropped: the loop may have ended a moment before the thread
-            with contextlib.suppress(RuntimeError):
-                loop.call_soon_threadsafe(self._take, samples)
-
-        self._reader = reader = Reader(hand_over)
+        self._reader = reader = Reader(into(self.traces))
         try:
             while True:
                 reader.wanted = self.traces.wanted
@@ -92,9 +85,21 @@ class NetworkSource:
         finally:
             reader.stop()
 
-    def _take(self, samples: list[Samples]) -> None:
+
+def into(traces: Traces) -> Callable[[list[Samples]], None]:
+    """Return what passes a reader's samples to the traces, on the loop that runs now."""
+    loop = asyncio.get_running_loop()
+
+    def take(samples: list[Samples]) -> None:
         for each in samples:
-            self.traces.take(each)
+            traces.take(each)
+
+    def hand_over(samples: list[Samples]) -> None:
+        # nothing is dropped: the loop may have ended a moment before the thread
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(take, samples)
+
+    return hand_over
 
 
 def _search(lsl: LslSettings, settings: Path, own: Path | None) -> list[str]:
@@ -239,13 +244,7 @@ class _Reading:
 
 
 class Descriptions:
-    """Reads the full header of each outlet once, over a short connection without data.
-
-    Parameters
-    ----------
-    pool
-        Runs the readings.
-    """
+    """Reads the full header of each outlet once, over a short connection without data."""
 
     def __init__(self, pool: Executor) -> None:
         self._pool = pool

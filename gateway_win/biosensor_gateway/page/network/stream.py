@@ -120,8 +120,6 @@ class Received:
         The newest sample; empty for text.
     texts
         The newest entries of a stream of text, the newest last.
-    raw
-        The newest sample of text as a whole.
     """
 
     def __init__(self, core: CoreFields) -> None:
@@ -272,10 +270,6 @@ class NetworkStream:
         None until it is read for the first time.
     namesake
         Its number among live senders that claim to be the same stream, from 1.
-    note
-        What is wrong with it, one sentence.
-    has_description
-        Whether the header of this outlet was read.
     lost_s
         Local LSL time at which its connection ended; None while it is connected.
     """

@@ -212,11 +212,6 @@ _SETTLED_S = CLOCK_WITHIN_S + 1.0
 class Inlets:
     """Opens and closes receivers.
 
-    Parameters
-    ----------
-    pool
-        Opens the inlets.
-
     Attributes
     ----------
     refused

@@ -79,8 +79,6 @@ class Viewer:
 
         Parameters
         ----------
-        not_received
-            Number of streams that browsers show and that are not received.
         wanted
             Keys of the channels that browsers show, see `key_of`.
         now

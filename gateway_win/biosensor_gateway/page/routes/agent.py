@@ -6,7 +6,7 @@ Secrets for vendors' services are written to the keyring, and never read here.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from fastapi import APIRouter
@@ -144,52 +144,30 @@ class NewSecret(BaseModel):
     text: str
 
 
-class Access:
-    """The secrets that the devices in the settings need."""
-
-    def __init__(self, configured: Callable[[], Sequence[DeviceSettings]]) -> None:
-        self._configured = configured
-
-    async def view(self) -> list[SecretView]:
-        """Return the secrets that are needed, and where each is found."""
-        needed = self._needed().values()
-        return await asyncio.to_thread(lambda: [_view(each) for each in needed])
-
-    async def keep(self, secret: NewSecret) -> None:
-        """Write a secret into the keyring.
-
-        Raises
-        ------
-        ConfigError
-            ``NOT_FOUND`` if no device of the settings needs it.
-        CredentialError
-            If the text is empty, or there is no keyring.
-        """
-        name = self._needed().get((secret.sensor, secret.name))
-        if name is None:
-            message = f"no device in the settings needs {secret.name!r} of {secret.sensor!r}"
-            raise ConfigError(ConfigReason.NOT_FOUND, message)
-        await asyncio.to_thread(secrets.set_secret, name, secret.text)
-
-    def _needed(self) -> Mapping[tuple[str, str], SecretName]:
-        sensors = {each.sensor for each in self._configured()}
-        names = [name for sensor in sorted(sensors) for name in driver(sensor).secrets]
-        return {(each.sensor, each.name): each for each in names}
-
-
-def add_secrets(router: APIRouter, access: Access) -> None:
+def add_secrets(router: APIRouter, session: Session) -> None:
     """Add the routes of secrets, none of which returns a secret's text."""
 
     @router.get("/secrets")
     async def view() -> list[SecretView]:
         """List the secrets that the devices of the settings need, and which are missing."""
-        return await access.view()
+        needed = _needed(session.configured()).values()
+        return await asyncio.to_thread(lambda: [_view(each) for each in needed])
 
     @router.put("/secrets")
     async def keep(secret: NewSecret) -> Outcome:
         """Store a secret in the keyring of the system."""
-        await access.keep(secret)
+        name = _needed(session.configured()).get((secret.sensor, secret.name))
+        if name is None:
+            message = f"no device in the settings needs {secret.name!r} of {secret.sensor!r}"
+            raise ConfigError(ConfigReason.NOT_FOUND, message)
+        await asyncio.to_thread(secrets.set_secret, name, secret.text)
         return Outcome(sentence="It is in the keyring. The agent tries again within 30 s.")
+
+
+def _needed(devices: Sequence[DeviceSettings]) -> Mapping[tuple[str, str], SecretName]:
+    sensors = {each.sensor for each in devices}
+    names = [name for sensor in sorted(sensors) for name in driver(sensor).secrets]
+    return {(each.sensor, each.name): each for each in names}
 
 
 def _view(name: SecretName) -> SecretView:

@@ -272,11 +272,6 @@ async def asked(session: Session, command: str, arguments: Mapping[str, Any]) ->
 def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
     """Start an agent with a supervisor that restarts it after a crash.
 
-    Parameters
-    ----------
-    virtual
-        Stream virtual devices of every kind instead of the settings' devices.
-
     Raises
     ------
     TransportError
@@ -330,8 +325,6 @@ def last_lines(folder: Path, identity: DeviceIdentity) -> LogView:
 
     Parameters
     ----------
-    folder
-        The state folder of the agent.
     identity
         Of the device; who wears it matters for virtual ones alone.
     """

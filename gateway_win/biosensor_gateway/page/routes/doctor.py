@@ -74,36 +74,6 @@ class Examination(BaseModel):
     findings: list[FindingView]
 
 
-class Doctor:
-    """Runs the checks of ``biosensor-gateway doctor``, one run at a time.
-
-    Parameters
-    ----------
-    settings
-        The settings file, which need not exist.
-    folder
-        The state folder of the agent.
-    """
-
-    def __init__(self, settings: Path, folder: Path) -> None:
-        self._settings, self._folder = settings, folder
-        self._once = OneAtATime("this computer is being examined already; wait for the outcome")
-
-    async def examine(self) -> Examination:
-        """Run all checks, which takes up to some seconds.
-
-        Raises
-        ------
-        ConfigError
-            ``IN_USE`` if the checks are running already.
-        """
-        with self._once.turn():
-            return Examination.model_validate(content(await asyncio.to_thread(self._run)))
-
-    def _run(self) -> Report:
-        return run_checks(checks_of(AGENT), read_context(self._settings, self._folder))
-
-
 HostText = Annotated[str, StringConstraints(min_length=1, max_length=253, pattern=r"^[^\s/]+$")]
 CodeText = Annotated[str, StringConstraints(min_length=1, max_length=16)]
 
@@ -131,29 +101,6 @@ class NetworkView(Examination):
 
     sides: list[str] = Field(default_factory=list[str])
     rows: list[tuple[str, str, str]] = Field(default_factory=list[tuple[str, str, str]])
-
-
-class NetworkCheck:
-    """Runs ``biosensor-gateway doctor --with``, one run at a time; parameters as for `Doctor`."""
-
-    def __init__(self, settings: Path, folder: Path) -> None:
-        self._settings, self._folder = settings, folder
-        self._once = OneAtATime("the network is being tried already; wait for the outcome")
-
-    async def check(self, other: OtherComputer) -> NetworkView:
-        """Run the check, which takes a quarter of a minute.
-
-        Raises
-        ------
-        ConfigError
-            ``IN_USE`` if the check is running already.
-        """
-        with self._once.turn():
-            return network_view(await asyncio.to_thread(self._run, other))
-
-    def _run(self, other: OtherComputer) -> Outcome:
-        context = read_context(self._settings, self._folder)
-        return check_with(context, AGENT, other.host, other.port, other.code)
 
 
 def network_view(outcome: Outcome) -> NetworkView:
@@ -211,17 +158,7 @@ class AnswerView(BaseModel):
 
 
 class NetworkAnswer:
-    """Answers the network check of one other computer, if it has the code.
-
-    Parameters
-    ----------
-    settings
-        The settings file, which need not exist.
-    folder
-        The state folder of the agent.
-    port
-        TCP port at which it answers; 0 for any free port.
-    """
+    """Answers the network check of one other computer, if it has the code."""
 
     def __init__(self, settings: Path, folder: Path, port: int = ANSWER_PORT) -> None:
         self._settings, self._folder, self._port = settings, folder, port
@@ -310,18 +247,29 @@ def _waiting(answerer: Answerer, way: WayHere) -> AnswerView:
 
 def add_doctor(router: APIRouter, session: Session, answer: NetworkAnswer) -> None:
     """Add the routes of the checks of this computer and of the network."""
-    doctor = Doctor(session.settings, session.folder)
-    check = NetworkCheck(session.settings, session.folder)
+    here = OneAtATime("this computer is being examined already; wait for the outcome")
+    network = OneAtATime("the network is being tried already; wait for the outcome")
 
     @router.post("/doctor")
     async def examine() -> Examination:
         """Check this computer; return what is wrong, and how to fix it."""
-        return await doctor.examine()
+
+        def run() -> Report:
+            return run_checks(checks_of(AGENT), read_context(session.settings, session.folder))
+
+        with here.turn():
+            return Examination.model_validate(content(await asyncio.to_thread(run)))
 
     @router.post("/network-check")
     async def try_network(other: OtherComputer) -> NetworkView:
         """Check which of two computers blocks the other's streams, and how to open the way."""
-        return await check.check(other)
+
+        def run() -> Outcome:
+            context = read_context(session.settings, session.folder)
+            return check_with(context, AGENT, other.host, other.port, other.code)
+
+        with network.turn():
+            return network_view(await asyncio.to_thread(run))
 
     @router.get("/network-check/answer")
     async def state() -> AnswerView:

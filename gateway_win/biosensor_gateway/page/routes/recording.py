@@ -362,11 +362,6 @@ def _away_question(sentences: Sequence[str]) -> QuestionError:
 class Story:
     """Notes about one recording that its status does not have.
 
-    Parameters
-    ----------
-    begun
-        Its start, if it was started here.
-
     Attributes
     ----------
     remarks

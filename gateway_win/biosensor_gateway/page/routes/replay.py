@@ -268,13 +268,7 @@ def _read_frame(output: IO[bytes]) -> tuple[int, bytes]:
 
 
 class Replayed:
-    """The view of the replay and its newest samples; used only on the server's loop.
-
-    Parameters
-    ----------
-    traces
-        Receives its samples, which are drawn like all others.
-    """
+    """The view of the replay and its newest samples; used only on the server's loop."""
 
     def __init__(self, traces: Traces) -> None:
         self._traces = traces

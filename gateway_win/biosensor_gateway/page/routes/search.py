@@ -32,7 +32,7 @@ class SearchView(BaseModel):
 def add_search(router: APIRouter, session: Session) -> None:
     """Add the routes that find and test devices."""
     search = Search(session.configured)
-    tester = DeviceTester(session.streamed)
+    once = OneAtATime("another device is being tried; wait for the outcome")
 
     @router.get("/search")
     async def found() -> SearchView:
@@ -48,20 +48,20 @@ def add_search(router: APIRouter, session: Session) -> None:
     @router.post("/devices/test")
     async def test(candidate: Candidate) -> DeviceTestResult:
         """Connect to a device for some seconds; nothing is streamed."""
-        return await tester.run(candidate)
+        settings = settings_of(candidate.sensor, candidate.settings)
+        # The agent may stream others meanwhile.
+        if (settings.sensor_name, settings.unit) in session.streamed():
+            message = "the agent has this device; its card shows what it sends"
+            raise TransportError(TransportReason.BUSY, message)
+        with once.turn():
+            return described(await run_device_test(settings, TRIAL_S))
 
 
 SEARCH_S = 6.0
 
 
 class Search:
-    """Runs one search at a time.
-
-    Parameters
-    ----------
-    configured
-        Returns the devices of the settings.
-    """
+    """Runs one search at a time."""
 
     def __init__(self, configured: Callable[[], Sequence[DeviceSettings]]) -> None:
         self._configured = configured
@@ -113,39 +113,6 @@ class Candidate(BaseModel):
 
     sensor: str
     settings: dict[str, str | int | float | bool]
-
-
-class DeviceTester:
-    """Tests one device at a time, while an agent may stream others.
-
-    Parameters
-    ----------
-    streamed
-        Returns the devices of the agent, as sensor and unit.
-    """
-
-    def __init__(self, streamed: Callable[[], Sequence[tuple[str, str]]]) -> None:
-        self._streamed = streamed
-        self._once = OneAtATime("another device is being tried; wait for the outcome")
-
-    async def run(self, candidate: Candidate) -> DeviceTestResult:
-        """Connect, listen for `TRIAL_S`, and judge.
-
-        Raises
-        ------
-        ConfigError
-            ``WRONG_VALUE`` if the settings are invalid; ``IN_USE`` while another is tested.
-        TransportError
-            ``BUSY`` if the agent has the device.
-        SpecError
-            If the sensor is unknown.
-        """
-        settings = settings_of(candidate.sensor, candidate.settings)
-        if (settings.sensor_name, settings.unit) in self._streamed():
-            message = "the agent has this device; its card shows what it sends"
-            raise TransportError(TransportReason.BUSY, message)
-        with self._once.turn():
-            return described(await run_device_test(settings, TRIAL_S))
 
 
 def settings_of(sensor: str, given: Mapping[str, object]) -> DeviceSettings:
