@@ -56,8 +56,6 @@ class RecordedStream:
     ----------
     stamped
         The topic that has its samples with timestamps.
-    xml
-        Its header.
     clock_offsets
         Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
     """

@@ -66,12 +66,6 @@ class StreamWriter:
 
     Parameters
     ----------
-    write
-        Appends a chunk to the file.
-    number
-        Number of the stream in the file.
-    xml
-        Its header.
     form, channels
         As in the header.
     clock_offsets

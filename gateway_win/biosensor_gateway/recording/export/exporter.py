@@ -106,8 +106,6 @@ class Exporter(Protocol):
 
         Parameters
         ----------
-        chosen
-            Streams and time range.
         target
             File or folder to create; it does not exist. Its name is final, its location is
             temporary.

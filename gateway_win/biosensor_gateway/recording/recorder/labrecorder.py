@@ -70,11 +70,6 @@ _NO_COMMAND = "status"
 class RemoteControl:
     """A connection to LabRecorder; a context manager.
 
-    Parameters
-    ----------
-    host, port
-        Address of its remote control.
-
     Raises
     ------
     RecorderError
@@ -142,15 +137,7 @@ class RemoteControl:
 
 
 class LabRecorder:
-    """Recorder with LabRecorder's window, on this computer or another.
-
-    Parameters
-    ----------
-    host, port
-        Address of its remote control.
-    state
-        State folder, which remembers the recording started from here.
-    """
+    """Recorder with LabRecorder's window, on this computer or another."""
 
     def __init__(self, host: str, port: int, state: Path) -> None:
         self._host, self._port, self._state = host, port, state
@@ -162,8 +149,6 @@ class LabRecorder:
         ----------
         request
             What to record; since every stream is recorded, `only_ours` fails if there are others.
-        look
-            Looks for the streams there are.
 
         Raises
         ------

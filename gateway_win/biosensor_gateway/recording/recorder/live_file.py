@@ -79,15 +79,11 @@ class GrowingFile:
 
     Parameters
     ----------
-    path
-        The file; it may not exist yet.
     take
         Called with tag and content of each chunk; raises `ChunkError` if these are invalid.
 
     Attributes
     ----------
-    size
-        Number of bytes read.
     damages
         A clause for each unreadable place, in the order of the file.
     """
@@ -193,14 +189,10 @@ class StreamProgress:
         Timestamp of its newest sample on its own clock, in s; None without samples.
     age_s
         Time from its newest sample to the newest one of any stream; None without samples.
-    clock_offsets
-        Number of clock offsets measured.
     offset_age_s
         Time from the last offset to the newest sample of any stream; None without offsets.
     is_closed
         Whether it has a footer.
-    gaps, longest_gap_s
-        Number of gaps in a regular stream, and the length of the longest.
     """
 
     name: str
@@ -409,8 +401,6 @@ class Growth:
 
     Parameters
     ----------
-    file
-        The recording; it may not exist yet.
     clock
         Any clock in s, to measure how long the file stays unchanged.
     """

@@ -57,10 +57,6 @@ class ReceivedStream:
 
     Parameters
     ----------
-    number
-        Its number in the file.
-    info
-        From a resolver.
     write
         Appends a chunk to the file; called from any thread.
 
@@ -68,13 +64,9 @@ class ReceivedStream:
     ----------
     first, last
         Timestamps of the first and last sample, 0 without samples.
-    uid
-        uid of its newest outlet.
     is_open
         Whether it is being received; False until its outlet answers and after it has closed.
         Another outlet may continue the stream.
-    has_begun
-        Whether its header has been written.
     clock_offsets
         Pairs of LSL time on the sender's clock and offset to this computer's clock, in s.
 

@@ -111,8 +111,6 @@ class RecordingRequest:
         Path of the same folder on LabRecorder's computer; empty if it is equal.
     file
         Name below the folder, or a full path on this computer.
-    labels
-        A BIDS name below the folder instead.
     all_streams
         Record other programs' streams without a warning.
     only_ours

@@ -76,8 +76,6 @@ class Status:
         None if unknown.
     started
         Unix time in s; None if unknown.
-    bytes, streams, with_samples
-        Size of the file, number of streams, and number of streams with samples.
     is_closed
         Whether every stream has a footer.
     is_local
@@ -124,8 +122,6 @@ class Stopped:
         Whether its file was found closed.
     file
         None if unknown or not accessible; then nothing is verified.
-    streams, with_samples
-        Number of streams in the file, and number of streams with samples.
     took_s
         Time from the command until the file was found closed.
     verdict

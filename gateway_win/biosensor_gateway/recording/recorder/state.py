@@ -54,8 +54,6 @@ class SavedRecording:
         Name of the program in sentences.
     without
         source_ids of the sensors that did not stream at the start, which the user confirmed.
-    command
-        The program's command line.
     """
 
     file: str
@@ -211,8 +209,6 @@ class WindowRecording:
 
     Attributes
     ----------
-    host, port
-        Of its remote control.
     file
         Empty if it cannot be reached from this computer.
     started

@@ -83,8 +83,6 @@ class Presence:
         Participants of the devices with visible streams.
     away
         One clause per device that does not stream, according to the agent.
-    away_ids
-        source_ids of all streams of these devices.
     """
 
     visible: tuple[VisibleStream, ...]

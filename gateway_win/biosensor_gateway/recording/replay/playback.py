@@ -90,8 +90,6 @@ def refuse_if_present(
         For the error message: the recording.
     allowed_by
         For the error message: how to allow a replay while a real stream is visible.
-    may_be_beside
-        Whether the real streams may be visible.
 
     Raises
     ------

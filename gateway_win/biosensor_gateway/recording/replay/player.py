@@ -47,12 +47,6 @@ class PlayOptions:
     ----------
     speed
         Seconds of the recording per second, above 0.
-    loop
-        Whether to start again at the end, until stopped.
-    waits
-        Whether to wait until each stream has a receiver.
-    as_original
-        Whether streams keep their recorded source_ids.
     """
 
     speed: float = 1.0

@@ -34,13 +34,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class Person:
-    """The withdrawing person, with all forms of the name in files.
-
-    Parameters
-    ----------
-    name
-        As in the recordings.
-    """
+    """The withdrawing person, with all forms of the name in files."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -148,8 +148,6 @@ class Chunk(NamedTuple):
 
     Attributes
     ----------
-    content
-        What comes after the tag.
     start, end
         Offsets of the whole chunk in the file, `end` excluded.
     damages

@@ -432,8 +432,6 @@ def clock_error(
     ----------
     course
         Of its timestamps; those of first and last sample of each chunk are enough.
-    sample_count
-        Of the stream.
     """
     why = order_error(header, course, sample_count)
     if why or not course.count:

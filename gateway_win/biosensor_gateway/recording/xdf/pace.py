@@ -82,8 +82,6 @@ class Pace:
         How far the line moves without a gap.
     overlap_s
         Largest step back between timestamps that this explains.
-    holes
-        In order.
     turns
         Indexes of the samples at which timestamps step back by more than `STEP_BACK_S`, or the
         line drops permanently.

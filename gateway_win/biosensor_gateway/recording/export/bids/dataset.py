@@ -440,8 +440,6 @@ def write_run_events(
 
     Parameters
     ----------
-    files
-        Files of one participant.
     happened
         Events of that participant, in time order.
 

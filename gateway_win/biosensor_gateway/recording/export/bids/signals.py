@@ -177,13 +177,7 @@ class Remarks:
 
 
 class SignalWriter:
-    """Writes numeric streams.
-
-    Parameters
-    ----------
-    count
-        Counts the samples written.
-    """
+    """Writes numeric streams."""
 
     def __init__(
         self,

@@ -64,11 +64,6 @@ class Study:
     def add(self, recording: Path, export_to: Callable[[Path], Outcome]) -> Outcome | None:
         """Add a recording; return the outcome, None if it was added before.
 
-        Parameters
-        ----------
-        export_to
-            Writes it as a separate dataset.
-
         Raises
         ------
         RecordingError

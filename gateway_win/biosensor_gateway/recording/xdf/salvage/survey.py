@@ -93,8 +93,6 @@ class KeptStream:
         Timestamps of the first and last sample, 0 without samples.
     lost
         Estimated number of samples lost in the damage.
-    footer, footer_at
-        The recorder's footer, and its place in the file.
     untimed
         Number of samples after damage whose time is unknown, because no timestamp follows.
     cut
