@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -89,11 +88,6 @@ class SteeredCortex(SimulatedCortex):
     def time_jump(self, seconds: float) -> None:
         """Set the clock of Cortex forward or back."""
         self._do(lambda: self._step_clock(seconds))
-
-    def answer_with_error(self, method: str, *codes: int) -> None:
-        """Answer the next requests of a method with these errors, then as usual."""
-        errors = self._manners.errors
-        self._do(lambda: errors.setdefault(method, deque()).extend(codes))
 
     def withhold_reply(self, method: str) -> None:
         """Carry the next request of a method out without an answer."""

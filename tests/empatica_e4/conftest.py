@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -27,14 +27,6 @@ DEADLINE_S = 40.0
 REGULAR = ("bvp", "acc", "gsr", "st")
 MEASURED = (*REGULAR, "hr", "ibi", "bat")
 Floats = NDArray[np.float64]
-
-
-class Line(NamedTuple):
-    """A line of data."""
-
-    word: str
-    stamp: float
-    values: tuple[float, ...]
 
 
 class LineClient:
@@ -81,30 +73,6 @@ class LineClient:
         assert self.ask(f"device_connect {device_id}") == "R device_connect OK\n"
         for stream in streams.split():
             assert self.ask(f"device_subscribe {stream} ON") == f"R device_subscribe {stream} OK\n"
-
-    def until(self, condition: Callable[[], object]) -> None:
-        """Read until a condition holds."""
-        while not condition():
-            assert self.read(), "the connection ended"
-
-    def until_lines(self, word: str, count: int) -> None:
-        self.until(lambda: len(self.raw(word)) >= count)
-
-    def until_closed(self) -> None:
-        while self.read():
-            pass
-
-    def raw(self, word: str) -> list[bytes]:
-        return [line for line in self.data if line.startswith(f"{word} ".encode())]
-
-    def lines(self, word: str) -> list[Line]:
-        return [parse(line) for line in self.raw(word)]
-
-
-def parse(line: bytes) -> Line:
-    word, *numbers = line.decode().replace(",", ".").replace("\u2212", "-").split()
-    stamp, *values = map(float, numbers)
-    return Line(word, stamp, tuple(values))
 
 
 @pytest.fixture

@@ -5,9 +5,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from biosensor_gateway.devices.movesense.simulator import Firmware
 from tests.rigs.bluetooth import ON_BUMBLE
-from tests.rigs.gatt_host import GattHost, advertised, connection
+from tests.rigs.gatt_host import GattHost, connection
 from tests.rigs.polling import until
 
 if TYPE_CHECKING:
@@ -35,14 +34,6 @@ async def packets(host: GattHost, reference: int, count: int, *, part: int = 2) 
     return found()[:count]
 
 
-async def test_it_is_advertised_with_its_serial_number(sensor: MakeSensor) -> None:
-    movesense = sensor()
-    device, data = await advertised(NAME)
-    assert device.address == "0C:8C:DC:10:F7:D3"
-    assert {uuid[4:8] for uuid in data.service_uuids} == {"180d", "fdf3"}
-    assert movesense.settings == {"device": "174630000192"}
-
-
 async def test_its_packets_are_as_long_as_those_of_a_real_one(sensor: MakeSensor) -> None:
     sensor()
     async with connection(NAME) as host:
@@ -55,12 +46,3 @@ async def test_its_packets_are_as_long_as_those_of_a_real_one(sensor: MakeSensor
         assert lengths == [68, 148, 6, 8]
         answers = [each for each in host.all(DATA) if each[0] == 1]
         assert answers == [bytes([1, ref]) + struct.pack("<H", 200) for ref in range(100, 104)]
-
-
-async def test_it_has_room_for_four_subscriptions(sensor: MakeSensor) -> None:
-    sensor(firmware=Firmware(is_old=True))
-    async with connection(NAME) as host:
-        await host.subscribe(DATA)
-        for reference, path in enumerate((b"Acc/13", b"Gyro/13", b"Magn/13", b"Temp", b"HR"), 1):
-            await tell(host, bytes([1, reference]), b"/Meas/", path)
-        await until(lambda: bytes([1, 5, 0x01, 0xFB]) in host.all(DATA))

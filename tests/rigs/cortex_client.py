@@ -38,22 +38,12 @@ class CortexClient:
         Data messages by stream, in order.
     warnings
         Warnings, in order.
-    replies
-        Replies nobody waits for any more.
-    odd
-        All other messages, as they came.
     """
 
-    def __init__(
-        self, settings: Mapping[str, Any], *, ping_s: float | None = None, max_size: int = 2**20
-    ) -> None:
+    def __init__(self, settings: Mapping[str, Any]) -> None:
         self.settings = settings
         self.data: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
         self.warnings: list[dict[str, Any]] = []
-        self.replies: list[dict[str, Any]] = []
-        self.odd: list[str | bytes] = []
-        self._ping_s = ping_s
-        self._max_size = max_size
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[dict[str, Any]]] = {}
 
@@ -64,10 +54,8 @@ class CortexClient:
             proxy=None,
             compression=None,
             open_timeout=DEADLINE_S,
-            ping_interval=self._ping_s,
-            ping_timeout=self._ping_s,
+            ping_interval=None,
             close_timeout=1.0,
-            max_size=self._max_size,
         )
         self._reader = asyncio.create_task(self._read())
         return self
@@ -106,25 +94,10 @@ class CortexClient:
         wanted = len(self.data[stream]) + more
         await self.until(lambda: len(self.data[stream]) >= wanted)
 
-    async def until_closed(self) -> int | None:
-        """Wait for the end of the connection; return the code, None without one."""
-        async with asyncio.timeout(DEADLINE_S):
-            await self._reader
-        received = self.socket.protocol.close_rcvd
-        return None if received is None else received.code
-
     @property
     def warning_codes(self) -> list[int]:
         """Codes of the warnings so far."""
         return [warning["code"] for warning in self.warnings]
-
-    def rows(self, stream: str) -> list[list[Any]]:
-        """Values of a stream's messages so far."""
-        return [message[stream] for message in self.data[stream]]
-
-    def times(self, stream: str) -> list[float]:
-        """Times of a stream's messages so far [unix s]."""
-        return [message["time"] for message in self.data[stream]]
 
     async def authorize(self, client_id: str, client_secret: str, **params: Any) -> str:
         """Return a token."""
@@ -174,10 +147,6 @@ class CortexClient:
             self.warnings.append(message["warning"])
         elif message.get("id") in self._pending:
             self._pending.pop(message["id"]).set_result(message)
-        elif "id" in message:
-            self.replies.append(message)
-        else:
-            self.odd.append(text)
 
 
 def _read_object(text: str | bytes) -> dict[str, Any]:

@@ -63,7 +63,6 @@ class SteeredBioHarness:
         self._session = _NotedSession(refused=set(refused), ignored=set(ignored), **conversation)
         self._options: dict[str, Any] = {"seed": seed, "buffer_bytes": buffer_bytes, "tcp": tcp}
         self._sent: list[Outgoing] = []
-        self._dropped = 0
         self._running: _Noted | None = None
         self._stack = ExitStack()
 
@@ -118,11 +117,6 @@ class SteeredBioHarness:
         """
         return self._ask(lambda: tuple(self._sent))
 
-    @property
-    def dropped_frames(self) -> int:
-        """Frames of the source that were due and enabled, and that the link did not take."""
-        return self._ask(lambda: self._dropped)
-
     def sent_samples(self, packet: Packet) -> NDArray[np.int64]:
         """Return every sample of a waveform kind that was sent intact, in order.
 
@@ -151,50 +145,9 @@ class SteeredBioHarness:
         """Go out of reach with the link open: nothing is sent, nothing is heard."""
         self._device.apply(Fault(FaultKind.STALL, inf))
 
-    def resume(self) -> None:
-        """End a `stall`; what was measured meanwhile is missing."""
-        self._device.clear(FaultKind.STALL)
-
-    def garbage(self, count: int) -> None:
-        """Send so many random bytes between two frames."""
-        self._device.apply(Fault(FaultKind.GARBAGE, count))
-
     def corrupt_next(self) -> None:
         """Flip one bit in the payload or check of the source's next frame."""
         self._ask(self._source.damage_next)
-
-    def refuse(self, request_id: int) -> None:
-        """Answer this request with NAK until `allow`."""
-        self._ask(lambda: self._session.refused.add(request_id))
-
-    def ignore(self, request_id: int) -> None:
-        """Leave this request without an answer until `allow`."""
-        self._ask(lambda: self._session.ignored.add(request_id))
-
-    def allow(self, request_id: int) -> None:
-        """End `refuse` and `ignore` of this request."""
-        self._ask(lambda: self._session.refused.discard(request_id))
-        self._ask(lambda: self._session.ignored.discard(request_id))
-
-    def delay_answers(self, seconds: float) -> None:
-        """Answer every request so much later; 0 ends it."""
-        self._ask(lambda: setattr(self._session, "answer_delay_s", seconds))
-
-    def off_body(self) -> None:
-        """Take the strap off: status, vitals and event; not for a recording."""
-        self._ask(lambda: self._body.set_worn(worn=False))
-
-    def on_body(self) -> None:
-        """Put the strap on again; not for a recording."""
-        self._ask(lambda: self._body.set_worn(worn=True))
-
-    def battery(self, percent: int) -> None:
-        """Set the battery's charge [percent]; not for a recording."""
-        self._ask(lambda: setattr(self._body, "battery_percent", percent))
-
-    def event(self, code: int, data: bytes = b"") -> None:
-        """Have an event happen (0x0040 is the button); not for a recording."""
-        self._ask(lambda: self._body.add_event(code, data))
 
     def step_clock(self, seconds: float) -> None:
         """Set the device's clock forward or back; not for a recording."""
@@ -217,8 +170,6 @@ class SteeredBioHarness:
     def _note(self, frame: Outgoing, sent: bool) -> None:
         if sent:
             self._sent.append(frame)
-        else:
-            self._dropped += 1
 
     def _ask(self, function: Callable[[], _T]) -> _T:
         return function() if self._running is None else self._running.world.call(function)
