@@ -40,18 +40,6 @@ def assert_part(part: Sequence[float], whole: NDArray[np.float64]) -> slice:
     return slice(starts[0], starts[0] + count)
 
 
-async def test_every_stream_fills_with_what_the_strap_sent(strap: SimulatedHeartRateStrap) -> None:
-    async with streaming(strap) as run:
-        await until(run.sink.has(4, "hr", "ibi", "quality"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-    for name in ("hr", "ibi"):
-        assert_part(run.sink.values(name), strap.truth.samples(name).values[:, 0])
-    assert run.sink.values("bat") == [87]
-    assert run.sink.values("rssi") == [-67]
-    assert set(run.sink.values("quality")) == {1}
-    assert run.sink.dropped_bytes == 0
-
-
 async def test_the_device_says_who_it_is(strap: SimulatedHeartRateStrap) -> None:
     async with connected(strap) as connection:
         info = connection.info

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.truth import Contact
+from biosensor_gateway.simulation.truth import Contact, Gap
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports import ble_choice, ble_scanner
@@ -37,9 +38,11 @@ SHORT_S = 0.5
 SILENT_S = 3.0
 MESSAGE_S = 1.0
 """What comes most rarely of all that has to come."""
+ESTIMATED_S = 40.0
 LONG_S = 3600.0
 COUNT = 5
 LOW_PERCENT = 10.0
+LOSES = {FaultKind.DROP, FaultKind.RESTART, FaultKind.STALL}
 BREAKS = {FaultKind.DROP, FaultKind.REFUSE, FaultKind.RESTART}
 STREAMS = [State.CONNECTING, State.STREAMING]
 CANNOT_BE = (FaultKind.REPEAT, FaultKind.STEP_BACK)
@@ -85,15 +88,74 @@ def places(device: VirtualDevice, run: Run, data_name: str) -> list[int]:
     return assert_once_and_in_order(received, values[~np.isnan(values).all(axis=1)])
 
 
+def is_regular(device: VirtualDevice, data_name: str) -> bool:
+    """Tell whether the samples of a stream come at a rate."""
+    return declaration(device.sensor).stream(data_name).is_regular
+
+
+def imbalance(device: VirtualDevice, run: Run, kind: FaultKind) -> str:
+    """Return which regular stream lost something else than is counted; empty if none did."""
+    for name in filter(partial(is_regular, device), measured(device)):
+        truth = device.truth.samples(name)
+        has_value = ~np.isnan(truth.values).all(axis=1)
+        found = np.array(places(device, run, name), np.int64)
+        if len(found) < COUNT:
+            continue
+        times_s = truth.times[has_value][found]
+        period_s = np.median(np.diff(truth.times))
+        unread = int(found[-1] - found[0] + 1 - len(found))
+        missing = int(np.maximum(0, np.round(np.diff(times_s) / period_s) - 1).sum())
+        least, most = {
+            Gap.MEASURED: (missing, missing),
+            Gap.STOPPED: (unread, unread),
+            Gap.UNKNOWN: (max(1, unread), missing),
+        }[device.expected.gaps.get(kind, Gap.MEASURED)]
+        allowed = device.expected.loss_tolerance.of(
+            name,
+            is_break=kind is not FaultKind.STALL,
+            is_restart=kind is FaultKind.RESTART,
+        )
+        lost = run.sink.lost_count(name)
+        if not least - allowed <= lost <= most + allowed:
+            return f"{name}: {lost} counted, {least} to {most} lost"
+    return ""
+
+
+async def assert_counted(device: VirtualDevice, run: Run, kind: FaultKind) -> None:
+    """Assert that what a fault cost is counted as lost, by those that estimate it later."""
+    for _ in range(round(ESTIMATED_S)):
+        if not imbalance(device, run, kind):
+            break
+        await asyncio.sleep(1.0)
+    assert not imbalance(device, run, kind)
+
+
 def is_silent(run: Run, data_name: str) -> bool:
     """Tell whether nothing has come for long; a connection to a service may outlast it."""
     return run.sink.clock() - run.sink.times[data_name][-1] > SILENT_S
 
 
-async def test_what_the_device_measures_arrives(device: VirtualDevice) -> None:
+async def test_all_that_the_device_measures_arrives(device: VirtualDevice) -> None:
+    names = measured(device)
     async with told_the_truth(device) as run:
+        await until(run.sink.has(COUNT, *(each for each in names if is_regular(device, each))))
+        await until(run.sink.has(1, *(each for each in names if each in device.truth.data_names)))
         assert run.supervisor.connections == 1
         assert run.states == STREAMS
+        assert not run.error
+        assert {name: run.sink.lost_count(name) for name in names} == dict.fromkeys(names, 0)
+        assert run.sink.dropped_bytes == 0
+    for name in names if device.truth.data_names else ():
+        assert set(np.diff(places(device, run, name))) <= {1}, name
+
+
+@ON_AIR
+async def test_the_signal_strength_is_that_of_what_was_heard(make: Make) -> None:
+    with make(rssi_dbm=-49) as device:
+        async with streaming(device) as run:
+            await until(run.sink.has(1, *measured(device)[:1]))
+            await until(lambda: run.sink.rows["rssi"])
+            assert run.sink.rows["rssi"][0] == [-49]
 
 
 # What is denied does not come until the next connection: that is asked of `DENY` alone.
@@ -119,6 +181,8 @@ async def test_it_goes_on_after_a_fault_and_makes_nothing_up(
             assert run.supervisor.connections == 1
         elif kind in BREAKS and device.on_air and device.expected.is_linked:
             assert run.supervisor.connections == 2
+        if kind in LOSES and device.truth.data_names:
+            await assert_counted(device, run, kind)
         if kind is FaultKind.GARBAGE:
             assert {run.sink.lost_count(each) for each in measured(device)} == {0}
     if kind is FaultKind.GARBAGE and device.truth.data_names:

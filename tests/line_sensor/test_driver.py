@@ -25,9 +25,7 @@ from biosensor_gateway.devices.line_sensor.driver import DRIVER
 from biosensor_gateway.devices.line_sensor.simulator import (
     OpenEarableLineSensor,
     SimulatedLineSensor,
-    StructLineSensor,
     UdpLineSensor,
-    WebSocketLineSensor,
 )
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.live import History
@@ -41,19 +39,6 @@ from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
 
 # Virtual boards under the supervisor, by each way; and what is said of lines that do not fit.
-
-
-@pytest.mark.parametrize("board", [WebSocketLineSensor, StructLineSensor])
-async def test_a_board_that_goes_and_comes_is_connected_again(
-    world: World, board: type[SimulatedLineSensor]
-) -> None:
-    with board(world) as device:
-        async with streaming(device) as run:
-            await until(run.sink.has(10, "acc"))
-            device.apply(Fault(FaultKind.DROP, 0.5))
-            await until(lambda: run.supervisor.connections == 2)
-            await run.goes_on(10, "acc")
-        assert run.lost["acc"] == run.lost["gsr"] > 0
 
 
 @asynccontextmanager

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
-from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.device_states import State
@@ -183,35 +181,6 @@ async def test_firmware_without_the_protocol_is_said(
         async with connected(sensor()):
             pass
     assert caught.value.reason is ProtocolReason.UNSUPPORTED
-
-
-@ON_BUMBLE
-async def test_a_sensor_that_was_restarted_counts_again_and_nothing_is_lost_for_it(
-    sensor: MakeSensor,
-) -> None:
-    movesense = sensor()
-    with capture_logs() as logs:
-        async with streaming(movesense) as run:
-            await until(run.sink.has(1000, "ecg"))
-            movesense.apply(Fault(FaultKind.RESTART, 2.0))
-            await until(lambda: run.supervisor.connections == 2)
-            await run.goes_on(200, "ecg")
-            assert run.sink.lost_count("ecg") <= 16
-    assert "the device was switched off and counts again" in {entry["event"] for entry in logs}
-    assert np.all(np.diff(run.sink.times["ecg"]) > 0)
-
-
-@ON_BUMBLE
-async def test_what_a_gap_cost_is_counted_when_the_sensor_stayed_on(sensor: MakeSensor) -> None:
-    movesense = sensor()
-    async with streaming(movesense) as run:
-        await until(run.sink.has(1000, "ecg"))
-        movesense.apply(Fault(FaultKind.DROP, 3.0))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.goes_on(200, "ecg")
-        times = np.array(run.sink.times["ecg"])
-        gap_s = float(np.diff(times).max())
-        assert run.sink.lost_count("ecg") == pytest.approx(200 * gap_s - 1, abs=2)
 
 
 @ON_BUMBLE

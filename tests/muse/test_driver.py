@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
 from biosensor_gateway.devices.muse.driver import (
@@ -57,7 +55,6 @@ if TYPE_CHECKING:
 
 SECONDS = 24.0
 PATIENCE_S = 15.0
-LIGHT = {SimulatedMuse: "ppg", SimulatedAthena: "optics"}
 CLASSIC = pytest.mark.parametrize("kind", [SimulatedMuse], ids=["classic"])
 ATHENA = pytest.mark.parametrize("kind", [SimulatedAthena], ids=["athena"])
 
@@ -68,21 +65,6 @@ def assert_complete(run: Run, device: SimulatedMuse | SimulatedAthena, *names: s
         places = assert_once_and_in_order(run.sink.rows[name], device.truth.samples(name).values)
         assert places == list(range(len(places))), name
     assert run.sink.dropped_bytes == 0
-
-
-async def test_every_stream_fills_with_what_the_headband_sent(headband: Make) -> None:
-    device = headband(rssi_dbm=-49)
-    light = LIGHT[type(device)]
-    async with streaming(device, aux=True) as run:
-        await until(run.sink.has(300, "eeg", "aux"))
-        await until(run.sink.has(60, light, "acc", "gyro"))
-        await until(run.sink.has(1, "bat"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-        lost = {run.sink.lost_count(name) for name in ("eeg", "aux", light, "acc", "gyro")}
-    assert_complete(run, device, "eeg", "aux", light, "acc", "gyro")
-    assert lost == {0}
-    assert run.sink.rows["rssi"] == [[-49]]
-    assert run.sink.rows["bat"][0] == [87]
 
 
 @CLASSIC
@@ -209,51 +191,6 @@ async def test_it_is_kept_alive(headband: Make) -> None:
         await asyncio.sleep(3 * PATIENCE_S)
         await run.goes_on(100, "eeg")
         assert run.supervisor.connections == 1
-
-
-@ON_BUMBLE
-async def test_what_a_gap_cost_is_counted_when_the_headband_stayed_on(headband: Make) -> None:
-    device = headband()
-    async with streaming(device) as run:
-        await until(run.sink.has(1000, "eeg"))
-        device.apply(Fault(FaultKind.DROP, 3.0))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.goes_on(200, "eeg")
-        gap_s = float(np.diff(np.array(run.sink.times["eeg"])).max())
-        assert run.sink.lost_count("eeg") == pytest.approx(256 * gap_s - 1, abs=48)
-
-
-@ATHENA
-@ON_BUMBLE
-async def test_an_athena_that_was_restarted_counts_again_and_nothing_is_lost_for_it(
-    headband: Make,
-) -> None:
-    device = headband()
-    with capture_logs() as logs:
-        async with streaming(device) as run:
-            await until(run.sink.has(1000, "eeg"))
-            device.apply(Fault(FaultKind.RESTART, 3.0))
-            await until(lambda: run.supervisor.connections == 2)
-            await run.goes_on(200, "eeg")
-            assert run.sink.lost_count("eeg") == 0
-    assert "the device was switched off and counts again" in {entry["event"] for entry in logs}
-    assert np.all(np.diff(run.sink.times["eeg"]) > 0)
-
-
-@ON_BUMBLE
-async def test_what_was_lost_within_a_connection_is_counted_exactly(headband: Make) -> None:
-    device = headband()
-    light = LIGHT[type(device)]
-    async with streaming(device) as run:
-        await until(run.sink.has(300, "eeg"))
-        device.apply(Fault(FaultKind.STALL, 1.0))
-        await run.goes_on(1000, "eeg")
-        await run.goes_on(100, "acc", light)
-        assert run.supervisor.connections == 1
-        for name in ("eeg", "acc", "gyro", light):
-            lost = run.sink.lost_count(name)
-            assert lost == device.truth.unsent_count(name), name
-            assert lost > 0
 
 
 # Which advertisements are Muse headbands, and which preset each is told.

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from math import inf
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,7 +16,6 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import CredentialError, ProtocolError, ProtocolReason
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices import ble_session as session_module
-from biosensor_gateway.devices.polar_h10 import SPEC
 from biosensor_gateway.devices.polar_h10 import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import (
     PolarDriver,
@@ -43,31 +41,6 @@ from tests.rigs.truth import assert_once_and_in_order
 # The driver streams from virtual Polar sensors: all of it, once, at the right time.
 
 MakeSensor = Callable[..., SimulatedPolarH10]
-
-
-async def test_every_stream_fills_with_what_the_sensor_sent(sensor: MakeSensor) -> None:
-    h10 = sensor(rssi_dbm=-49)
-    async with streaming(h10) as run:
-        await until(run.sink.has(4, "hr", "ibi", "quality"))
-        await until(run.sink.has(200, "ecg"))
-        await until(run.sink.has(100, "acc"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-        # The truth may be ahead by what is under way.
-        lost = [run.sink.lost_count(stream.data_name) for stream in SPEC.streams]
-    for name in ("hr", "ibi", "ecg", "acc"):
-        places = assert_once_and_in_order(run.sink.rows[name], h10.truth.samples(name).values)
-        assert places == list(range(places[0], places[0] + len(places)))
-    # From the first sample on.
-    for name in ("ecg", "acc"):
-        first = h10.truth.samples(name).values[: len(run.sink.rows[name])]
-        np.testing.assert_allclose(run.sink.rows[name], first, rtol=1e-6)
-    assert run.sink.rows["bat"] == [[87]]
-    assert run.sink.rows["rssi"] == [[-49]]
-    # Its first measurement may come before it has found a beat.
-    _, *qualities = run.sink.values("quality")
-    assert set(qualities) == {1}
-    assert set(lost) == {0}
-    assert run.sink.dropped_bytes == 0
 
 
 @pytest.mark.parametrize("rate", [25, 200])
@@ -320,28 +293,6 @@ async def after_a_break(run: Run, break_it: Callable[[], None]) -> None:
     await until(run.sink.has(ecg + 100, "ecg"))
     await until(run.sink.has(acc + 36, "acc"))
     await until(run.sink.has(1, "bat"))
-
-
-async def test_a_lost_link_is_a_gap_of_known_length(sensor: MakeSteered) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
-        lost = {name: run.sink.lost_count(name) for name in ("ecg", "acc")}
-    assert_only_gaps(h10, run.sink)
-    for name, rate in {"ecg": 130, "acc": 50}.items():
-        stamps = np.array(run.sink.times[name])
-        assert lost[name] == pytest.approx((np.diff(stamps) - 1 / rate).max() * rate, abs=6)
-
-
-async def test_a_device_that_restarts_counts_again_and_loses_nothing_meanwhile(
-    sensor: MakeSteered,
-) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await after_a_break(run, lambda: h10.apply(Fault(FaultKind.RESTART, 0.8)))
-        lost = run.sink.lost_count("ecg")
-    assert_only_gaps(h10, run.sink)
-    assert lost == 0
 
 
 async def test_measurements_that_went_on_are_started_again(sensor: MakeSteered) -> None:

@@ -29,7 +29,6 @@ from biosensor_gateway.devices.shimmer.simulator import (
 )
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
 from biosensor_gateway.doctor.device_test import run_device_test
-from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.driver_run import Run, connected, supervised
@@ -127,17 +126,6 @@ async def test_settings_choose_sensors_rate_and_what_the_exg_chips_do(
         run = await streams_of(device, sensors="ecg,pressure")
         assert on(run) == {"ecg"} | AIR
         assert not run.sink.rows["quality"]
-
-
-async def test_an_electrode_that_comes_off_is_told(world: World) -> None:
-    with SimulatedExgUnit(world, seed=4) as device:
-        run = Run(device)
-        async with supervised(run):
-            await until(lambda: run.sink.rows["quality"][-1:] == [[1.0] * 5])
-            device.apply(Fault(FaultKind.OFF_BODY, float("inf")))
-            await until(lambda: run.sink.rows["quality"][-1] == [0.0] * 5)
-            device.clear(FaultKind.OFF_BODY)
-            await until(lambda: run.sink.rows["quality"][-1] == [1.0] * 5)
 
 
 async def test_what_was_never_calibrated_is_said(world: World) -> None:

@@ -171,47 +171,6 @@ async def test_over_tcp_it_is_the_same(streaming: Streaming) -> None:
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
 
 
-@pytest.mark.parametrize("firmware", [(0, 11, 0), (1, 1, 2)], ids=str)
-async def test_a_link_drop_is_a_gap_and_the_counter_goes_on(
-    streaming: Streaming, firmware: tuple[int, int, int]
-) -> None:
-    async with streaming(firmware=firmware, seed=5) as run:
-        await run.more()
-        run.device.apply(Fault(FaultKind.DROP, 1.0))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.more()
-        await run.assert_nothing_invented()
-        # A device without a link does not measure, so there was nothing to lose.
-        assert run.lost == {}
-        assert run.sink.clock_state.reanchors == 0
-
-
-async def test_a_restarted_device_is_followed_with_a_new_clock(streaming: Streaming) -> None:
-    async with streaming(seed=6, first_tick=5_000_000) as run:
-        await run.more()
-        run.device.apply(Fault(FaultKind.RESTART, 0.5))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.more(200)
-        await run.assert_nothing_invented()
-        assert run.lost == {}
-        assert run.sink.clock_state.reanchors == 1
-        errors = run.sink.times["gsr"][-1] - run.device.truth.samples("gsr").times
-        assert np.abs(errors).min() < 0.1
-
-
-async def test_samples_that_a_stall_costs_are_counted(streaming: Streaming) -> None:
-    async with streaming(seed=7) as run:
-        await run.more()
-        run.device.apply(Fault(FaultKind.STALL, NEVER))
-        await until(lambda: run.device.truth.unsent_count("gsr") > 50)
-        run.device.clear(FaultKind.STALL)
-        await run.more()
-        await run.assert_nothing_invented()
-        unsent = run.device.truth.unsent_count("gsr")
-    assert run.supervisor.connections == 1
-    assert run.lost == {"gsr": unsent, "ppg": unsent}
-
-
 async def test_a_device_that_falls_silent_is_asked_then_connected_again(
     streaming: Streaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:

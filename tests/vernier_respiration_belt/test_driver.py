@@ -162,8 +162,6 @@ def test_the_address_is_replaced_and_the_rest_is_read_alike() -> None:
 
 # Whatever happens to a belt or the link to it, the driver comes back and says so.
 
-SAMPLE_S = 0.1
-
 
 def measure_for_a_while(monkeypatch: pytest.MonkeyPatch, *seconds: float) -> None:
     """Have belts fall silent so long after their first starts."""
@@ -176,31 +174,6 @@ def measure_for_a_while(monkeypatch: pytest.MonkeyPatch, *seconds: float) -> Non
                 await measure(self)
 
     monkeypatch.setattr(SimulatedBelt, "_measure", measure_then_stop)
-
-
-async def test_a_lost_link_is_made_again_and_the_gap_counted(belt: SimulatedBelt) -> None:
-    async with streaming(belt) as run:
-        await until(run.sink.has(10, "force"))
-        belt.apply(Fault(FaultKind.DROP, 1.0))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.goes_on(5, "force")
-    assert_true(run.sink, belt)
-    gap_s = np.diff(run.sink.times["force"]).max()
-    assert run.sink.lost_count("force") == pytest.approx(gap_s / SAMPLE_S - 1, abs=1.5)
-
-
-async def test_what_a_stalled_link_loses_is_counted(belt: SimulatedBelt) -> None:
-    async with streaming(belt) as run:
-        await until(run.sink.has(20, "force"))
-        belt.apply(Fault(FaultKind.STALL, inf))
-        # Long enough for a silence, too short for the driver to do anything about it.
-        await until(lambda: belt.truth.unsent_count("force") >= 10)
-        belt.clear(FaultKind.STALL)
-        await until(lambda: run.sink.lost_count("force"))
-        await run.goes_on(5, "force")
-        assert run.supervisor.connections == 1
-    assert_true(run.sink, belt)
-    assert run.sink.lost_count("force") == belt.truth.unsent_count("force")
 
 
 @pytest.mark.usefixtures("hasty")

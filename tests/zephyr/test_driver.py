@@ -21,7 +21,6 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.naming import source_id
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device_states import State
-from biosensor_gateway.devices.zephyr import SPEC
 from biosensor_gateway.devices.zephyr import driver as module
 from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
@@ -115,42 +114,6 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 def fast(**options: Any) -> SteeredBioHarness:
     source = SyntheticSource(seed=3, speed=10, hrv_after_s=0, wearer=Wearer(3, 75))
     return SteeredBioHarness(source, buffer_bytes=ROOMY_BYTES, **options)
-
-
-async def test_every_stream_fills_with_what_the_device_sent() -> None:
-    async with streaming(fast()) as run:
-        # This strap has no thermometer.
-        names = [stream.data_name for stream in SPEC.streams if stream.data_name != "st"]
-        await eventually(run.sink.has_blocks(*names, blocks=5))
-        sent = run.device.sent
-    for name, packet in WAVEFORMS.items():
-        truth = run.device.sent_samples(packet)[:, 1:]
-        received = run.sink.array(name)
-        np.testing.assert_array_equal(received, in_units(name, truth[: len(received)]))
-    summaries = [out.values for out in sent if out.packet is Packet.SUMMARY and out.values]
-    keys = {"hr": "heart_rate_bpm", "hrv": "hrv_ms", "br": "respiration_rate_bpm",
-            "posture": "posture_deg", "activity": "activity_vmu_g", "bat": "battery_percent",
-            "rssi": "rssi_db"}  # fmt: skip
-    for name, key in keys.items():
-        received = run.sink.array(name)[:, 0]
-        sent_values = np.array([values[key] for values in summaries], np.float64)
-        np.testing.assert_allclose(received, sent_values[: len(received)], rtol=1e-6)
-    assert run.sink.blocks["st"] == []
-    assert {tuple(row) for row in run.sink.array("quality")} == {(1, 100, 0, 0, 0, 254)}
-    assert run.lost == {}
-    assert run.sink.dropped_bytes == 0
-
-
-async def test_intervals_are_those_of_the_body() -> None:
-    async with streaming(fast()) as run:
-        await eventually(run.sink.has_blocks("ibi", blocks=25))
-        readings = run.device.sent_samples(Packet.RR)[:, 1]
-    beats = np.flatnonzero(np.diff(readings)) + 1
-    received = run.sink.array("ibi")[:, 0]
-    np.testing.assert_allclose(received, np.abs(readings[beats])[: len(received)] / 1000)
-    apart = np.diff(run.sink.device_times["ibi"])
-    # A beat is seen in the first of the readings, 56 ms apart, that follow it.
-    np.testing.assert_allclose(apart, received[1:], atol=0.065)
 
 
 @pytest.mark.seam
@@ -311,24 +274,6 @@ async def assert_only_counted_losses(run: BioHarnessRun) -> None:
         size = len(run.sink.blocks[name][0])
         assert run.sink.counted(name).lost == missing * size
         assert run.sink.counted(name).pushed == len(numbers) * size
-
-
-@pytest.mark.usefixtures("hasty")
-async def test_a_link_drop_is_a_gap_of_counted_length() -> None:
-    async with streaming(SteeredBioHarness(SyntheticSource(seed=5))) as run:
-        await eventually(run.sink.has_blocks("breathing", "acc", blocks=2))
-        run.device.drop_link(seconds=2.0)
-        await eventually(lambda: State.DISCOVERING in run.states)
-        before = len(run.sink.blocks["breathing"])
-        await eventually(run.sink.has_blocks("breathing", "acc", "ecg", blocks=before + 3))
-        await eventually(run.sink.has_blocks("hr", blocks=4))
-    assert run.supervisor.connections == 2
-    assert run.lost["ecg"] >= 6 * 63
-    assert run.lost["hr"] >= 1
-    await assert_only_counted_losses(run)
-    for name in WAVEFORMS:
-        assert all(a < b for a, b in pairwise(run.sink.device_times[name]))
-    assert run.sink.clock_state.reanchors == 0
 
 
 async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
