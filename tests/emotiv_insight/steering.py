@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from biosensor_gateway.devices.emotiv_insight.simulator import Licence, SimulatedCortex
 
 _USER_LOGGED_IN, _USER_LOGGED_OUT = 2, 3
-_ACCESS_GRANTED, _ACCESS_REJECTED = 9, 10
-_UNKNOWN_WARNING = 999
+_ACCESS_GRANTED = 9
 
 
 class SteeredCortex(SimulatedCortex):
@@ -29,11 +28,6 @@ class SteeredCortex(SimulatedCortex):
         """Let the user approve the app in the Launcher."""
         self._do(lambda: self._account.approved.add(self.client_id))
         self._warn(_ACCESS_GRANTED, "The user has granted access.")
-
-    def reject(self) -> None:
-        """Let the user reject the app."""
-        self._do(lambda: self._account.approved.discard(self.client_id))
-        self._warn(_ACCESS_REJECTED, "The user has rejected access.")
 
     def log_in(self) -> None:
         """Let the user log in."""
@@ -60,10 +54,6 @@ class SteeredCortex(SimulatedCortex):
     def switch_headset_on(self) -> None:
         """Send again, if Cortex has not given the headset up meanwhile."""
         self._do(self._headset.switch_on)
-
-    def fail_next_connect(self, code: int) -> None:
-        """End the next connection to the headset with this warning (100, 101, 102)."""
-        self._do(lambda: self._headset.fail_next_connect(code))
 
     def drop_samples(self, count: int) -> None:
         """Lose the next EEG samples on the radio: the counter shows it."""
@@ -97,13 +87,8 @@ class SteeredCortex(SimulatedCortex):
         """Answer the next request of a method twice."""
         self._do(lambda: self._manners.doubled.add(method))
 
-    def flood(self, count: int) -> None:
-        """Send so many warnings of an unknown code."""
-        for number in range(count):
-            self._warn(_UNKNOWN_WARNING, f"future {number}")
-
-    def send_raw(self, message: str | bytes | Sequence[str]) -> None:
-        """Send every client any message; a sequence of texts goes out in as many frames."""
+    def send_raw(self, message: str | bytes) -> None:
+        """Send every client any message."""
         self._do(lambda: self._send_raw(message))
 
     def close_connections(self, code: int) -> None:

@@ -12,7 +12,6 @@ from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
     Release,
     Timing,
 )
-from biosensor_gateway.devices.emotiv_insight.simulator.listener import Leaf
 
 __all__ = [
     "EPOC_X",
@@ -21,7 +20,6 @@ __all__ = [
     "INSIGHT_2",
     "App",
     "Circumstances",
-    "Leaf",
     "Licence",
     "Metrics",
     "Model",

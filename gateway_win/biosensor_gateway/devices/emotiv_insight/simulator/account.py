@@ -133,19 +133,15 @@ class Account:
 
     Parameters
     ----------
-    apps
-        Secrets of the registered apps by client id.
-    approved
-        Client ids of approved apps.
+    app
+        The registered app.
     """
 
-    def __init__(
-        self, apps: Mapping[str, str], approved: set[str], user: User, *, seed: int
-    ) -> None:
-        self.approved = approved
+    def __init__(self, app: App, user: User, *, seed: int) -> None:
+        self.approved = {app.client_id} if user.approved else set[str]()
         self.is_logged_in = user.logged_in
         self.licence = user.licence
-        self._apps = apps
+        self._app = app
         self._user = user
         self._cloud_quota = user.session_quota
         self._local_quota = 0
@@ -177,7 +173,7 @@ class Account:
             If they are wrong or no user is logged in.
         """
         client_id, secret = params["clientId"], params["clientSecret"]
-        if client_id not in self._apps or self._apps[client_id] != secret:
+        if self._app != (client_id, secret):
             raise RpcError(Code.WRONG_CREDENTIALS)
         self._need_login()
         return client_id

@@ -14,7 +14,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
@@ -22,6 +22,7 @@ from types import MappingProxyType
 from typing import Any, Unpack
 
 import numpy as np
+import trustme
 
 from biosensor_gateway.devices.emotiv_insight.simulator.account import (
     Account,
@@ -41,11 +42,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
     Timing,
     warning,
 )
-from biosensor_gateway.devices.emotiv_insight.simulator.listener import (
-    Authority,
-    Leaf,
-    Listener,
-)
+from biosensor_gateway.devices.emotiv_insight.simulator.listener import Listener, server_context
 from biosensor_gateway.devices.emotiv_insight.simulator.methods import (
     Manners,
     Methods,
@@ -84,56 +81,24 @@ _SUBSCRIPTION_DELAY_S = 0.3
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Version, user, computer and behaviour of a virtual Cortex.
+    """Version, user and behaviour of a virtual Cortex.
 
     Attributes
     ----------
-    other_apps
-        Secrets of further apps by client id; the user has approved them.
     unlicensed_metrics_s
         Interval of ``met`` samples if the licence does not cover them [s].
-    bluetooth_permitted
-        If False, the operating system denies Cortex the use of Bluetooth.
     neighbours
         Ids of other headsets in the list.
-    leaf, ca_without_key_usage
-        Properties of the certificates of the server and its authority.
-    reply_delays_s
-        Delays of replies by method, so replies may overtake each other.
     data_before_reply
         Whether samples arrive before the reply to their subscription.
-    refusal_code
-        Error code of the fault REFUSE.
     """
 
     release: Release = RELEASE
     app: App = APP
-    other_apps: Mapping[str, str] = field(default_factory=dict[str, str])
     user: User = field(default_factory=User)
     unlicensed_metrics_s: float = 10.0
-    bluetooth_permitted: bool = True
     neighbours: tuple[str, ...] = ()
-    leaf: Leaf = Leaf.VALID
-    ca_without_key_usage: bool = False
-    reply_delays_s: Mapping[str, float] = field(default_factory=dict[str, float])
     data_before_reply: bool = False
-    refusal_code: int = Code.INTERNAL
-
-    @property
-    def secrets(self) -> dict[str, str]:
-        """Return the secrets of all apps by client id."""
-        return {**self.other_apps, self.app.client_id: self.app.client_secret}
-
-    @property
-    def approved_apps(self) -> set[str]:
-        """Client ids of the apps that the user has approved."""
-        return {*self.other_apps, *([self.app.client_id] if self.user.approved else [])}
-
-    @property
-    def delays_s(self) -> dict[str, float]:
-        """Delays of methods that are not answered at once [s]."""
-        late = {"subscribe": _SUBSCRIPTION_DELAY_S} if self.data_before_reply else {}
-        return late | dict(self.reply_delays_s)
 
 
 _CORTEX_READY = 23
@@ -203,7 +168,7 @@ class SimulatedCortex(VirtualDevice):
         self._tasks: list[asyncio.Task[None]] = []
         self._starting: asyncio.TimerHandle | None = None
         self._mishaps = Mishaps()
-        self._account = Account(around.secrets, around.approved_apps, around.user, seed=seed)
+        self._account = Account(around.app, around.user, seed=seed)
         self._sessions = Sessions(seed)
         self._headset = Headset(
             headset or f"{model.prefix}-A1B2C3D4",
@@ -215,9 +180,8 @@ class SimulatedCortex(VirtualDevice):
             warn=self._tell_all,
             lost=self._sessions.lose_all,
         )
-        self._manners = Manners(
-            delays_s=around.delays_s, lacks_bluetooth=not around.bluetooth_permitted
-        )
+        late_s = _SUBSCRIPTION_DELAY_S if around.data_before_reply else 0.0
+        self._manners = Manners(delays_s={"subscribe": late_s})
         self._methods = methods = Methods(
             self._account,
             self._headset,
@@ -247,14 +211,12 @@ class SimulatedCortex(VirtualDevice):
         }
 
     async def _start(self) -> None:
-        authority = Authority(has_key_usage=not self._around.ca_without_key_usage)
+        authority = trustme.CA()
         self._folder = Path(tempfile.mkdtemp(prefix="virtual-cortex-"))
         self._ca_file = self._folder / "ca.pem"
-        self._ca_file.write_bytes(authority.pem)
+        authority.cert_pem.write_to_path(self._ca_file)
         self._listener = Listener(
-            authority.server_context(self._around.leaf),
-            self._replies.hear,
-            self._sessions.end_with,
+            server_context(authority), self._replies.hear, self._sessions.end_with
         )
         self._listener.open()
         self._begin_s = self.world.clock()
@@ -301,11 +263,8 @@ class SimulatedCortex(VirtualDevice):
     def _tell_all(self, code: int, message: Announcement) -> None:
         self._send_raw(warning(code, message))
 
-    def _send_raw(self, message: str | bytes | Sequence[str]) -> None:
-        """Send a message to every client; a sequence of texts is sent in as many frames."""
-        if not isinstance(message, str | bytes):
-            self._listener.send_in_pieces(message)
-            return
+    def _send_raw(self, message: str | bytes) -> None:
+        """Send a message to every client."""
         for client in tuple(self._listener.clients):
             client.send(message)
 
@@ -320,7 +279,7 @@ class SimulatedCortex(VirtualDevice):
 
     def _refuse(self) -> None:
         self._break_links()
-        self._manners.refusal = self._around.refusal_code
+        self._manners.refusal = Code.INTERNAL
 
     def _comply(self) -> None:
         self._manners.refusal = None

@@ -178,11 +178,9 @@ def warning(code: int, message: Announcement) -> str:
 Warn = Callable[[int, Announcement], None]
 """Sends a warning with code and message to all clients."""
 
-_WRONG_INFORMATION, _CANNOT_CONNECT, _TIMED_OUT = 100, 101, 102
-_LOST, _CONNECTED, _SCAN_FINISHED = 103, 104, 142
+_WRONG_INFORMATION, _TIMED_OUT, _LOST, _CONNECTED, _SCAN_FINISHED = 100, 102, 103, 104, 142
 _BEHAVIOURS = {
     _WRONG_INFORMATION: "wrong information",
-    _CANNOT_CONNECT: "cannot connect",
     _TIMED_OUT: "connecting timeout",
     _LOST: "headset disconnected, no data",
     _CONNECTED: "headset connected",
@@ -255,7 +253,6 @@ class Headset:
         self._lost = lost
         self._timers: set[asyncio.TimerHandle] = set()
         self._silence: asyncio.TimerHandle | None = None
-        self._connect_failure: int | None = None
         self.status = Status.ABSENT
         self.reset()
 
@@ -315,19 +312,9 @@ class Headset:
         self.status = Status.CONNECTING
         self._later(self._timing.connect_s, self._connected)
 
-    def fail_next_connect(self, code: int) -> None:
-        """Let the next connection attempt fail with this warning."""
-        self._connect_failure = code
-
     def refuse_connect(self, headset_id: str) -> None:
         """Warn that there is no headset with this id."""
         self._say(_WRONG_INFORMATION, headset_id)
-
-    def disconnect(self) -> None:
-        """End the connection; the headset stays in the list."""
-        if self.status is Status.CONNECTED:
-            self.status = Status.DISCOVERED
-            self._lost()
 
     def switch_off(self, *, is_noticed: bool) -> None:
         """Stop sending; Cortex only detects the silence, or nothing."""
@@ -352,11 +339,8 @@ class Headset:
         self._warn(_SCAN_FINISHED, {"behavior": "headset scanning finished"})
 
     def _connected(self) -> None:
-        failure, self._connect_failure = self._connect_failure, None
-        if failure is None and not self.is_on:
-            failure = _TIMED_OUT
-        self.status = Status.CONNECTED if failure is None else Status.DISCOVERED
-        self._say(_CONNECTED if failure is None else failure)
+        self.status = Status.CONNECTED if self.is_on else Status.DISCOVERED
+        self._say(_CONNECTED if self.is_on else _TIMED_OUT)
 
     def _give_up(self) -> None:
         self.status = Status.ABSENT

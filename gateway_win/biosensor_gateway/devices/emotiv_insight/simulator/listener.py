@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import datetime
 import logging
 import socket
 import ssl
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from enum import Enum, auto
 from typing import Any
 
 import trustme
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-from cryptography.x509.oid import NameOID
 from websockets.asyncio.connection import broadcast
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -27,72 +20,14 @@ from websockets.protocol import State
 from biosensor_gateway.simulation.tcp_port import LOOPBACK, KeptPort, break_off
 
 _HOST = "localhost"
-_LONG_AGO = datetime.datetime(2000, 1, 1, tzinfo=datetime.UTC)
-_YESTERYEAR = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
-_FAR_AHEAD = datetime.datetime(2073, 11, 8, tzinfo=datetime.UTC)
 
 
-class Leaf(Enum):
-    """Kind of certificate that the server presents."""
-
-    VALID = auto()
-    EXPIRED = auto()
-    WRONG_NAME = auto()
-    UNTRUSTED = auto()
-    """Signed by an authority that the client does not trust."""
-
-
-class Authority:
-    """A certificate authority that signs one server.
-
-    Parameters
-    ----------
-    has_key_usage
-        If False, its certificate lacks the keyUsage extension, like the vendor's; OpenSSL's strict
-        mode, the default from Python 3.13 on, rejects it.
-    """
-
-    def __init__(self, *, has_key_usage: bool) -> None:
-        self._authority = trustme.CA() if has_key_usage else _without_key_usage()
-
-    @property
-    def pem(self) -> bytes:
-        """Its certificate, for a client to trust."""
-        return self._authority.cert_pem.bytes()
-
-    def server_context(self, leaf: Leaf) -> ssl.SSLContext:
-        """Return the TLS context of a local server."""
-        signer = trustme.CA() if leaf is Leaf.UNTRUSTED else self._authority
-        certificate = signer.issue_cert(
-            "cortex.invalid" if leaf is Leaf.WRONG_NAME else _HOST,
-            not_before=_LONG_AGO,
-            not_after=_YESTERYEAR if leaf is Leaf.EXPIRED else _FAR_AHEAD,
-        )
-        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-        with certificate.private_key_and_cert_chain_pem.tempfile() as path:
-            context.load_cert_chain(path)
-        return context
-
-
-def _without_key_usage() -> trustme.CA:
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "Virtual Cortex root")])
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(_LONG_AGO)
-        .not_valid_after(_FAR_AHEAD)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    return trustme.CA.from_pem(
-        certificate.public_bytes(Encoding.PEM),
-        key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
-    )
+def server_context(authority: trustme.CA) -> ssl.SSLContext:
+    """Return the TLS context of a local server, whose certificate the authority signs."""
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    with authority.issue_cert(_HOST).private_key_and_cert_chain_pem.tempfile() as path:
+        context.load_cert_chain(path)
+    return context
 
 
 _CLOSE_TIMEOUT_S = 1.0
@@ -127,12 +62,6 @@ class Client:
         """Send a text or binary message, unless closed or stalled."""
         if self.is_open and not self._is_stalled:
             broadcast((self._connection,), message)
-
-    async def send_in_pieces(self, pieces: Sequence[str]) -> None:
-        """Send one message in several frames."""
-        with suppress(ConnectionClosed):
-            if self.is_open and not self._is_stalled:
-                await self._connection.send(pieces)
 
     def stall(self) -> None:
         """Stop sending and reading, including pings."""
@@ -224,11 +153,6 @@ class Listener:
         self._awake.set()
         for client in self.clients:
             client.resume()
-
-    def send_in_pieces(self, pieces: Sequence[str]) -> None:
-        """Send one message in several frames to every client."""
-        for client in self.clients:
-            self._spawn(client.send_in_pieces(pieces))
 
     async def stop(self) -> None:
         """Close all connections and the port."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import fnmatch
 import json
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -76,7 +75,6 @@ class Methods:
             "querySessions": self._query_sessions,
             "subscribe": self._subscribe,
             "unsubscribe": self._unsubscribe,
-            "syncWithHeadsetClock": self._sync_with_headset_clock,
         }
 
     def call(self, method: str, client: Client, params: Params) -> Result:
@@ -108,14 +106,12 @@ class Methods:
         if command == "refresh":
             self._headset.scan()
             return {"command": command, "message": "The list of headsets is being refreshed."}
-        if command not in {"connect", "disconnect"}:
+        if command != "connect":
             raise RpcError(Code.INVALID_PARAMS, f"There is no command {command}.")
         if params["headset"] != self._headset.headset_id or not self._headset.status.value:
             self._headset.refuse_connect(params["headset"])
-        elif command == "connect":
-            self._headset.connect()
         else:
-            self._headset.disconnect()
+            self._headset.connect()
         return {"command": command, "message": f"{command} {params['headset']}"}
 
     def _query_headsets(self, _: Client, params: Params) -> Result:
@@ -179,13 +175,6 @@ class Methods:
             else:
                 success.append({"streamName": stream})
         return {"failure": failure, "success": success}
-
-    def _sync_with_headset_clock(self, _: Client, params: Params) -> Result:
-        self._check_headset(params["headset"])
-        return {
-            "adjustment": round(time.time() - float(params["systemTime"]), 6),
-            "headset": self._headset.headset_id,
-        }
 
     def _can_have(self, session: Session, stream: str) -> bool:
         if stream in self.denied:
@@ -280,7 +269,6 @@ def damaged_message(rng: np.random.Generator, session_id: str) -> str | bytes:
 
 _KEPT_CALLS = 10_000
 _REFUSED_METHODS = frozenset({"authorize", "createSession", "subscribe"})
-_WITHOUT_BLUETOOTH = {"code": 31, "message": "Cortex may not use Bluetooth."}
 
 
 @dataclass(slots=True)
@@ -295,10 +283,6 @@ class Manners:
         Error code for requests that lead to data; None if not refused.
     is_starting
         Whether only the version is available yet.
-    lacks_bluetooth
-        Whether the list of headsets contains the note that Bluetooth is denied.
-    errors
-        Error codes for the next requests by method.
     withheld, doubled
         Methods whose next request gets no answer or two answers.
     """
@@ -307,8 +291,6 @@ class Manners:
     delays_s: Mapping[str, float] = field(default_factory=dict[str, float])
     refusal: int | None = None
     is_starting: bool = False
-    lacks_bluetooth: bool = False
-    errors: dict[str, deque[int]] = field(default_factory=dict[str, deque[int]])
     withheld: set[str] = field(default_factory=set[str])
     doubled: set[str] = field(default_factory=set[str])
 
@@ -323,8 +305,6 @@ class Manners:
             raise RpcError(Code.STARTING)
         if self.refusal is not None and method in _REFUSED_METHODS:
             raise RpcError(self.refusal)
-        if self.errors.get(method):
-            raise RpcError(self.errors[method].popleft())
 
 
 class Replies:
@@ -364,8 +344,6 @@ class Replies:
             reply["result"] = self._methods.call(method, client, cast("dict[str, Any]", params))
         except RpcError as error:
             return method, _failure(fields.get("id"), error)
-        if method == "queryHeadsets" and self._manners.lacks_bluetooth:
-            reply["attention"] = _WITHOUT_BLUETOOTH
         return method, reply
 
     def _answer(self, client: Client, method: str, reply: dict[str, Any]) -> None:
