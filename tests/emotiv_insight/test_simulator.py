@@ -17,7 +17,6 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Metrics,
     Model,
     Release,
-    User,
 )
 from biosensor_gateway.simulation.world import World
 from tests.emotiv_insight.steering import SteeredCortex
@@ -54,7 +53,7 @@ def shape(value: Any) -> Any:
 async def test_replies_have_the_shape_of_the_vectors(world: World) -> None:
     with SteeredCortex(
         world,
-        Circumstances(release=Release("3.8.1"), user=User(other_os_user=True)),
+        Circumstances(release=Release("3.8.1")),
         model=INSIGHT_2,
         seed=2,
     ) as cortex:

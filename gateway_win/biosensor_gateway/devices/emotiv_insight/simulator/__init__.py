@@ -1,9 +1,8 @@
 """A virtual Cortex service with one headset: JSON-RPC over a TLS WebSocket."""
 
-from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence, User
+from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
 from biosensor_gateway.devices.emotiv_insight.simulator.cortex import Circumstances, SimulatedCortex
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
-    EPOC_X,
     INSIGHT_1,
     INSIGHT_1_GYRO,
     INSIGHT_2,
@@ -14,7 +13,6 @@ from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
 )
 
 __all__ = [
-    "EPOC_X",
     "INSIGHT_1",
     "INSIGHT_1_GYRO",
     "INSIGHT_2",
@@ -26,5 +24,4 @@ __all__ = [
     "Release",
     "SimulatedCortex",
     "Timing",
-    "User",
 ]

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from biosensor_gateway.devices.emotiv_insight.simulator.headset import warning
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
 
 
@@ -26,10 +25,8 @@ class Code(IntEnum):
     INVALID_TOKEN = -32014
     EXPIRED_TOKEN = -32015
     NO_STREAM = -32016
-    SESSION_LIMIT = -32019
     WRONG_CREDENTIALS = -32021
     NOT_LOGGED_IN = -32033
-    NO_ACCESS_RIGHT = -32102
     STARTING = -32122
     INVALID_REQUEST = -32600
     UNKNOWN_METHOD = -32601
@@ -48,10 +45,8 @@ _MESSAGES = {
     Code.INVALID_TOKEN: "The token is invalid.",
     Code.EXPIRED_TOKEN: "The token has expired.",
     Code.NO_STREAM: "The stream is unavailable or unsupported.",
-    Code.SESSION_LIMIT: "Session limit on this device has been reached.",
     Code.WRONG_CREDENTIALS: "The client id or secret is wrong.",
     Code.NOT_LOGGED_IN: "Nobody is logged in.",
-    Code.NO_ACCESS_RIGHT: "The user has not approved the application.",
     Code.STARTING: "Cortex is starting.",
     Code.INVALID_REQUEST: "No request.",
     Code.PARSE: "This is no JSON.",
@@ -98,30 +93,6 @@ class App(NamedTuple):
     client_secret: str
 
 
-@dataclass(frozen=True)
-class User:
-    """State and licence of a Cortex user.
-
-    Attributes
-    ----------
-    approved
-        Whether the user has approved the registered app.
-    logged_in, other_os_user
-        Whether the user is logged in, and whether as another user of this computer.
-    eula_accepted
-        If False, every authorization contains a warning.
-    session_quota
-        Sessions left in a counted licence; None if not counted.
-    """
-
-    approved: bool = True
-    logged_in: bool = True
-    other_os_user: bool = False
-    eula_accepted: bool = True
-    licence: Licence = Licence.EEG | Licence.METRICS
-    session_quota: int | None = None
-
-
 @dataclass(slots=True)
 class _Token:
     client_id: str
@@ -129,7 +100,7 @@ class _Token:
 
 
 class Account:
-    """The user's account on this computer.
+    """The user's account on this computer, who is logged in and has approved the app.
 
     Parameters
     ----------
@@ -137,14 +108,10 @@ class Account:
         The registered app.
     """
 
-    def __init__(self, app: App, user: User, *, seed: int) -> None:
-        self.approved = {app.client_id} if user.approved else set[str]()
-        self.is_logged_in = user.logged_in
-        self.licence = user.licence
+    def __init__(self, app: App, seed: int) -> None:
+        self.is_logged_in = True
+        self.licence = Licence.EEG | Licence.METRICS
         self._app = app
-        self._user = user
-        self._cloud_quota = user.session_quota
-        self._local_quota = 0
         self._tokens: dict[str, _Token] = {}
         self._rng = np.random.default_rng((seed, 0xC0))
 
@@ -152,14 +119,13 @@ class Account:
         """Return the list of logged-in users, with at most one entry."""
         if not self.is_logged_in:
             return []
-        is_other = self._user.other_os_user
         return [
             {
                 "currentOSUId": "1000",
                 "currentOSUsername": "participant",
                 "lastLoginTime": "2026-01-05T03:00:00.000+01:00",
-                "loggedInOSUId": "1001" if is_other else "1000",
-                "loggedInOSUsername": "somebody" if is_other else "participant",
+                "loggedInOSUId": "1000",
+                "loggedInOSUsername": "participant",
                 "username": USER,
             }
         ]
@@ -179,18 +145,12 @@ class Account:
         return client_id
 
     def authorize(self, client_id: str, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a token for an approved app, using up sessions of the licence."""
-        if client_id not in self.approved:
-            raise RpcError(Code.NO_ACCESS_RIGHT)
+        """Return a token for the app."""
         if params.get("license", LICENCE_ID) != LICENCE_ID:
             raise RpcError(Code.WRONG_LICENCE)
-        self._draw(int(params.get("debit", 0)))
         token = ".".join(self._rng.bytes(12).hex() for _ in range(3))
         self._tokens[token] = _Token(client_id)
-        reply: dict[str, Any] = {"cortexToken": token}
-        if not self._user.eula_accepted:
-            reply["warning"] = {"code": 6, "message": "The licence agreement is not accepted."}
-        return reply
+        return {"cortexToken": token}
 
     def owner(self, params: Mapping[str, Any]) -> str:
         """Return the client id of the app with a request's token.
@@ -209,20 +169,9 @@ class Account:
         return token.client_id
 
     def activate(self) -> None:
-        """Take one session from the licence.
-
-        Raises
-        ------
-        RpcError
-            If there is no licence, or no session left on this computer.
-        """
+        """Raise RpcError if there is no licence for an active session."""
         if self.licence is Licence.NONE:
             raise RpcError(Code.NO_LICENCE)
-        if self._cloud_quota is None:
-            return
-        if self._local_quota == 0:
-            raise RpcError(Code.SESSION_LIMIT)
-        self._local_quota -= 1
 
     def expire_tokens(self) -> None:
         """Expire all tokens."""
@@ -241,23 +190,14 @@ class Account:
                 "licenseId": LICENCE_ID,
                 "scopes": self.licence.scopes,
                 "expired": False,
-                "localQuota": self._local_quota,
-                "sessionCount": {"count": self._cloud_quota or 0, "debit": 0},
+                "localQuota": 0,
+                "sessionCount": {"count": 0, "debit": 0},
             },
         }
-
-    def _draw(self, debit: int) -> None:
-        if self._cloud_quota is not None:
-            drawn = min(debit, self._cloud_quota)
-            self._cloud_quota -= drawn
-            self._local_quota += drawn
 
     def _need_login(self) -> None:
         if not self.is_logged_in:
             raise RpcError(Code.NOT_LOGGED_IN)
-
-
-STREAMS_STOPPED, SESSION_CLOSED = 0, 1
 
 
 @dataclass(eq=False, slots=True)
@@ -335,14 +275,6 @@ class Sessions:
         """End one session on request of its app."""
         self._sessions.pop(session.session_id, None)
 
-    def lose_all(self) -> None:
-        """End all sessions because the headset is lost, and warn the clients."""
-        for session in self:
-            self.close(session)
-            if session.subscribers:
-                self._tell(session, STREAMS_STOPPED, "all streams stopped")
-            self._tell(session, SESSION_CLOSED, "session closed")
-
     def end_with(self, client: Client) -> None:
         """End the sessions and subscriptions of a closed connection."""
         for session in self:
@@ -360,10 +292,6 @@ class Sessions:
     def forget(self) -> None:
         """Forget all sessions."""
         self._sessions.clear()
-
-    def _tell(self, session: Session, code: int, behaviour: str) -> None:
-        message = {"behavior": behaviour, "sessionId": session.session_id}
-        session.client.send(warning(code, message))
 
 
 def _now() -> str:

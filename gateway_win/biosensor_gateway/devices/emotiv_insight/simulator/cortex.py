@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from types import MappingProxyType
@@ -28,10 +28,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.account import (
     Account,
     App,
     Code,
-    Licence,
-    Session,
     Sessions,
-    User,
 )
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
     INSIGHT_1,
@@ -39,6 +36,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.headset import (
     Headset,
     Model,
     Release,
+    Status,
     Timing,
     warning,
 )
@@ -49,12 +47,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.methods import (
     Replies,
     damaged_message,
 )
-from biosensor_gateway.devices.emotiv_insight.simulator.streams import (
-    Mishaps,
-    Signals,
-    Stage,
-    Stream,
-)
+from biosensor_gateway.devices.emotiv_insight.simulator.streams import Signals, Stage, Stream
 from biosensor_gateway.simulation.faults import (
     Effect,
     FaultKind,
@@ -76,29 +69,21 @@ from biosensor_gateway.simulation.world import Oscillator, World
 
 APP = App("virtual-app", "virtual-secret-0123456789")
 RELEASE = Release("4.8.32")
-_SUBSCRIPTION_DELAY_S = 0.3
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Version, user and behaviour of a virtual Cortex.
+    """Version, app and surroundings of a virtual Cortex.
 
     Attributes
     ----------
-    unlicensed_metrics_s
-        Interval of ``met`` samples if the licence does not cover them [s].
     neighbours
         Ids of other headsets in the list.
-    data_before_reply
-        Whether samples arrive before the reply to their subscription.
     """
 
     release: Release = RELEASE
     app: App = APP
-    user: User = field(default_factory=User)
-    unlicensed_metrics_s: float = 10.0
     neighbours: tuple[str, ...] = ()
-    data_before_reply: bool = False
 
 
 _CORTEX_READY = 23
@@ -123,13 +108,11 @@ class SimulatedCortex(VirtualDevice):
     Parameters
     ----------
     circumstances
-        User, computer and version of Cortex.
+        Version and app of Cortex, and further headsets.
     headset
         Headset id; None for ``A1B2C3D4`` after the model's prefix.
     model
-        `INSIGHT_1`, `INSIGHT_1_GYRO` (older firmware), `INSIGHT_2`, `EPOC_X` or another model.
-    is_virtual
-        Whether the headset is the vendor's simulator, whose end is never detected.
+        `INSIGHT_1`, `INSIGHT_1_GYRO` (older firmware) or `INSIGHT_2`.
     timing
         Durations of Cortex's actions.
     **specimen
@@ -150,7 +133,6 @@ class SimulatedCortex(VirtualDevice):
         *,
         headset: str | None = None,
         model: Model = INSIGHT_1,
-        is_virtual: bool = False,
         timing: Timing | None = None,
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
@@ -167,21 +149,18 @@ class SimulatedCortex(VirtualDevice):
         self._obstacles: set[FaultKind] = set()
         self._tasks: list[asyncio.Task[None]] = []
         self._starting: asyncio.TimerHandle | None = None
-        self._mishaps = Mishaps()
-        self._account = Account(around.app, around.user, seed=seed)
+        self._is_unreadable = False
+        self._account = Account(around.app, seed)
         self._sessions = Sessions(seed)
         self._headset = Headset(
             headset or f"{model.prefix}-A1B2C3D4",
             model,
             self._timing,
-            is_virtual=is_virtual,
             must_scan=around.release.must_scan,
             loop=self._loop,
             warn=self._tell_all,
-            lost=self._sessions.lose_all,
         )
-        late_s = _SUBSCRIPTION_DELAY_S if around.data_before_reply else 0.0
-        self._manners = Manners(delays_s={"subscribe": late_s})
+        self._manners = Manners()
         self._methods = methods = Methods(
             self._account,
             self._headset,
@@ -242,23 +221,17 @@ class SimulatedCortex(VirtualDevice):
             jitter_s=self.specimen.jitter_s,
             rng=self._rng,
             truth=self.truth,
-            delivers=lambda: self._headset.delivers,
+            delivers=lambda: self._headset.status is Status.CONNECTED,
+            is_unreadable=lambda: self._is_unreadable,
             subscribed=self._sessions.subscribed,
-            is_due=self._is_due,
             stamp=lambda device_s: self._unix_begin_s + device_s,
             changes=lambda: self._changes,
         )
         columns = self._around.release.columns
         return {
-            name: Stream(name, rate, signal, columns(name, self._model), self._mishaps, stage)
+            name: Stream(name, rate, signal, columns(name, self._model), stage)
             for name, (rate, signal) in self._signals.sources().items()
         }
-
-    def _is_due(self, session: Session, stream: str, number: int) -> bool:
-        if stream != "met" or (session.is_active and Licence.METRICS in self._account.licence):
-            return True
-        rate, _ = self._signals.sources()[stream]
-        return number % round(self._around.unlicensed_metrics_s * rate) == 0
 
     def _tell_all(self, code: int, message: Announcement) -> None:
         self._send_raw(warning(code, message))
@@ -354,7 +327,7 @@ class SimulatedCortex(VirtualDevice):
             FaultKind.DENY: lasting(_deny, _give),
             Untidiness.STRAY: Effect(_send_unknown),
             FaultKind.LATE: level("_manners.late_s", 0.0, then=_break_links),
-            FaultKind.UNREADABLE: flag("_mishaps.unannounced"),
+            FaultKind.UNREADABLE: flag("_is_unreadable"),
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),

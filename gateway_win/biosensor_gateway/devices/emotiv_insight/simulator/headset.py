@@ -11,9 +11,6 @@ from typing import Any
 
 _FULL_SCALE_UV = 20 / 39 * 2**14  # 0.51 uV a step at 14 bits
 _INSIGHT = ("AF3", "T7", "Pz", "T8", "AF4")
-_EPOC = (
-    "AF3", "F7", "F3", "FC5", "T7", "P7", "O1", "O2", "P8", "T8", "FC6", "F4", "F8", "AF4"
-)  # fmt: skip
 _QUATERNION = ("Q0", "Q1", "Q2", "Q3")
 _GYROSCOPE = ("GYROX", "GYROY", "GYROZ")
 _FIELDS = ("ACCX", "ACCY", "ACCZ", "MAGX", "MAGY", "MAGZ")
@@ -64,7 +61,6 @@ class Model:
 INSIGHT_1 = Model("INSIGHT", "INSIGHT", _INSIGHT, 128, 14, 64, False, "930")
 INSIGHT_1_GYRO = Model("INSIGHT", "INSIGHT", _INSIGHT, 128, 14, 128, True, "925")
 INSIGHT_2 = Model("INSIGHT2", "INSIGHT", _INSIGHT, 128, 16, 32, False, "a11")
-EPOC_X = Model("EPOCX", "EPOCX", _EPOC, 256, 16, 64, False, "635")
 
 
 _BANDS = ("theta", "alpha", "betaL", "betaH", "gamma")
@@ -178,11 +174,9 @@ def warning(code: int, message: Announcement) -> str:
 Warn = Callable[[int, Announcement], None]
 """Sends a warning with code and message to all clients."""
 
-_WRONG_INFORMATION, _TIMED_OUT, _LOST, _CONNECTED, _SCAN_FINISHED = 100, 102, 103, 104, 142
+_WRONG_INFORMATION, _CONNECTED, _SCAN_FINISHED = 100, 104, 142
 _BEHAVIOURS = {
     _WRONG_INFORMATION: "wrong information",
-    _TIMED_OUT: "connecting timeout",
-    _LOST: "headset disconnected, no data",
     _CONNECTED: "headset connected",
 }
 
@@ -206,8 +200,6 @@ class Timing:
         From the start of a scan until a headset is found, and until the scan ends.
     connect_s
         Until a connection is established.
-    silence_s
-        Time without data until a headset counts as lost.
     starting_s
         Time until a restarted service is ready.
     """
@@ -215,7 +207,6 @@ class Timing:
     found_s: float = 0.2
     scan_s: float = 1.0
     connect_s: float = 0.2
-    silence_s: float = 30.0
     starting_s: float = 0.3
 
 
@@ -224,8 +215,6 @@ class Headset:
 
     Parameters
     ----------
-    is_virtual
-        Whether it is the vendor's simulator, whose end Cortex never detects.
     must_scan
         If False, it is in the list without a scan.
     """
@@ -236,30 +225,19 @@ class Headset:
         model: Model,
         timing: Timing,
         *,
-        is_virtual: bool,
         must_scan: bool,
         loop: asyncio.AbstractEventLoop,
         warn: Warn,
-        lost: Callable[[], None],
     ) -> None:
         self.headset_id = headset_id
         self.model = model
-        self.is_virtual = is_virtual
-        self.is_on = True
         self._timing = timing
         self._must_scan = must_scan
         self._loop = loop
         self._warn = warn
-        self._lost = lost
         self._timers: set[asyncio.TimerHandle] = set()
-        self._silence: asyncio.TimerHandle | None = None
         self.status = Status.ABSENT
         self.reset()
-
-    @property
-    def delivers(self) -> bool:
-        """Whether its data reach Cortex."""
-        return self.is_on and self.status is Status.CONNECTED
 
     def describe(self) -> dict[str, Any]:
         """Return the headset object of the API, which has few fields before the connection."""
@@ -273,7 +251,7 @@ class Headset:
             "firmwareDisplay": f"0x0{model.firmware}",
             "id": self.headset_id,
             "isDfuMode": False,
-            "isVirtual": self.is_virtual,
+            "isVirtual": False,
             "motionSensors": list(model.motion_sensors) if known and model.motion_rate else [],
             "sensors": list(model.electrodes) if known else [],
             "settings": {
@@ -297,7 +275,6 @@ class Headset:
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
-        self._stop_waiting()
 
     def scan(self) -> None:
         """Start a scan."""
@@ -316,45 +293,20 @@ class Headset:
         """Warn that there is no headset with this id."""
         self._say(_WRONG_INFORMATION, headset_id)
 
-    def switch_off(self, *, is_noticed: bool) -> None:
-        """Stop sending; Cortex only detects the silence, or nothing."""
-        self.is_on = False
-        if self.status is Status.DISCOVERED:
-            self.status = Status.ABSENT
-        if self.status is Status.CONNECTED and is_noticed and not self.is_virtual:
-            self._silence = self._loop.call_later(self._timing.silence_s, self._give_up)
-
-    def switch_on(self) -> None:
-        """Resume sending; a headset that counts as lost must be found and connected again."""
-        self.is_on = True
-        self._stop_waiting()
-        if self.status is Status.ABSENT and not self._must_scan:
-            self.status = Status.DISCOVERED
-
     def _found(self) -> None:
-        if self.is_on and self.status is Status.ABSENT:
+        if self.status is Status.ABSENT:
             self.status = Status.DISCOVERED
 
     def _scanned(self) -> None:
         self._warn(_SCAN_FINISHED, {"behavior": "headset scanning finished"})
 
     def _connected(self) -> None:
-        self.status = Status.CONNECTED if self.is_on else Status.DISCOVERED
-        self._say(_CONNECTED if self.is_on else _TIMED_OUT)
-
-    def _give_up(self) -> None:
-        self.status = Status.ABSENT
-        self._say(_LOST)
-        self._lost()
+        self.status = Status.CONNECTED
+        self._say(_CONNECTED)
 
     def _say(self, code: int, headset_id: str = "") -> None:
         headset_id = headset_id or self.headset_id
         self._warn(code, {"behavior": _BEHAVIOURS[code], "headsetId": headset_id})
-
-    def _stop_waiting(self) -> None:
-        if self._silence is not None:
-            self._silence.cancel()
-            self._silence = None
 
     def _later(self, delay_s: float, action: Callable[[], None]) -> None:
         self._timers = {timer for timer in self._timers if timer.when() > self._loop.time()}

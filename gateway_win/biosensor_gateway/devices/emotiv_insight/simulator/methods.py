@@ -7,7 +7,7 @@ import fnmatch
 import json
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -65,7 +65,6 @@ class Methods:
             "getCortexInfo": lambda _, __: about,
             "getUserLogin": lambda _, __: account.logins(),
             "hasAccessRight": self._has_access_right,
-            "requestAccess": self._has_access_right,
             "authorize": lambda _, params: account.authorize(account.identify(params), params),
             "getLicenseInfo": self._get_license_info,
             "controlDevice": self._control_device,
@@ -93,9 +92,8 @@ class Methods:
             raise RpcError(Code.INVALID_PARAMS, f"The parameter {missing} is missing.") from missing
 
     def _has_access_right(self, _: Client, params: Params) -> Result:
-        granted = self._account.identify(params) in self._account.approved
-        text = "Access is granted." if granted else "The user must approve it in the Launcher."
-        return {"accessGranted": granted, "message": text}
+        self._account.identify(params)
+        return {"accessGranted": True, "message": "Access is granted."}
 
     def _get_license_info(self, _: Client, params: Params) -> Result:
         self._account.owner(params)
@@ -190,8 +188,7 @@ class Methods:
         if not headset.status.value and not self._neighbours:
             raise RpcError(Code.NO_HEADSET)
         is_wanted = wanted in {None, headset.headset_id}
-        # A headset that was switched off stays "connected" until its silence is detected.
-        if not is_wanted or headset.status is not Status.CONNECTED or not headset.is_on:
+        if not is_wanted or headset.status is not Status.CONNECTED:
             raise RpcError(Code.HEADSET_UNAVAILABLE)
 
     def _own_session(self, params: Params) -> Session:
@@ -277,22 +274,17 @@ class Manners:
 
     Attributes
     ----------
-    delays_s
-        Additional delays by method, so answers may overtake each other.
+    late_s
+        Delay of all answers.
     refusal
         Error code for requests that lead to data; None if not refused.
     is_starting
         Whether only the version is available yet.
-    withheld, doubled
-        Methods whose next request gets no answer or two answers.
     """
 
     late_s: float = 0.0
-    delays_s: Mapping[str, float] = field(default_factory=dict[str, float])
     refusal: int | None = None
     is_starting: bool = False
-    withheld: set[str] = field(default_factory=set[str])
-    doubled: set[str] = field(default_factory=set[str])
 
     def check(self, method: str) -> None:
         """Raise the error of a request that must be refused, before it has any effect.
@@ -327,38 +319,30 @@ class Replies:
         try:
             request = json.loads(message)
         except ValueError:
-            self._answer(client, "", _failure(None, RpcError(Code.PARSE)))
+            self._answer(client, _failure(None, RpcError(Code.PARSE)))
             return
         fields = cast("dict[str, Any]", request) if isinstance(request, dict) else {}
-        method, reply = self._carry_out(client, fields)
-        self._answer(client, method, reply)
+        self._answer(client, self._carry_out(client, fields))
 
-    def _carry_out(self, client: Client, fields: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    def _carry_out(self, client: Client, fields: dict[str, Any]) -> dict[str, Any]:
         method, params = fields.get("method"), fields.get("params", {})
         if not isinstance(method, str) or not isinstance(params, dict):
-            return "", _failure(fields.get("id"), RpcError(Code.INVALID_REQUEST))
+            return _failure(fields.get("id"), RpcError(Code.INVALID_REQUEST))
         self.calls.append(method)
         reply: dict[str, Any] = {"id": fields.get("id"), "jsonrpc": "2.0"}
         try:
             self._manners.check(method)
             reply["result"] = self._methods.call(method, client, cast("dict[str, Any]", params))
         except RpcError as error:
-            return method, _failure(fields.get("id"), error)
-        return method, reply
+            return _failure(fields.get("id"), error)
+        return reply
 
-    def _answer(self, client: Client, method: str, reply: dict[str, Any]) -> None:
-        manners = self._manners
-        if method in manners.withheld:
-            manners.withheld.remove(method)
-            return
-        delay_s = manners.late_s + manners.delays_s.get(method, 0.0)
+    def _answer(self, client: Client, reply: dict[str, Any]) -> None:
         text = json.dumps(reply)
-        for _ in range(2 if method in manners.doubled else 1):
-            if delay_s:
-                self._loop.call_later(delay_s, client.send, text)
-            else:
-                client.send(text)
-        manners.doubled.discard(method)
+        if self._manners.late_s:
+            self._loop.call_later(self._manners.late_s, client.send, text)
+        else:
+            client.send(text)
 
 
 def _failure(request_id: object, error: RpcError) -> dict[str, Any]:

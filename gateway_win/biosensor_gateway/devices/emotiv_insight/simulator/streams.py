@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil, floor, nan, pi
 from typing import Any, cast
 
@@ -227,69 +226,6 @@ _DECLARED_AS = {
 }
 
 
-@dataclass(slots=True)
-class Mishaps:
-    """Faults of the next EEG samples; the numbers count down.
-
-    Attributes
-    ----------
-    unannounced
-        Number of samples of every stream with an unannounced column.
-    lost
-        Number of samples not sent.
-    interpolated
-        Number of samples marked as interpolated.
-    markers
-        Markers, each for one sample.
-    """
-
-    unannounced: bool = False
-    lost: int = 0
-    interpolated: int = 0
-    repeated: int = 0
-    markers: deque[dict[str, Any]] = field(default_factory=deque[dict[str, Any]])
-
-    def lose(self, count: int) -> None:
-        """Do not send the next samples."""
-        self.lost += count
-
-    def interpolate(self, count: int) -> None:
-        """Mark the next samples as interpolated."""
-        self.interpolated += count
-
-    def repeat(self, count: int) -> None:
-        """Send each of the next samples twice."""
-        self.repeated += count
-
-    def mark(self, label: str, value: int) -> None:
-        """Add a marker to the next sample."""
-        self.markers.append(
-            {"extras": {}, "isStop": False, "label": label, "port": "Software",
-             "type": "instance", "value": value}
-        )  # fmt: skip
-
-    def alter(self, sample: Sample) -> Sample:
-        """Return a sample with its interpolation mark and marker, if any."""
-        if self.interpolated:
-            self.interpolated -= 1
-            sample = sample | {"INTERPOLATED": 1}
-        if self.markers:
-            sample = sample | {"MARKER_HARDWARE": 1, "MARKERS": [self.markers.popleft()]}
-        return sample
-
-    def loses(self) -> bool:
-        """Return whether the next sample is lost, and count it."""
-        lost = self.lost > 0
-        self.lost -= lost
-        return lost
-
-    def copies(self) -> int:
-        """Return how many times the next sample is sent, and count it."""
-        repeated = self.repeated > 0
-        self.repeated -= repeated
-        return 1 + repeated
-
-
 @dataclass(frozen=True, slots=True)
 class Stage:
     """The environment of a stream.
@@ -304,8 +240,8 @@ class Stage:
         Maximum transport delay.
     delivers
         Whether the headset's data reach Cortex.
-    is_due
-        Returns whether a session gets this sample of a stream.
+    is_unreadable
+        Whether samples of every stream have an unannounced column.
     stamp
         Converts a device time [s] to Cortex's clock [Unix s].
     changes
@@ -318,20 +254,14 @@ class Stage:
     rng: np.random.Generator
     truth: Truth
     delivers: Callable[[], bool]
+    is_unreadable: Callable[[], bool]
     subscribed: Callable[[str], list[tuple[Session, Client]]]
-    is_due: Callable[[Session, str, int], bool]
     stamp: Callable[[float], float]
     changes: Callable[[], int]
 
 
 class Stream:
-    """One data stream of the headset.
-
-    Parameters
-    ----------
-    mishaps
-        Except ``unannounced``, for EEG only.
-    """
+    """One data stream of the headset."""
 
     def __init__(
         self,
@@ -339,14 +269,12 @@ class Stream:
         rate: float,
         signal: Signal,
         columns: Columns,
-        mishaps: Mishaps,
         stage: Stage,
     ) -> None:
         self._name = name
         self._rate = rate
         self._signal = signal
         self._columns = columns
-        self._mishaps = mishaps
         self._stage = stage
         self._is_wanted = asyncio.Event()
         self._true_columns = _declared(columns)
@@ -389,28 +317,21 @@ class Stream:
         clients = [
             (session, client)
             for session, client in self._stage.subscribed(self._name)
-            if client.is_open and self._stage.is_due(session, self._name, number)
+            if client.is_open
         ]
         if not clients or not self._stage.delivers():
             return
-        is_eeg = self._name == "eeg"
-        lost = is_eeg and self._mishaps.loses()
-        takers = [] if lost else [taker for taker in clients if taker[1].has_room]
-        if not takers or self._mishaps.unannounced:
+        takers = [taker for taker in clients if taker[1].has_room]
+        if not takers or self._stage.is_unreadable():
             for data_name in self._true_names:
                 self._stage.truth.unsent(data_name, 1)
             for session, client in takers:
                 client.send(self._write(number, sample, session.session_id, ["?"]))
             return
-        if is_eeg:
-            sample = self._mishaps.alter(sample)
         # Recorded before sending, so that everything a client has read is in the truth.
         self._note(true_s, sample)
-        copies = self._mishaps.copies() if is_eeg else 1
         for session, client in takers:
-            text = self._write(number, sample, session.session_id)
-            for _ in range(copies):
-                client.send(text)
+            client.send(self._write(number, sample, session.session_id))
 
     def _write(
         self, number: int, sample: Sample, session_id: str, further: Sequence[str] = ()
