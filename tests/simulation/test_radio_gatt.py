@@ -10,11 +10,7 @@ import bleak
 import bleak.backends.scanner
 import pytest
 from bleak import BleakClient, BleakScanner
-from bleak.backends.device import BLEDevice
-from bleak.backends.scanner import AdvertisementData
 from bleak.exc import (
-    BleakBluetoothNotAvailableError,
-    BleakBluetoothNotAvailableReason,
     BleakCharacteristicNotFoundError,
     BleakError,
     BleakGATTProtocolError,
@@ -25,7 +21,7 @@ from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from tests.rigs.polling import until
-from tests.rigs.probe import COMPANY, EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, SERVICE, Probe
+from tests.rigs.probe import EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, SERVICE, Probe
 
 # GATT through a plain BleakClient on the virtual radio.
 
@@ -51,15 +47,6 @@ async def test_the_gatt_table_is_the_devices(probe: Probe) -> None:
     }
 
 
-async def test_reading_and_writing(probe: Probe) -> None:
-    async with BleakClient(probe.address) as client:
-        assert await client.read_gatt_char(SERIAL) == b"0815"
-        await client.write_gatt_char(NOTE, b"one", response=True)
-        await client.write_gatt_char(NOTE, b"two", response=False)
-        assert await client.read_gatt_char(NOTE) == b"two"
-    assert probe.notes == [b"one", b"two"]
-
-
 async def test_two_thousand_notifications_arrive_in_order(probe: Probe) -> None:
     sent = [count.to_bytes(2, "big") * 100 for count in range(2000)]
     got: list[bytes] = []
@@ -70,19 +57,6 @@ async def test_two_thousand_notifications_arrive_in_order(probe: Probe) -> None:
     assert got == sent
 
 
-async def test_subscribing_and_unsubscribing(probe: Probe) -> None:
-    got: list[bytes] = []
-    async with BleakClient(probe.address) as client:
-        assert probe.notify(probe.flow, b"early") == [False]
-        await client.start_notify(FLOW, lambda _, data: got.append(bytes(data)))
-        assert probe.notify(probe.flow, b"heard") == [True]
-        await client.stop_notify(FLOW)
-        assert probe.notify(probe.flow, b"late") == [False]
-        assert await client.read_gatt_char(FLOW) == b"still"
-    assert got == [b"heard"]
-    assert not probe.peripheral.subscribed(probe.flow)
-
-
 async def test_an_indication_returns_when_it_is_confirmed(probe: Probe) -> None:
     got: list[bytes] = []
     async with BleakClient(probe.address) as client:
@@ -90,17 +64,6 @@ async def test_an_indication_returns_when_it_is_confirmed(probe: Probe) -> None:
         assert probe.notify(probe.event, b"one", b"two") == [True, True]
         await until(lambda: len(got) == 2)
     assert got == [b"one", b"two"]
-
-
-@pytest.mark.parametrize("code", [0x05, 0x0E, 0x0F, 0x80, 0xFD])
-async def test_att_errors_arrive_with_their_codes(probe: Probe, code: int) -> None:
-    async with BleakClient(probe.address) as client:
-        with pytest.raises(BleakGATTProtocolError) as caught:
-            await client.write_gatt_char(REFUSAL, bytes([code]), response=True)
-        assert caught.value.code == code
-        with pytest.raises(BleakGATTProtocolError) as caught:
-            await client.read_gatt_char(REFUSAL)
-        assert caught.value.code == 0x80
 
 
 async def test_what_a_characteristic_does_not_offer_is_refused(probe: Probe) -> None:
@@ -167,19 +130,6 @@ async def test_pairing_is_demanded(probe: Probe) -> None:
 
 # What a plain BleakScanner hears on the virtual radio.
 HEART_RATE = "0000180d-0000-1000-8000-00805f9b34fb"
-POLAR = "0000feee-0000-1000-8000-00805f9b34fb"
-
-
-async def test_everything_advertised_is_heard(probe: Probe) -> None:
-    heard: list[tuple[BLEDevice, AdvertisementData]] = []
-    async with BleakScanner(lambda device, data: heard.append((device, data))) as scanner:
-        await until(lambda: any(data.local_name for _, data in heard))
-    device, data = heard[-1]
-    assert (device.address, device.name, data.local_name) == (probe.address, "Probe 1", "Probe 1")
-    assert data.manufacturer_data == {COMPANY: b"\x01\x02\x03"}
-    assert set(data.service_uuids) == {HEART_RATE, POLAR}
-    assert data.rssi == -61
-    assert scanner.discovered_devices == [device]
 
 
 async def test_the_name_comes_with_the_scan_response(probe: Probe) -> None:
@@ -204,16 +154,6 @@ async def test_a_scan_for_a_service_hears_only_those_who_have_it(probe: Probe) -
     assert heard == {probe.address}
 
 
-async def test_radio_off_refuses_to_scan_and_to_connect(probe: Probe) -> None:
-    probe.radio.available = False
-    for attempt in (BleakScanner().start(), BleakClient(probe.address).connect()):
-        with pytest.raises(BleakBluetoothNotAvailableError) as caught:
-            await attempt
-        assert caught.value.reason is BleakBluetoothNotAvailableReason.POWERED_OFF
-    probe.radio.available = True
-    assert await BleakScanner.find_device_by_name("Probe 1", timeout=20) is not None
-
-
 async def test_a_scan_does_not_survive_the_radio(probe: Probe) -> None:
     heard: list[str] = []
     async with BleakScanner(lambda device, _: heard.append(device.address)):
@@ -226,17 +166,6 @@ async def test_a_scan_does_not_survive_the_radio(probe: Probe) -> None:
         again = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
         assert again is not None
     assert not heard
-
-
-async def test_a_device_that_left_after_the_scan_does_not_connect(probe: Probe) -> None:
-    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
-    assert device
-    probe.power_off()
-    with pytest.raises(TimeoutError):
-        await BleakClient(device, timeout=0.3).connect()
-    probe.power_on()
-    async with BleakClient(device, timeout=20) as client:
-        assert client.is_connected
 
 
 async def test_bleak_gets_its_own_backends_back(radio: Radio) -> None:
@@ -261,22 +190,6 @@ async def test_what_does_not_fit_into_an_advertisement_is_refused(
 # Links that break, hang and come back on the virtual radio, through a plain BleakClient.
 
 
-async def test_a_lost_link_calls_back_once(probe: Probe) -> None:
-    gone: list[BleakClient] = []
-    client = BleakClient(probe.address, gone.append)
-    await client.connect()
-    probe.drop()
-    await until(lambda: gone)
-    assert gone == [client]
-    assert not client.is_connected
-    with pytest.raises(BleakError):
-        _ = client.services
-    with pytest.raises(BleakError):
-        await client.stop_notify(FLOW)
-    await client.disconnect()
-    assert gone == [client]
-
-
 async def test_a_local_disconnect_calls_back_before_it_returns(probe: Probe) -> None:
     gone: list[BleakClient] = []
     client = BleakClient(probe.address, gone.append)
@@ -286,20 +199,6 @@ async def test_a_local_disconnect_calls_back_before_it_returns(probe: Probe) -> 
     assert not client.is_connected
     await until(lambda: not probe.peripheral.connected)
     await client.disconnect()
-
-
-async def test_a_pending_request_fails_after_the_callback(probe: Probe) -> None:
-    events: list[str] = []
-    async with BleakClient(probe.address, lambda _: events.append("lost")) as client:
-        probe.set_stalled(True)
-        requests = [asyncio.create_task(client.read_gatt_char(SERIAL)) for _ in range(3)]
-        for request in requests:
-            request.add_done_callback(lambda _: events.append("failed"))
-        await asyncio.sleep(0.05)
-        probe.drop()
-        outcomes = await asyncio.gather(*requests, return_exceptions=True)
-    assert [type(outcome) for outcome in outcomes] == [BleakError] * 3
-    assert events == ["lost", "failed", "failed", "failed"]
 
 
 @pytest.mark.parametrize("is_switched_off", [False, True])
@@ -322,25 +221,6 @@ async def test_what_was_sent_before_the_drop_arrives(probe: Probe, is_switched_o
         await gone.wait()
     assert taken == [True] * len(sent) + [False]
     assert got == sent
-
-
-async def test_a_stall_is_silence_on_a_standing_link(probe: Probe) -> None:
-    got: list[bytes] = []
-    async with BleakClient(probe.address) as client:
-        await client.start_notify(FLOW, lambda _, data: got.append(bytes(data)))
-        probe.set_stalled(True)
-        assert probe.notify(probe.flow, b"lost") == [False]
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.1):
-                await client.write_gatt_char(NOTE, b"late", response=True)
-        assert client.is_connected
-        assert probe.notes == []
-        probe.set_stalled(False)
-        assert await client.read_gatt_char(SERIAL) == b"0815"
-        assert probe.notes == [b"late"]
-        assert probe.notify(probe.flow, b"heard") == [True]
-        await until(lambda: got)
-    assert got == [b"heard"]
 
 
 async def test_an_indication_ends_with_the_link(probe: Probe) -> None:
@@ -395,24 +275,6 @@ async def test_an_indication_that_arrived_was_sent_whatever_its_confirmation(
     assert [each.result() for each in sending] == [True, False]
 
 
-@pytest.mark.parametrize("patience_s", [count * 0.01 for count in range(12)])
-async def test_giving_up_at_any_moment_leaves_no_connection(
-    probe: Probe, patience_s: float
-) -> None:
-    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
-    assert device
-    impatient = BleakClient(device)
-    try:
-        async with asyncio.timeout(patience_s):
-            await impatient.connect()
-    except TimeoutError:
-        assert not impatient.is_connected
-    else:
-        await impatient.disconnect()
-    async with BleakClient(device, timeout=20) as client:
-        assert await client.read_gatt_char(SERIAL) == b"0815"
-
-
 async def test_a_request_given_up_does_not_harm_the_next(probe: Probe) -> None:
     async with BleakClient(probe.address) as client:
         probe.set_stalled(True)
@@ -423,19 +285,6 @@ async def test_a_request_given_up_does_not_harm_the_next(probe: Probe) -> None:
         await asyncio.sleep(0.05)
         probe.set_stalled(False)
         assert await following == b"still"
-
-
-async def test_switching_the_radio_off_loses_the_links(probe: Probe) -> None:
-    gone = asyncio.Event()
-    client = BleakClient(probe.address, lambda _: gone.set())
-    await client.connect()
-    probe.radio.available = False
-    await gone.wait()
-    assert not client.is_connected
-    await until(lambda: not probe.peripheral.connected)
-    probe.radio.available = True
-    async with BleakClient(probe.address, timeout=20) as again:
-        assert await again.read_gatt_char(SERIAL) == b"0815"
 
 
 def run_in_loop_of_its_own(probe: Probe, call: Coroutine[Any, Any, None]) -> None:
