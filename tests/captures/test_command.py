@@ -97,13 +97,21 @@ def test_who_agrees_gets_a_file_with_consent_and_note(
     assert "Nothing was sent" in told
 
 
-@pytest.mark.parametrize("answer", ["no", "", "y", "yes please"])
-def test_anything_but_yes_saves_nothing(
-    typed: list[str], run: Command, tmp_path: Path, answer: str
-) -> None:
-    typed[:] = [answer]
+def test_no_saves_nothing(typed: list[str], run: Command, tmp_path: Path) -> None:
+    typed[:] = ["no"]
     assert run(*CAPTURE) == 1
     assert not list(tmp_path.glob(f"*{ENDING}"))
+
+
+@pytest.mark.parametrize("answer", ["", "y", "yes please", "noo"])
+@pytest.mark.parametrize(("then", "saved"), [(["no"], 0), (["fine", "yes"], 1)])
+def test_what_is_mistyped_neither_saves_nor_throws_away(
+    typed: list[str], run: Command, tmp_path: Path, answer: str, then: list[str], saved: int
+) -> None:
+    typed[:] = [*then, answer]
+    assert run(*CAPTURE) == 1 - saved
+    assert len(list(tmp_path.glob(f"*{ENDING}"))) == saved
+    assert typed == []
 
 
 def test_all_of_it_is_shown_to_who_asks(

@@ -140,9 +140,10 @@ def _is_agreed(draft: Draft) -> bool:
     typer.echo()
     while True:
         answer = ask("Type yes to save it, show to see all of it, no to throw it away:", str)
-        if answer.casefold() != "show":
+        # What is mistyped neither agrees nor throws away.
+        if answer.casefold() in ("yes", "no"):
             return answer.casefold() == "yes"
-        for line in draft.whole():
+        for line in draft.whole() if answer.casefold() == "show" else ():
             typer.echo(line)
 
 
