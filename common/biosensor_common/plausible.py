@@ -1,4 +1,4 @@
-"""Plausible ranges of physiological and device values, for declarations.
+"""Plausible numbers: of JSON, and the ranges of physiological and device values.
 
 The ranges are wide: they include every value that a person has ever had, and those of an electrode
 that has come off or touches another one. A value outside is a wrapped counter, a misread field or
@@ -6,6 +6,8 @@ a transmission error.
 """
 
 from __future__ import annotations
+
+from sys import float_info
 
 HEART_RATE_BPM = (0.0, 300.0)
 """The heart's ventricles beat at most 300 times a minute."""
@@ -44,3 +46,11 @@ POWER_W = (-1000.0, 5000.0)
 SIGNAL_STRENGTH_DBM = (-127.0, 20.0)
 """The range of Bluetooth's RSSI; its value 127 means unknown."""
 PRESSURE_PA = (0.0, 1e7)
+
+
+def finite(number: object) -> float | None:
+    """Return a number of JSON as float; None if it is another thing, or no float can hold it."""
+    if isinstance(number, bool) or not isinstance(number, int | float):
+        return None
+    # Compared before it is converted: the integers of JSON have no largest, and NaN is not below.
+    return float(number) if abs(number) <= float_info.max else None

@@ -14,6 +14,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, cast
 
+from biosensor_common.plausible import finite
+
 SLEW_S = 1.0
 STEP_NS = 1_000_000
 KNOTS_KEPT = 16
@@ -202,9 +204,9 @@ def read_clock_pair(event: object) -> ClockPair | None:
     if not isinstance(told, dict):
         return None
     pair = cast("Mapping[str, object]", told)
-    lsl_s, unix_ns = pair.get("lsl_s"), pair.get("unix_ns")
-    if isinstance(lsl_s, bool) or not isinstance(lsl_s, int | float) or not math.isfinite(lsl_s):
+    lsl_s, unix_ns = finite(pair.get("lsl_s")), pair.get("unix_ns")
+    if lsl_s is None or abs(lsl_s) > MAX_TIME_S:
         return None
     if isinstance(unix_ns, bool) or not isinstance(unix_ns, int) or not 0 <= unix_ns < _MOST_NS:
         return None
-    return ClockPair(float(lsl_s), unix_ns)
+    return ClockPair(lsl_s, unix_ns)

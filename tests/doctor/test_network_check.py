@@ -276,7 +276,7 @@ WRONG: list[tuple[tuple[str, ...], object]] = [
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("path", "value"), WRONG)
+@pytest.mark.parametrize(("path", "value"), WRONG, ids=range(len(WRONG)))
 def test_what_the_other_one_claims_is_read_with_care(
     outcome: Ends, path: tuple[str, ...], value: object
 ) -> None:

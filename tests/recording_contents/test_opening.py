@@ -135,6 +135,18 @@ def test_the_node_tells_the_time_of_day_to_the_microsecond(path: Path) -> None:
     assert wall.to_lsl_s(found) == pytest.approx(105.5, abs=1e-6)
 
 
+@pytest.mark.parametrize("damaged", [10**400, 1e308, float("nan")], ids=["int", "float", "nan"])
+def test_a_pair_that_no_clock_can_have_is_passed_over(path: Path, damaged: float) -> None:
+    told = [
+        {"event": "heartbeat", "clock": {"lsl_s": at, "unix_ns": DAY_NS}} for at in (damaged, 100)
+    ]
+    samples = made.samples(1, "string", [[json.dumps(each)] for each in told], [99.0, 100.0])
+    path.write_bytes(made.xdf(_events(1, "gateway", {}) + samples))
+    with open_contents(path) as contents:
+        assert contents.wall is not None
+        assert contents.wall.to_unix_ns(np.array([101.0])).tolist() == [DAY_NS + 10**9]
+
+
 def test_a_clock_that_was_set_is_another_from_then_on(path: Path) -> None:
     pairs = {100.0: DAY_NS, 105.0: DAY_NS + 65_000_000_000, 110.0: DAY_NS + 70_000_000_000}
     path.write_bytes(made.xdf(_events(1, "gateway", pairs)))

@@ -361,6 +361,13 @@ def test_data_of_another_agent_are_told_and_not_well(exported: Exporting) -> Non
     assert "another person's" in " ".join(readme.read_text().split())
 
 
+def test_a_time_that_no_float_holds_is_that_of_the_sample(exported: Exporting) -> None:
+    odd = {"event": "off_body", "lsl_time": 10**400}
+    folder = exported(paused_recording(*acc(1000, 1020), more=[odd]), "csv").written[0].path
+    rows = _rows((folder / "all_markers.csv").read_bytes())
+    assert [float(row[1]) for row in rows if row[2] == "off_body"] == [1004.0]
+
+
 def test_a_pause_is_told_where_gaps_are(exported: Exporting) -> None:
     outcome = exported(paused_recording(*acc(1000, 1005), *acc(1009, 1020)), "csv")
     told = "polar_h10/A1 of P01 was paused from 5.0 s to 8.0 s: what is missing then was not sent"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -21,10 +22,12 @@ from biosensor_gateway.devices.registry import declaration, sensor, sensor_names
 from biosensor_gateway.features.outputs import features_of
 from biosensor_gateway.features.sources import judge as judge_source
 from biosensor_gateway.features.sources import stream_info
+from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.xdf.counters import Reading, refusals
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.printing import as_text
-from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, verdict
+from biosensor_gateway.recording.xdf.printing import as_json, as_text
+from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, judge, verdict
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.outlets import Outlet
@@ -32,7 +35,7 @@ from lsl_to_ros.reports.clock_pairs import EVENTS
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, only, text_of
 from tests.xdf.own_streams import own_header
-from tests.xdf.test_participants import AGENT, heartbeat, judged, strap
+from tests.xdf.test_participants import AGENT, heartbeat, judged, recorded, strap
 
 # What is said of files in which one thing is wrong.
 
@@ -454,6 +457,48 @@ def test_one_of_which_nothing_came_is_red(monkeypatch: pytest.MonkeyPatch) -> No
     report = judged("P01", strap("P01"), other, events=[heartbeat(polar_h10__A1="paused")])
     assert codes(report, Level.ERROR) == {("away", "")}
     assert text_of(report, "away").endswith("the whole time, and nothing of it was recorded")
+
+
+WHOLE_EVENTS: list[dict[str, Any]] = [
+    heartbeat(**STREAMING) | {"agent_started": 900.0, "clock": {"lsl_s": 1001.0, "unix_ns": 10**18},
+                              "problems": {"polar_h10/A1": [{"what": "x", "last": 1009.0}]}},
+    event(EventKind.STREAMS_SILENT, 1008.0) | {"seconds": 5.2, "streams": ["acc"]},
+    event(EventKind.CLOCK_REANCHORED, 1009.0) | {"seconds": 5.2},
+    event("paused", 1005.0), event("resumed", 1008.0), event("device_removed", 1012.0),
+]  # fmt: skip
+# JSON has integers that no float holds, and Python's also reads NaN.
+ODD = [10**400, -(10**400), 1e308, 10**18, float("nan"), None, True, "text", [], {}, [1], {"a": 1}]
+
+
+def _places(content: object, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the way to each value of JSON."""
+    parts: Iterable[tuple[Any, Any]] = ()
+    if isinstance(content, dict):
+        parts = cast("dict[str, Any]", content).items()
+    elif isinstance(content, list):
+        parts = enumerate(cast("list[Any]", content))
+    for key, part in parts:
+        yield (*place, key)
+        yield from _places(part, (*place, key))
+
+
+@pytest.mark.parametrize("number", range(len(WHOLE_EVENTS)))
+def test_an_event_that_was_damaged_or_made_up_stops_nobody(number: int, tmp_path: Path) -> None:
+    file = tmp_path / "sub-P01.xdf"
+    for *inside, last in _places(WHOLE_EVENTS[number]):
+        for odd in ODD:
+            events: list[Any] = json.loads(json.dumps(WHOLE_EVENTS))
+            content = events[number]
+            for key in inside:
+                content = content[key]
+            content[last] = odd
+            file.write_bytes(recorded(strap("P01"), events=events))
+            report = judge(read_recording(file))
+            assert as_text(report)
+            assert as_json(report)
+            growth = Growth(file)
+            assert growth.look().streams
+            list(growth.story("", 950.0))
 
 
 # What the agent said of late, refused and jumping data stands in the verdict.

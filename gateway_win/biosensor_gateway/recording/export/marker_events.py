@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from biosensor_common.naming import AGENT, NODE
+from biosensor_common.plausible import finite
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import EVENTS
@@ -154,8 +154,8 @@ def _told_onset(
     samples: Samples, place: int, content: Mapping[str, Any], timeline: Timeline, onset_s: float
 ) -> float:
     """Return the time in the marker's text, because timestamps are forced to ascend."""
-    told = content.get("lsl_time")
-    if not isinstance(told, int | float) or not math.isfinite(told):
+    told = finite(content.get("lsl_time"))
+    if told is None:
         return onset_s
     time_s, stamp_s = float(samples.times[place]), float(samples.stamps[place])
     if abs(told - stamp_s) > _MOST_APART_S:

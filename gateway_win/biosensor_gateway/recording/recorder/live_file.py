@@ -8,6 +8,7 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -707,7 +708,11 @@ def _spell(spell: Spell, log: EventLog) -> str:
 
 def _clock_time(lsl_s: float, log: EventLog) -> str:
     unix_s = log.unix_s(lsl_s)
-    return f"LSL time {lsl_s:.1f} s" if unix_s is None else clock_time(unix_s, seconds=True)
+    if unix_s is not None:
+        # A damaged event may tell of a year that no calendar has.
+        with suppress(OverflowError, OSError, ValueError):
+            return clock_time(unix_s, seconds=True)
+    return f"LSL time {lsl_s:.1f} s"
 
 
 def _free_bytes(file: Path) -> int | None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.naming import AGENT
+from biosensor_common.plausible import finite
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS
 from biosensor_gateway.agent.selection import device_name, holders
@@ -206,8 +207,8 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
     """Report when the timestamps of each recorded device were corrected by a jump."""
     for device, found in _of_recorded(own, events, EventKind.CLOCK_REANCHORED).items():
         # When a device restarts its clock, no sample is stamped before that is detected.
-        sizes = {_time(each): each.get("seconds") for each in found}
-        known = {at: size for at, size in sizes.items() if isinstance(size, int | float)}
+        sizes = {_time(each): finite(each.get("seconds")) for each in found}
+        known = {at: size for at, size in sizes.items() if size is not None}
         if known:
             times = len(known)
             said = ", ".join(
@@ -228,7 +229,8 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
         if spans:
             longest = max(spans, key=lambda each: _number(each, "seconds"))
             names = longest.get("streams")
-            streams = ", ".join(str(e) for e in cast("list[object]", names)) if names else "data"
+            listed = cast("list[object]", names) if isinstance(names, list) else []
+            streams = ", ".join(map(str, listed)) or "data"
             at = extent.since_begin(_time(longest), events)
             times = "once" if len(spans) == 1 else f"{len(spans)} times"
             text = (
@@ -285,8 +287,7 @@ def _of_recorded(
 
 
 def _number(event: Mapping[str, Any], name: str) -> float:
-    value = event.get(name)
-    return float(value) if isinstance(value, int | float) else 0.0
+    return finite(event.get(name)) or 0.0
 
 
 def _named(device: DeviceIdentity) -> str:
@@ -420,7 +421,7 @@ def _ways(
     recorded: Sequence[DeviceIdentity],
 ) -> Iterator[tuple[DeviceIdentity, str]]:
     """Yield how each recorded device in an event is absent; an empty text if it is not."""
-    kind, devices = event.get("event"), event.get("devices")
+    kind, devices = str(event.get("event")), event.get("devices")
     if kind == EventKind.HEARTBEAT and isinstance(devices, dict):
         for name, state in cast("dict[str, object]", devices).items():
             is_here = str(state) in CONNECTED
@@ -482,5 +483,4 @@ def _identity(event: Mapping[str, Any]) -> DeviceIdentity:
 
 
 def _time(event: Mapping[str, Any]) -> float:
-    time = event.get("lsl_time")
-    return float(time) if isinstance(time, int | float) else 0.0
+    return _number(event, "lsl_time")

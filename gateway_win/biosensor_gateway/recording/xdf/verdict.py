@@ -224,7 +224,7 @@ def _clocks(topic: object) -> Iterator[_Told]:
     for each in _inside(topic, "clocks").values():
         try:
             yield _Told(str(each["state"]), float(each["edge_s"]))
-        except (TypeError, KeyError, ValueError):
+        except (TypeError, KeyError, ValueError, OverflowError):
             continue
 
 
