@@ -39,7 +39,7 @@ from biosensor_gateway.streaming.sink import (
     JumpReports,
     Jumps,
 )
-from biosensor_gateway.streaming.stages import AHEAD_LIMIT_S
+from biosensor_gateway.streaming.stages import AHEAD_LIMIT_S, RIGHT_AGAIN_S
 from biosensor_gateway.system.clock import LslClock
 from tests.rigs.set_clock import SetClock
 
@@ -388,6 +388,19 @@ def test_intervals_that_are_told_twice_are_not_sent_for_long(repeated: int) -> N
     assert _beats(sent, 300, repeated) < 2 * AHEAD_LIMIT_S + 20
     assert sent.counters("ibi").refused > 300
     assert "intervals between beats add up to more than the time that has passed" in sent.status()
+    sent.sink.close()
+
+
+def test_beats_of_a_strap_that_repeats_them_no_longer_are_believed_again() -> None:
+    sent = _Sent("ble_heart_rate")
+    _beats(sent, 60, 1)
+    refused, before = sent.counters("ibi").refused, len(sent.rows["ibi"])
+    _beats(sent, 240, 0)
+    assert refused > 60
+    assert len(sent.rows["ibi"]) - before > (240 - 2 * RIGHT_AGAIN_S - 5) / 0.825
+    refused = sent.counters("ibi").refused
+    _beats(sent, 60, 0)
+    assert sent.counters("ibi").refused == refused
     sent.sink.close()
 
 

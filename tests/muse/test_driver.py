@@ -337,6 +337,20 @@ def test_an_electrode_that_is_missing_some_times_doubles_no_rows(name: str, time
     np.testing.assert_allclose(np.diff(sink.times[name]), 1 / RATES[name][2], rtol=0.02)
 
 
+@pytest.mark.parametrize("name", ["eeg", "ppg"])
+@pytest.mark.parametrize("of", [4, 7])
+def test_a_channel_of_which_most_packets_are_missing_keeps_those_that_come(
+    name: str, of: int
+) -> None:
+    _, samples, _ = RATES[name]
+    last = len(RATES[name][0]) - 1
+    all_of = list(packets(name))
+    sink = emitted(each for n, channel, each in all_of if channel != last or n % of == 0)
+    came = np.count_nonzero(~np.isnan(np.array(sink.emitted[name])[:, last]))
+    assert came == pytest.approx(len({n for n, _, _ in all_of}) // of * samples, abs=samples)
+    assert not sink.refusals.all
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_packets_that_are_lost_at_random_double_no_rows(seed: int) -> None:
     chance = random.Random(seed)

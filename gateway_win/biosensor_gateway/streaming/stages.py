@@ -103,6 +103,8 @@ _LEAST_ALIKE = 2
 _REMEMBERED = 4
 _OVERLAP = 0.3
 MOST_AHEAD_S, MOST_BEHIND_S = 15.0, 60.0
+RIGHT_AGAIN_S, RIGHT_WITHIN_S = 60.0, 1.0
+"""Beats are believed again after so long without more of them than time."""
 _TOLD_TWICE = (
     "intervals between beats add up to more than the time that has passed, so some are told twice"
 )
@@ -223,6 +225,7 @@ class _Beats:
         self._last: deque[float] = deque(maxlen=_REMEMBERED)  # nothing is dropped: a memory
         self._alike = self._sent_twice = 0
         self._is_noticed = False
+        self._told_since_s = self._passed_since_s = 0.0
 
     @property
     def why(self) -> str:
@@ -247,13 +250,27 @@ class _Beats:
         passed_s = self._newest_s - before_s
         ahead_s = max(self._ahead_s + float(np.nansum(intervals)) - passed_s, -MOST_BEHIND_S)
         self._ahead_s = min(ahead_s, MOST_AHEAD_S)
-        if ahead_s <= 0:
+        if ahead_s <= 0 or self._are_right_again(float(np.nansum(intervals)), passed_s):
+            ahead_s = self._ahead_s = min(0.0, ahead_s)
             self._alike, self._is_noticed = 0, False
         if ahead_s <= AHEAD_LIMIT_S * (ALIKE_LIMIT if self._alike >= _LEAST_ALIKE else 1.0):
             return False
         self._sent_twice += 0 if self._is_noticed else self._alike - alike
         self._is_noticed = True
         return True
+
+    def _are_right_again(self, told_s: float, passed_s: float) -> bool:
+        """Whether those that were too many have been as long as the time since."""
+        if not self._is_noticed:
+            self._told_since_s = self._passed_since_s = 0.0
+            return False
+        self._told_since_s += told_s
+        self._passed_since_s += passed_s
+        if self._passed_since_s < RIGHT_AGAIN_S:
+            return False
+        ahead_s = self._told_since_s - self._passed_since_s
+        self._told_since_s = self._passed_since_s = 0.0
+        return ahead_s <= RIGHT_WITHIN_S
 
     def _count_alike(self, intervals: Sequence[float], times: Sequence[float]) -> int:
         """Return how many have the length of one before and begin before the newest ended."""

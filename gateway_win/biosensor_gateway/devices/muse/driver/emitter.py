@@ -53,8 +53,9 @@ _ELECTRODES = {uuid: channel for channel, uuid in enumerate((*EEG, AUX))}
 _DIODES = {uuid: channel for channel, uuid in enumerate(PPG)}
 _AXES = {ACC: ("acc", ACC_G), GYRO: ("gyro", GYRO_DPS)}
 _INPUTS = len(SPEC.stream("aux").channels)
-PATIENCE = 3
-"""A channel missing this often in a row is assumed not to be sent by the device."""
+PATIENCE = 20
+"""A channel missing this often in a row, for a second of EEG, is assumed not to be sent by the
+device. Of one that is, the next packet comes too late for its rows."""
 
 
 class Rows(NamedTuple):
