@@ -12,7 +12,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.captures import recorder
-from biosensor_gateway.captures.draft import AGREED
+from biosensor_gateway.captures.draft import AGREED, Draft
 from biosensor_gateway.captures.file import ENDING, Capture, packed, read
 from biosensor_gateway.captures.recorder import Taken
 from biosensor_gateway.captures.redaction import Replaced
@@ -95,6 +95,17 @@ def test_who_agrees_gets_a_file_with_consent_and_note(
     assert "fingerprint" in told
     assert "hr: no sample came" in told
     assert "Nothing was sent" in told
+
+
+@pytest.mark.parametrize(
+    ("secret", "told"),
+    [("A1B2C3D4", "for each of them: none is left"), ("42", "Shorter ones were replaced only")],
+)
+def test_what_was_not_searched_for_is_not_said_to_be(
+    device: Capture, secret: str, told: str
+) -> None:
+    replaced = [Replaced("serial number", secret, secret[::-1], 1)]
+    assert told in Draft(Taken(device, replaced, DeviceTest())).lines[-1]
 
 
 def test_no_saves_nothing(typed: list[str], run: Command, tmp_path: Path) -> None:

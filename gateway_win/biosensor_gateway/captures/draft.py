@@ -21,6 +21,7 @@ from typing import NamedTuple
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.captures.file import ENDING, Capture, packed
 from biosensor_gateway.captures.recorder import Recorder, Taken, take
+from biosensor_gateway.captures.redaction import LEAST_SEARCHED
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -148,7 +149,12 @@ def _replaced(taken: Taken) -> Iterator[str]:
             yield f"    a secret of {len(each.secret)} characters{found}"
         else:
             yield f"    {each.kind}: {_short(each.secret)} became {_short(each.pseudonym)}{found}"
-    if taken.replaced:
+    if any(len(each.secret) < LEAST_SEARCHED for each in taken.replaced):
+        yield (
+            f"The file was searched for those of {LEAST_SEARCHED} characters and more: none is "
+            "left. Shorter ones were replaced only where the device says what they are."
+        )
+    elif taken.replaced:
         yield "The file was searched for each of them: none is left."
 
 
