@@ -166,6 +166,8 @@ def limit_arenas(environment: Mapping[str, str], arenas: int = ARENAS) -> bool:
 
 END_S = 5.0
 """How long a program may take to exit by itself."""
+INTERRUPTED, INTERRUPTED_S = 130, 3.0
+"""The exit code after Ctrl-C, and how long the exit may take then."""
 _STDERR = 2
 
 

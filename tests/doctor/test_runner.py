@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -133,6 +136,70 @@ def test_checks_that_hang_wait_at_the_same_time() -> None:
     assert len(report.findings) == 8
     # One after the other they would take 8 s.
     assert report.seconds < 5.0
+
+
+_WAITS_IN_A_POOL = """
+import sys, time
+from concurrent.futures import ThreadPoolExecutor
+from tests.doctor.made_checks import made
+import {module} as module
+from {program} import main
+
+def hangs(_):
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(time.sleep, 60.0)
+        print("begun", flush=True)
+    return []
+
+module.{checks}
+sys.argv = ["program", *{arguments}]
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        {
+            "module": "biosensor_gateway.cli.doctor",
+            "program": "biosensor_gateway.cli",
+            "checks": "_CHECKS = [made('hangs', hangs)]",
+            "arguments": ["doctor"],
+        },
+        {
+            "module": "lsl_to_ros.doctor.__main__",
+            "program": "lsl_to_ros.doctor.__main__",
+            "checks": "checks_of = lambda _: [made('hangs', hangs)]",
+            "arguments": [],
+        },
+    ],
+    ids=["agent", "node"],
+)
+@pytest.mark.seam
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
+def test_ctrl_c_ends_it_while_a_check_waits_in_a_pool_of_threads(
+    program: dict[str, object], tmp_path: Path
+) -> None:
+    script = _WAITS_IN_A_POOL.format(**program)
+    command = [sys.executable, "-c", script]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        try:
+            assert process.wait(20.0) == 130
+        finally:
+            process.kill()
+        assert time.monotonic() - begun < 5.0
+        assert "Traceback" not in process.stderr.read()
 
 
 def test_no_finding_above_ok_without_reason_and_remedy() -> None:

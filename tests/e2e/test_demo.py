@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Generator
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from biosensor_gateway.demo.demonstration import CHUNK_LENGTH, demo_devices, expected_topics
@@ -71,6 +75,40 @@ def test_the_demo_fills_all_that_virtual_devices_of_every_kind_can_fill() -> Non
         row = f"{topic.removeprefix('/biosensors/')} "
         begin = f"{topic}: not expected, {reason}" if reason else row
         assert any(line.startswith(begin) for line in lines), topic
+
+
+@pytest.mark.parametrize("command", ["demo", "try"])
+def test_sigterm_ends_all_its_programs_and_leaves_none(command: str, tmp_path: Path) -> None:
+    options = [] if command == "demo" else ["--no-open", "--folder", str(tmp_path / "try")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "biosensor_gateway.cli", command, *options],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    here, deadline = psutil.Process(process.pid), time.monotonic() + 60.0
+    try:
+        while not {"run", "lsl_to_ros.node"} <= _arguments(here):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        started = here.children(recursive=True)
+        process.send_signal(signal.SIGTERM)
+        process.wait(20.0)
+        _, alive = psutil.wait_procs(started, timeout=1.0)
+        assert [each.cmdline() for each in alive] == []
+    finally:
+        for each in [*here.children(recursive=True), here] if here.is_running() else []:
+            each.kill()
+        process.wait()
+
+
+def _arguments(of: psutil.Process) -> set[str]:
+    found = set[str]()
+    for each in of.children(recursive=True):
+        with suppress(psutil.Error):
+            found |= {*each.cmdline()}
+    return found
 
 
 def test_a_topic_that_stays_empty_is_named_and_fails(published: str, tmp_path: Path) -> None:

@@ -210,6 +210,11 @@ def main() -> None:
     """Run the command line; every expected failure is one sentence on stderr."""
     try:
         app()()
+    except SystemExit as end:
+        if end.code == process_limits.INTERRUPTED:
+            # What waits for the network in a pool of threads would hold up the exit.
+            process_limits.end_within(process_limits.INTERRUPTED_S, process_limits.INTERRUPTED)
+        raise
     except ConfigError as error:
         _fail(error, EXIT_USAGE)
     except SpecError as error:

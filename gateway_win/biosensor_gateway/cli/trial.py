@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import signal
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_common.naming import lsl_name, source_id
@@ -31,6 +29,7 @@ from biosensor_gateway.demo.demonstration import (
     fitting_devices,
     has_ros,
     node_command,
+    requests_interrupt,
     show_topics,
     state_of,
     unfilled_streams,
@@ -97,7 +96,7 @@ class Trial:
             self._recording = LocalRecorder(self._state)
             stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
             try:
-                with _requests_interrupt():
+                with requests_interrupt():
                     code = self._show(devices, stack)
             except KeyboardInterrupt:
                 say("Ended before all of it was shown.")
@@ -290,23 +289,3 @@ def _ended(end: Callable[[], object]) -> None:
     """Ask a program to end; it may have ended already by the same Ctrl-C."""
     with suppress(GatewayError):
         end()
-
-
-@contextmanager
-def _requests_interrupt() -> Generator[None]:
-    """Treat the end of the terminal or of the session like Ctrl-C while the context lasts."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-        raise KeyboardInterrupt
-
-    numbers = [signal.SIGTERM, signal.SIGBREAK if sys.platform == "win32" else signal.SIGHUP]
-    before = {each: signal.getsignal(each) for each in numbers}
-    for number, handler in before.items():
-        # A signal that is ignored, as under nohup, stays ignored.
-        if handler != signal.SIG_IGN:
-            signal.signal(number, interrupt)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

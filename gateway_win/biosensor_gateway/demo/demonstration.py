@@ -26,6 +26,8 @@ from collections.abc import (
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 from biosensor_common.child import wait_or_kill
 from biosensor_common.errors import TransportError, TransportReason
@@ -125,7 +127,8 @@ def _reason(filled: Filled, limit_s: float) -> str:
     return "" if filled.after_s <= limit_s else filled.reason
 
 
-STOP_TIMEOUT_S = 10.0
+STOP_TIMEOUT_S = 3.0
+"""How long all programs together may take to end before they are killed."""
 
 
 def python_program(module: str, *arguments: str) -> list[str]:
@@ -166,10 +169,11 @@ class Programs:
         self._folder = folder
         self.may_end: Collection[str] = ()
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._killed_s: float | None = None
 
     @contextmanager
     def started(self, name: str, command: Sequence[str]) -> Generator[None]:
-        """Run a program while the context lasts."""
+        """Run a program while the context lasts; with the first one, all begin to end."""
         with self._log(name).open("wb") as log:
             process = subprocess.Popen(
                 command,
@@ -182,8 +186,18 @@ class Programs:
         try:
             yield
         finally:
+            left_s = self.begin_to_end()
             del self._running[name]
-            stop(process)
+            stop(process, left_s)
+
+    def begin_to_end(self) -> float:
+        """Ask all programs to end; return after how many seconds they are to be killed."""
+        if self._killed_s is None:
+            self._killed_s = time.monotonic() + STOP_TIMEOUT_S
+            # On Windows each is asked to end by its own command first.
+            for each in self._running.values() if sys.platform != "win32" else ():
+                interrupt(each)
+        return self._killed_s - time.monotonic()
 
     def has_ended(self, name: str) -> bool:
         """Whether a person has ended the program."""
@@ -207,14 +221,40 @@ class Programs:
         return self._folder / f"{name}.log"
 
 
-def stop(process: subprocess.Popen[bytes]) -> None:
+def stop(process: subprocess.Popen[bytes], limit_s: float = STOP_TIMEOUT_S) -> None:
     """End a process, by SIGINT if the system has it, and wait for its end."""
-    if process.poll() is None:
-        if sys.platform == "win32":
-            process.terminate()
-        else:
-            process.send_signal(signal.SIGINT)
-        wait_or_kill(process, STOP_TIMEOUT_S)
+    interrupt(process)
+    wait_or_kill(process, max(0.0, limit_s))
+
+
+def interrupt(process: subprocess.Popen[bytes]) -> None:
+    """Ask a process to end, by SIGINT if the system has it."""
+    if process.poll() is not None:
+        return
+    if sys.platform == "win32":
+        process.terminate()
+    else:
+        process.send_signal(signal.SIGINT)
+
+
+@contextmanager
+def requests_interrupt() -> Generator[None]:
+    """Treat the end of the terminal or of the session like Ctrl-C while the context lasts."""
+
+    def raise_interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    numbers = [signal.SIGTERM, signal.SIGBREAK if sys.platform == "win32" else signal.SIGHUP]
+    before = {each: signal.getsignal(each) for each in numbers}
+    for number, handler in before.items():
+        # A signal that is ignored, as under nohup, stays ignored.
+        if handler != signal.SIG_IGN:
+            signal.signal(number, raise_interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
@@ -255,7 +295,7 @@ def run(seconds: float | None) -> int:
         raise TransportError(TransportReason.EXHAUSTED, left_out)
     if left_out:
         sys.stderr.write(f"{left_out}\n")
-    with ExitStack() as stack:
+    with requests_interrupt(), ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="biosensor-demo-")))
         programs = Programs(folder)
         stack.enter_context(programs.started("agent", agent_command(devices.values())))
@@ -332,8 +372,9 @@ def show_topics(
             programs.require_running()
             time.sleep(_POLL_S)
     except KeyboardInterrupt:
-        # The table got the same Ctrl-C and prints its summary.
-        table.wait(STOP_TIMEOUT_S)
+        # The table prints its summary, whether it got the same Ctrl-C or not.
+        interrupt(table)
+        stop(table, programs.begin_to_end())
     finally:
         stop(table)
     # It may not have begun to heed signals when it was asked to end.

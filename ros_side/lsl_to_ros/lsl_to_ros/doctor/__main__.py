@@ -11,7 +11,7 @@ from biosensor_common.doctor.check import NODE, Context, checks_of
 from biosensor_common.doctor.network_check import command
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
-from biosensor_common.process_limits import raise_limit
+from biosensor_common.process_limits import INTERRUPTED, INTERRUPTED_S, end_within, raise_limit
 from biosensor_common.terminal import columns
 from lsl_to_ros.doctor import GUIDE
 
@@ -41,7 +41,12 @@ def main() -> int:
             Context(guide=GUIDE), NODE, given.host, given.port, given.code, as_json=given.json
         )
     chosen = [check for check in checks if not given.only or check.name in given.only]
-    report = run_checks(chosen, Context(guide=GUIDE))
+    try:
+        report = run_checks(chosen, Context(guide=GUIDE))
+    except KeyboardInterrupt:
+        # What waits for the network in a pool of threads would hold up the exit.
+        end_within(INTERRUPTED_S, INTERRUPTED)
+        return INTERRUPTED
     shown = as_text(report, sys.stdout.encoding or "ascii", columns(sys.stdout))
     text = as_json(report) if given.json else shown
     sys.stdout.write(text + "\n")
