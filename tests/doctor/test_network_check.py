@@ -26,7 +26,7 @@ from biosensor_common.doctor.network_check.channel import (
 )
 from biosensor_common.doctor.network_check.command import CHECK, check_with
 from biosensor_common.doctor.network_check.command import Outcome as Checked
-from biosensor_common.doctor.network_check.diagnosis import judge
+from biosensor_common.doctor.network_check.diagnosis import judge, rows
 from biosensor_common.doctor.network_check.facts import (
     Arrivals,
     Computer,
@@ -491,6 +491,25 @@ def test_a_name_from_elsewhere_steers_no_terminal_and_no_line_is_too_long(
         assert "\x1b" not in text
         assert max(map(len, text.splitlines())) <= 80, text
         assert "UDP 16572 to 16827" in text
+
+
+def test_the_table_has_a_column_for_each_direction(pc: End, robot: End) -> None:
+    ecg = Stream("ecg", "ecg", "uid-ecg", "robot", 16572)
+    here = replace(pc, arrivals=arrivals(multicast=(), udp=PART), look=UNSEEN, seen=(ecg,))
+    heading, *table = rows(here, replace(robot, own=(ecg,), arrivals=arrivals(tcp={})))
+    assert heading == ("", "robot -> here", "here -> robot")
+    assert table == [
+        ("multicast, UDP 16571", "NO", "yes"),
+        ("UDP 16571", "yes", "yes"),
+        ("UDP 16572 to 16827", "PART", "yes"),
+        ("TCP 16572 to 16827", "yes", "-"),
+        ("test stream found by multicast", "NO", "yes"),
+        ("  found when asked for directly", "NO", "yes"),
+        ("  received", "NO", "yes"),
+        ("  round trip", "NO", "2.0 ms"),
+        ("streams that are seen", "1 of 1", "-"),
+        ("  whose port opens", "0 of 1", "-"),
+    ]
 
 
 def test_the_options_that_exclude_each_other(run: Callable[..., Outcome]) -> None:

@@ -135,7 +135,7 @@ def test_what_there_is_to_see_is_read_as_the_agent_reads_it(
     context: Context, session: str, offer: Callable[..., None]
 ) -> None:
     offer(Offered("a", session))
-    (seen,) = streams.find(context)
+    (seen,), _ = streams.survey(context)
     assert (seen.name, seen.source_id, seen.format) == ("a", session, "float32")
     assert len(seen.ports) >= 2
     assert seen.offset_s is not None

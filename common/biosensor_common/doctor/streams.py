@@ -254,7 +254,7 @@ def _multicast(found: bool, config: str, guide: Guide) -> Finding:
 
 def streams(context: Context) -> Iterator[Finding]:
     """Search for streams as the program does, and check them."""
-    seen, elsewhere = _survey(context)
+    seen, elsewhere = survey(context)
     if not seen:
         yield ok("no LSL stream is there at the moment")
     yield from judge(seen)
@@ -262,13 +262,11 @@ def streams(context: Context) -> Iterator[Finding]:
     yield from _unseen(context, seen)
 
 
-def find(context: Context) -> list[SurveyedStream]:
-    """Return the streams of the program's session; this computer is also asked by unicast."""
-    return _survey(context)[0]
+def survey(context: Context) -> tuple[list[SurveyedStream], list[SurveyedStream]]:
+    """Return the session's streams, and streams of other sessions with the same source_ids.
 
-
-def _survey(context: Context) -> tuple[list[SurveyedStream], list[SurveyedStream]]:
-    """Return the session's streams, and streams of other sessions with the same source_ids."""
+    This computer is also asked by unicast.
+    """
     config = context.config
     names = dict.fromkeys((*api_file.known_peers(config), LOOPBACK))
     asking = api_file.changed(config, {PEERS: "{" + ", ".join(names) + "}"})

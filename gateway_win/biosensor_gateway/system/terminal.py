@@ -140,7 +140,6 @@ def _shown(value: object) -> str:
 
 _TO_START, _UP = "\r", "\x1b[{}A"
 _CLEAR_LINE, _CLEAR_BELOW = "\x1b[K", "\x1b[J"
-_PLAIN = "\x1b[0m"
 
 
 class Size(NamedTuple):

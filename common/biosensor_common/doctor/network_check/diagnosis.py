@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from ipaddress import ip_address
 from typing import NamedTuple
 
@@ -313,40 +313,34 @@ def _to_ask_directly(party: Party) -> str:
     )
 
 
-class Row(NamedTuple):
-    """A row of the table: title, result towards this computer, result towards the other one."""
-
-    label: str
-    to_here: str
-    to_there: str
-
-
 def sides_of(here: End, there: End) -> tuple[str, str]:
     """Return one line about each computer."""
     one = _described("This computer", here.computer)
     return one, _described("The other one", there.computer)
 
 
-def rows(here: End, there: End) -> Iterator[Row]:
-    """Return the table of results by direction, with its heading first."""
+def rows(here: End, there: End) -> Iterator[tuple[str, str, str]]:
+    """Yield the table, its heading first: title, result towards here, result towards there."""
     one, other = _parties(here, there)
     left, right = _short(other), _short(one)
-    yield Row("", f"{left} -> {right}", f"{right} -> {left}")
+    yield "", f"{left} -> {right}", f"{right} -> {left}"
     ports = here.computer.ports
     several = f"{ports.first} to {ports.last}"
-    # This computer's arrivals show the direction from the other computer.
-    came = [here.arrivals, there.arrivals]
-    yield Row(f"multicast, UDP {ports.discovery}", *map(_multicast, came))
-    yield Row(f"UDP {ports.discovery}", *(_word(each.discovery) for each in came))
-    yield Row(f"UDP {several}", *(_words(each.udp) for each in came))
-    yield Row(f"TCP {several}", *(_words(each.tcp) for each in came))
-    looks = [here.look, there.look]
-    yield Row("test stream found by multicast", *(_word(each.by_multicast) for each in looks))
-    yield Row("  found when asked for directly", *(_word(each.directly) for each in looks))
-    yield Row("  received", *(_word(each.received) for each in looks))
-    yield Row("  round trip", *(_milliseconds(each.round_trip_s) for each in looks))
-    yield Row("streams that are seen", _seen(there, here), _seen(here, there))
-    yield Row("  whose port opens", _reached(there, here), _reached(here, there))
+    # What a computer received shows the direction from the other one.
+    cells: tuple[tuple[str, Callable[[End, End], str]], ...] = (
+        (f"multicast, UDP {ports.discovery}", lambda _, to: _multicast(to.arrivals)),
+        (f"UDP {ports.discovery}", lambda _, to: _word(to.arrivals.discovery)),
+        (f"UDP {several}", lambda _, to: _words(to.arrivals.udp)),
+        (f"TCP {several}", lambda _, to: _words(to.arrivals.tcp)),
+        ("test stream found by multicast", lambda _, to: _word(to.look.by_multicast)),
+        ("  found when asked for directly", lambda _, to: _word(to.look.directly)),
+        ("  received", lambda _, to: _word(to.look.received)),
+        ("  round trip", lambda _, to: _milliseconds(to.look.round_trip_s)),
+        ("streams that are seen", _seen),
+        ("  whose port opens", _reached),
+    )
+    for title, cell in cells:
+        yield title, cell(there, here), cell(here, there)
 
 
 def _described(title: str, computer: Computer) -> str:
