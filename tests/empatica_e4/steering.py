@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf
 from typing import Any
 
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
@@ -35,14 +34,6 @@ class SteeredE4(SimulatedE4):
     def turn_on(self, device_id: str | None = None) -> None:
         """Turn a wristband on again."""
         self._do(lambda: self._turn_on(self._find(device_id)))
-
-    def lose_packets(self, share: float, seconds: float = inf) -> None:
-        """Lose a share of the packets on the radio, from 0 to 1, for so long.
-
-        The server numbers what arrives, so the stamps show no gap. HR and IBI, charge
-        and tags are not lost: they bring their own time.
-        """
-        self._do(lambda: self._first.lose_packets(share, seconds))
 
     def jump_clock(self, seconds: float) -> None:
         """Set the clock of the server's PC; the stamps jump with it."""

@@ -14,13 +14,11 @@ from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
 from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, Timing
-from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.empatica_e4.steering import SteeredE4
 
 ID, OTHER = "9ff167", "cc34cd"
 SAME_CONNECTION = "You've tried to connect to the device from the same connection"
-FOREVER = float("inf")
 REGULAR = ("bvp", "acc", "gsr", "st")
 MEASURED = (*REGULAR, "hr", "ibi", "bat")
 STAMP_LIMIT_S = 0.020
@@ -73,16 +71,6 @@ async def test_manual_radio_is_connected_by_the_driver(world: World, running: Ru
     assert asked[:4] == [
         "device_list", "device_discover_list", "device_connect_btle", "device_connect",
     ]  # fmt: skip
-
-
-async def test_a_server_that_starts_later_is_found(world: World, running: Running) -> None:
-    with SteeredE4(world) as server:
-        server.apply(Fault(FaultKind.RESTART, FOREVER))
-        async with running(server.settings) as run:
-            await run.until(lambda: "start the E4 streaming server" in run.error)
-            assert State.BACKOFF not in run.states
-            server.clear(FaultKind.RESTART)
-            await run.until_more()
 
 
 async def test_a_wristband_of_another_account_is_not_tried(world: World, running: Running) -> None:

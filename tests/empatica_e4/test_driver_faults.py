@@ -63,21 +63,6 @@ async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
     assert told == ["the wristband is out of reach of its dongle", "the wristband is back"]
 
 
-@pytest.mark.parametrize("automatic", [True, False])
-async def test_a_radio_link_that_stays_lost_is_connected_again(
-    world: World, running: Running, automatic: bool
-) -> None:
-    with SteeredE4(world, automatic=automatic) as server:
-        async with running(server.settings) as run:
-            await run.until_more()
-            server.apply(Fault(FaultKind.DROP, FOREVER))
-            await run.until(lambda: "out of reach" in run.error or "sees no" in run.error)
-            server.clear(FaultKind.DROP)
-            await run.until(run.has_reconnected)
-            await run.until_more()
-            run.assert_none_doubled(server.truth)
-
-
 async def test_a_manual_radio_that_is_back_is_connected_after_the_grace(
     world: World, running: Running
 ) -> None:
@@ -199,34 +184,6 @@ async def test_a_connection_that_ends_within_a_line_is_begun_again(
             assert run.sink.dropped_bytes > 0
 
 
-async def test_a_restart_under_another_locale_is_survived(world: World, running: Running) -> None:
-    with SteeredE4(world) as server:
-        async with running(server.settings) as run:
-            await run.until_more(rows=64)
-            server.apply(Fault(FaultKind.RESTART, 0.8))
-            await run.until(run.has_reconnected)
-            await run.until_more(rows=SETTLED_ROWS)
-            run.assert_none_doubled(server.truth)
-            assert run.sink.dropped_bytes < 64
-            stamps = np.array(run.sink.times["bvp"])
-            true = server.truth.samples("bvp").times[run.places(server.truth)]
-            assert_in_place(stamps - true)
-
-
-async def test_answers_that_come_too_late_answer_nothing_else(
-    world: World, running: Running
-) -> None:
-    with SteeredE4(world) as server:
-        async with running(server.settings) as run:
-            await run.until_more()
-            server.apply(Fault(FaultKind.LATE, 2.5))
-            await run.until(lambda: "no answer to device_list" in run.error)
-            assert run.supervisor.connections == 1
-            server.clear(FaultKind.LATE)
-            await run.until(run.has_reconnected)
-            await run.until_more()
-
-
 async def test_an_answer_that_never_comes_begins_again(world: World, running: Running) -> None:
     with SteeredE4(world) as server:
         server.withhold_reply("device_subscribe")
@@ -282,50 +239,6 @@ def short_window(monkeypatch: pytest.MonkeyPatch) -> float:
     """Estimate losses every two seconds."""
     monkeypatch.setattr(emitter_module, "WINDOW_S", 2.0)
     return 2.0
-
-
-async def test_radio_loss_is_estimated_and_moves_the_stamps_back_to_their_place(
-    world: World, running: Running, short_window: float
-) -> None:
-    with SteeredE4(world, timing=Timing(burst=1)) as server, capture_logs() as logs:
-        async with running(server.settings) as run:
-            await run.until_more(rows=128)
-            server.lose_packets(1.0, 0.4)
-            lost: Callable[[], int] = lambda: run.sink.counted("bvp").lost  # noqa: E731
-            await run.until(lost)
-            # If the packet on which the stamps hang from now on is late, that is taken off.
-            await run.until_more(rows=192)
-            true = {name: server.truth.unsent_count(name) for name in REGULAR}
-            assert true["bvp"] > 20
-            assert run.sink.counted("bvp").lost == pytest.approx(true["bvp"], abs=4)
-            assert run.sink.counted("acc").lost == pytest.approx(true["acc"], abs=2)
-            assert run.sink.counted("gsr").lost == pytest.approx(true["gsr"], abs=1)
-            losses = run.sink.array("quality")[:, 1]
-            lost_s = true["bvp"] / 64
-            assert np.nanmax(losses) == pytest.approx(lost_s / short_window, abs=0.05)
-            run.assert_all_arrived(server.truth, "bvp", "acc")
-            errors = server.truth.samples("bvp").times[: len(run.sink.times["bvp"])]
-            errors = run.sink.times["bvp"] - errors
-            assert errors.min() < -0.3
-            assert abs(errors[-1]) < NEAR_S
-    assert sum("estimated" in entry["event"] for entry in logs) == 1
-
-
-async def test_a_share_of_lost_packets_shows_in_quality(
-    world: World, running: Running, short_window: float
-) -> None:
-    with SteeredE4(world) as server:
-        async with running(server.settings) as run:
-            await run.until_more()
-            server.lose_packets(0.3)
-            # The first windows hold the time before, and that the wristband is worn.
-            count = len(run.sink.rows["quality"])
-            await run.until(lambda: len(run.sink.rows["quality"]) > count + 9)
-            # Of a few packets a window: two windows alone were off by 0.18.
-            assert run.sink.array("quality")[-6:, 1].mean() == pytest.approx(0.3, abs=0.12)
-            run.assert_all_arrived(server.truth, "bvp")
-            server.lose_packets(0.0)
-            await run.until(lambda: run.sink.array("quality")[-1, 1] == 0)
 
 
 async def test_what_was_measured_while_the_server_was_away_is_counted(

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from bleak import BleakClient
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.device_states import State
@@ -15,7 +14,6 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import CO
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.products import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.transports import ble
 from biosensor_gateway.transports.ble import BleLink, Notification
 from tests.rigs.bluetooth import ON_BLUEZ
 from tests.rigs.driver_run import streaming
@@ -29,20 +27,6 @@ pytestmark = ON_BLUEZ
 
 MakeSensor = Callable[..., SimulatedPolarH10]
 FRAME = 73
-
-
-@pytest.fixture
-def attempts(monkeypatch: pytest.MonkeyPatch) -> list[BleakClient]:
-    """Connections that bleak was asked for; what one of them does is up to the test."""
-    asked: list[BleakClient] = []
-    connect = BleakClient.connect
-
-    async def noted(self: BleakClient, **options: Any) -> None:
-        asked.append(self)
-        await connect(self, **options)
-
-    monkeypatch.setattr(BleakClient, "connect", noted)
-    return asked
 
 
 async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
@@ -78,65 +62,6 @@ async def test_a_daemon_that_is_back_before_anybody_noticed_costs_one_connection
         assert State.BACKOFF not in run.states
         await run.goes_on(FRAME, "ecg")
     assert_only_gaps(h10, run.sink)
-
-
-async def test_a_sensor_that_bluez_forgets_after_the_scan_is_looked_for_again(
-    sensor: MakeSensor,
-    bluez: FakeBluez,
-    attempts: list[BleakClient],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    h10 = sensor()
-    bluez.forgets_after_scan = True
-    connect = BleakClient.connect
-
-    async def remembered_next_time(self: BleakClient, **options: Any) -> None:
-        bluez.forgets_after_scan = False
-        await connect(self, **options)
-
-    monkeypatch.setattr(BleakClient, "connect", remembered_next_time)
-    async with streaming(h10) as run:
-        await until(run.sink.has(FRAME, "ecg"))
-        assert run.states == [State.CONNECTING, State.STREAMING]
-    assert len(attempts) == 2
-
-
-async def test_a_sensor_that_bluez_always_forgets_is_absent_until_it_does_not(
-    sensor: MakeSensor, bluez: FakeBluez
-) -> None:
-    h10 = sensor()
-    bluez.forgets_after_scan = True
-    async with streaming(h10) as run:
-        await until(lambda: State.DISCOVERING in run.states)
-        assert "does not connect" in str(run.supervisor.last_error)
-        bluez.forgets_after_scan = False
-        await until(run.sink.has(FRAME, "ecg"))
-        assert State.BACKOFF not in run.states
-
-
-async def test_a_connection_that_fails_is_tried_again(sensor: MakeSensor, bluez: FakeBluez) -> None:
-    h10 = sensor()
-    bluez.connect_error = "le-connection-refused"
-    async with streaming(h10) as run:
-        await until(lambda: State.DISCOVERING in run.states)
-        assert "le-connection-refused" in str(run.supervisor.last_error)
-        bluez.connect_error = ""
-        await until(run.sink.has(FRAME, "ecg"))
-        assert State.BACKOFF not in run.states
-
-
-async def test_a_connection_that_takes_too_long_is_given_up_and_tried_again(
-    sensor: MakeSensor, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ble, "CONNECT_LIMIT_S", 1.0)
-    h10 = sensor()
-    bluez.connect_delay_s = 60.0
-    async with streaming(h10) as run:
-        await until(lambda: State.DISCOVERING in run.states)
-        assert "does not connect (TimeoutError)" in str(run.supervisor.last_error)
-        bluez.connect_delay_s = 0.0
-        await until(run.sink.has(FRAME, "ecg"))
-        assert State.BACKOFF not in run.states
 
 
 @pytest.mark.parametrize(

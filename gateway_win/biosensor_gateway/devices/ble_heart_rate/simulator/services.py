@@ -18,7 +18,6 @@ RR_TICKS_PER_S = 1024
 _WIDE = 0x01
 _CONTACT = 0x02
 _CONTACT_SUPPORTED = 0x04
-_ENERGY = 0x08
 _INTERVALS = 0x10
 # Each value ends inside a field announced by its flags.
 _DAMAGED = ("", "10", "00", "0148", "184800", "0848", "1f2c01", "0d48", "0948", "01")
@@ -35,32 +34,20 @@ class HeartRateMeasurement(NamedTuple):
         R-R intervals [1/1024 s], oldest first; None for a device that never sends any.
     contact
         Skin contact; None for a device that does not report it.
-    energy_kj
-        Energy expended since the last reset [kJ], None if not sent.
     """
 
     bpm: int
     rr: Sequence[int] | None = None
     contact: bool | None = None
-    energy_kj: int | None = None
 
 
-def encode(measurement: HeartRateMeasurement, *, wide: bool = False) -> bytes:
-    """Return the characteristic's value.
-
-    Parameters
-    ----------
-    wide
-        Write the rate in two bytes even if one is enough.
-    """
-    wide = wide or measurement.bpm > 0xFF
+def encode(measurement: HeartRateMeasurement) -> bytes:
+    """Return the characteristic's value."""
+    wide = measurement.bpm > 0xFF
     flags = _WIDE * wide
     if measurement.contact is not None:
         flags |= _CONTACT_SUPPORTED | _CONTACT * measurement.contact
     fields = struct.pack("<H" if wide else "B", measurement.bpm)
-    if measurement.energy_kj is not None:
-        flags |= _ENERGY
-        fields += struct.pack("<H", measurement.energy_kj)
     if measurement.rr is not None:
         flags |= _INTERVALS
         fields += struct.pack(f"<{len(measurement.rr)}H", *measurement.rr)

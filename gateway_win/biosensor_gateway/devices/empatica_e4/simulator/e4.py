@@ -140,7 +140,7 @@ class Delivery:
             for client in tuple(self._clients)
             if client.wants(wristband.device_id, packet.subscription)
         ]
-        if wristband.is_lost or wristband.loses(packet):
+        if wristband.is_lost:
             if wanted:
                 _note_unsent(wristband, packet.samples)
             return

@@ -100,16 +100,12 @@ class Timing:
         Number of GSR and temperature samples sent together.
     beat_delay_s
         Delay of a beat's HR and IBI.
-    bvp_delay_s
-        Delay of BVP and acceleration relative to GSR and temperature; 0.065 would match
-        recordings, but a client cannot detect it.
     jitter_s
         Maximum radio delay of a packet.
     """
 
     burst: int = 6
     beat_delay_s: float = 5.6
-    bvp_delay_s: float = 0.0
     battery_interval_s: float = 10.0
     jitter_s: float = 0.0
 
@@ -189,11 +185,10 @@ class RadioLink:
         times = [self._true_time(after_s) for after_s in after]
         rows = self._signals.read(stream, np.array(times) - self._begin_s)
         gathered = self._gathered[stream]
-        delay_s = self._timing.bvp_delay_s if stream in (BVP, ACC) else 0.0
         for time_s, after_s, row in zip(times, after, rows, strict=True):
             gathered.append(Sample(stream, time_s, after_s, row))
             if len(gathered) == self._per_packet[stream]:
-                self._dispatch(tuple(gathered), delay_s)
+                self._dispatch(tuple(gathered), 0.0)
                 gathered.clear()
 
     def _measure_beats(self, from_s: float, to_s: float) -> None:
@@ -280,8 +275,6 @@ class Wristband:
         self._link: RadioLink | None = None
         self._patience_s = inf
         self._gives_up: asyncio.TimerHandle | None = None
-        self._lost_share = 0.0
-        self._loses_until_s = 0.0
 
     def begin(self, clock: WallClock) -> None:
         """Start the time of the wearer, the oscillator and the server's PC."""
@@ -351,17 +344,6 @@ class Wristband:
         """Send a tag, if there is a radio link."""
         if self._link is not None:
             self._link.tag()
-
-    def lose_packets(self, share: float, seconds: float) -> None:
-        """Lose a fraction of the packets, 0 to 1, on the radio; the timestamps show no gap."""
-        self._lost_share = share
-        self._loses_until_s = self._clock.lsl() + seconds
-
-    def loses(self, packet: Packet) -> bool:
-        """Whether a packet of a regular stream is lost on the radio."""
-        if packet.samples[0].stream.rate_hz is None or packet.arrives_s > self._loses_until_s:
-            return False
-        return self._rng.random() < self._lost_share
 
     def _arrived(self, packet: Packet) -> None:
         self._deliver(self, packet)

@@ -149,8 +149,8 @@ def encode_features(measurements: Iterable[Measurement]) -> bytes:
 
 HEADER_BYTES = 10
 _COMPRESSED = 0x80
-ACC_8_BIT, ACC_16_BIT, ACC_24_BIT = 0, 1, 2
-"""Formats of acceleration by bits per axis [mg]."""
+ACC_16_BIT = 1
+"""Format of acceleration with 16 bits per axis [mg]."""
 ACC_COMPRESSED_COUNTS, ACC_COMPRESSED_MG = 0x80, 0x81
 """Compressed 16-bit formats: in counts to be scaled, and in mg."""
 PPG_OF_THREE_LEDS, PPG_OF_TWO_DIODES = 0x80, 0x8D
@@ -163,9 +163,10 @@ _UNKNOWN_FORMAT = 0x3F
 Integers = NDArray[np.int64]
 
 _BLOCK_SAMPLES = 12
+"""Number of samples with a common width."""
 
 
-def compress(samples: Integers, resolution: int, block_samples: int = _BLOCK_SAMPLES) -> bytes:
+def compress(samples: Integers, resolution: int) -> bytes:
     """Encode samples.
 
     Parameters
@@ -174,18 +175,16 @@ def compress(samples: Integers, resolution: int, block_samples: int = _BLOCK_SAM
         At least one sample.
     resolution
         Bits of a sample.
-    block_samples
-        Number of samples with a common width; at most 255.
     """
     reference = little_endian(samples[:1], -(-resolution // 8))
     differences = np.diff(samples, axis=0)
-    starts = range(0, len(differences), block_samples)
-    return reference + b"".join(block(differences[at : at + block_samples]) for at in starts)
+    starts = range(0, len(differences), _BLOCK_SAMPLES)
+    return reference + b"".join(block(differences[at : at + _BLOCK_SAMPLES]) for at in starts)
 
 
-def block(differences: Integers, bits: int | None = None) -> bytes:
-    """Encode one block with `bits` per difference; as few as possible by default."""
-    bits = _width(differences) if bits is None else bits
+def block(differences: Integers) -> bytes:
+    """Encode one block, with as few bits per difference as possible."""
+    bits = _width(differences)
     unsigned = differences.reshape(-1, 1) & ((1 << bits) - 1)
     stream = (unsigned >> np.arange(bits)) & 1
     payload = np.packbits(stream.astype(np.uint8).ravel(), bitorder="little")

@@ -488,9 +488,7 @@ class PmdService:
         )
         in_sdk_mode = self._control.in_sdk_mode
         true_hz = self._product.true_rate_hz(measurement, signal.rate_hz, sdk_mode=in_sdk_mode)
-        rate_hz = true_hz * (1 + self._quirks.sampling_deviation)
-        begin_s = now_s + self._quirks.first_sample_s
-        return _WaveformStream(self._strap, self._data, signal, rate_hz, begin_s)
+        return _WaveformStream(self._strap, self._data, signal, true_hz, now_s)
 
     def _choose_pace(self) -> None:
         """Set the heart rate interval according to the running measurements."""

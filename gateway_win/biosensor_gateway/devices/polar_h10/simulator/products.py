@@ -178,11 +178,6 @@ class Quirks:
         Starts over a link with a smaller ATT MTU are refused with INVALID_MTU.
     compressed_acceleration
         Whether acceleration is sent compressed, in mg.
-    sampling_deviation
-        Relative deviation of the true sample rates, in device time, from the nominal ones; the
-        data sheet allows 0.02.
-    first_sample_s
-        Time from a start to its first sample.
     first_intervals_s
         Time from a start to the first pulse intervals; 25 s according to the vendor's documents.
     """
@@ -196,8 +191,6 @@ class Quirks:
     max_mtu: int = FULL_MTU
     minimum_mtu: int = 0
     compressed_acceleration: bool = False
-    sampling_deviation: float = 0.0
-    first_sample_s: float = 0.0
     first_intervals_s: float = 25.0
 
 
