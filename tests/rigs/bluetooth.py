@@ -10,12 +10,13 @@ from __future__ import annotations
 import asyncio
 import shutil
 import sys
-from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import ExitStack, asynccontextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
+from biosensor_gateway.agent import supervisor
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.world import World
@@ -30,9 +31,11 @@ __all__ = [
     "bluetooth",
     "bluez",
     "clock",
+    "hasty",
     "host_mtu",
     "radio",
     "rig",
+    "switch_on",
     "virtual_clock",
     "virtual_world",
     "world",
@@ -106,6 +109,25 @@ async def bluetooth(
 @pytest.fixture
 def radio(bluetooth: Bluetooth) -> Radio:
     return bluetooth.radio
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look for devices without long pauses."""
+    monkeypatch.setattr(supervisor, "PROBE_INTERVAL_S", 0.05)
+    monkeypatch.setattr(supervisor, "BACKOFF_FIRST_S", 0.1)
+
+
+@pytest.fixture
+def switch_on(radio: Radio, hasty: None) -> Generator[Callable[..., Any]]:
+    """Switch a device of a class on for the rest of the test; it is found without long pauses."""
+    del hasty
+    with ExitStack() as stack:
+
+        def make(kind: Callable[..., Any], **options: Any) -> Any:
+            return stack.enter_context(kind(radio.world, radio, **options))
+
+        yield make
 
 
 @pytest.fixture

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable
 
 import pytest
 
-from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import BeltFirmware, Command
-from biosensor_gateway.simulation.radio import Radio
 from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 
 
 @pytest.fixture
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look for belts without long pauses."""
-    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
-    monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
-
-
-@pytest.fixture
-def belt(radio: Radio, hasty: None) -> Generator[SimulatedBelt]:
+def belt(switch_on: Callable[..., SimulatedBelt]) -> SimulatedBelt:
     """One that is switched on."""
-    del hasty
-    with SimulatedBelt(radio.world, radio, jitter_s=0.02, warm_up_s=1.0) as belt:
-        yield belt
+    return switch_on(SimulatedBelt, jitter_s=0.02, warm_up_s=1.0)
 
 
 @pytest.fixture

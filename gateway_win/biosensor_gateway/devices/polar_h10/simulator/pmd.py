@@ -203,6 +203,10 @@ def _width(differences: Integers) -> int:
     return int(magnitude.max(initial=0)).bit_length() + 1
 
 
+# The sensor can tell contact, and has it; nobody moved.
+_ON_THE_SKIN = 0b110
+
+
 class PulseInterval(NamedTuple):
     """One interval between two pulses.
 
@@ -212,17 +216,11 @@ class PulseInterval(NamedTuple):
         Heart rate [1/min].
     interval_ms, error_ms
         Length and its estimated error [ms].
-    moving
-        Whether it is unreliable because the wearer moved.
-    contact
-        Skin contact; None if the device cannot detect it.
     """
 
     bpm: int
     interval_ms: int
     error_ms: int
-    moving: bool = False
-    contact: bool | None = None
 
 
 def header(measurement: Measurement, timestamp_ns: int, frame_format: int) -> bytes:
@@ -268,7 +266,7 @@ def magnetic_field(timestamp_ns: int, counts: Integers) -> bytes:
 def pulse_intervals(timestamp_ns: int, intervals: Sequence[PulseInterval]) -> bytes:
     """Return a frame of pulse-to-pulse intervals, format 0; its time is often 0."""
     entries = (
-        struct.pack("<BHHB", one.bpm, one.interval_ms, one.error_ms, _flags(one))
+        struct.pack("<BHHB", one.bpm, one.interval_ms, one.error_ms, _ON_THE_SKIN)
         for one in intervals
     )
     return header(Measurement.PPI, timestamp_ns, 0) + b"".join(entries)
@@ -294,8 +292,3 @@ def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
 def in_unknown_format(frame: bytes) -> bytes:
     """Return a frame whose header has an undocumented format."""
     return frame[: HEADER_BYTES - 1] + bytes((_UNKNOWN_FORMAT,)) + frame[HEADER_BYTES:]
-
-
-def _flags(interval: PulseInterval) -> int:
-    supported = interval.contact is not None
-    return interval.moving | bool(interval.contact) << 1 | supported << 2

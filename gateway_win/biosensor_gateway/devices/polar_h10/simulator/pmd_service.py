@@ -346,7 +346,7 @@ class _IntervalStream:
         for at in range(0, len(intervals), per_frame):
             part = slice(at, at + per_frame)
             entries = [
-                PulseInterval(self._detector.bpm, length, _INTERVAL_ERROR_MS, contact=True)
+                PulseInterval(self._detector.bpm, length, _INTERVAL_ERROR_MS)
                 for length in lengths_ms[part]
             ]
             if await _send(self._strap, self._data, pmd.pulse_intervals(0, entries)):
