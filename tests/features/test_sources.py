@@ -203,6 +203,37 @@ def test_the_header_tells_origin_algorithm_version_window_and_delay() -> None:
     assert read_header(xml).derived == Derived("ECG Amp 1-id", 5.3)
 
 
+@pytest.mark.parametrize(
+    ("header_hz", "true_hz", "burst"),
+    [(520, 130, 1), (520, 130, 73), (1040, 130, 1), (130, 520, 292), (130, 520, 520)],
+)
+def test_a_rate_that_is_far_off_is_found_before_half_a_minute_is_over(
+    header_hz: float, true_hz: float, burst: int
+) -> None:
+    signal, beats = signals.ecg(true_hz, 60)
+    stamps = 1000 + np.arange(len(signal)) / true_hz
+    # Samples of a burst have the stamp of its last one.
+    stamps = np.repeat(stamps[burst - 1 :: burst], burst)
+    rows = signal[: len(stamps), np.newaxis]
+    computer = _judged(_header("ECG", rate=header_hz)).new_computer()
+    told: list[tuple[float, Event]] = []
+    for at in range(0, len(stamps), burst):
+        part = slice(at, at + burst)
+        told += [
+            (float(stamps[at]) - 1000, each) for each in computer.take(stamps[part], rows[part])
+        ]
+    rates = [(now_s, each.values[0]) for now_s, each in told if each.feature == "hr_live"]
+    true_rate = 60 / float(np.diff(beats).mean())
+    assert rates[0][0] < 25
+    assert [rate for _, rate in rates] == pytest.approx([true_rate] * len(rates), abs=5)
+    found = [each.stamp - 1000 for _, each in told if each.feature == "beats"]
+    due = [beat for beat in beats if 15 < beat < 45]
+    assert all(min(abs(each - beat) for each in found) < 0.05 for beat in due)
+    taken = re.search(r"samples come at ([\d.]+) Hz, which is taken", computer.remark())
+    assert taken
+    assert float(taken[1]) == pytest.approx(true_hz, rel=1e-3)
+
+
 @pytest.mark.parametrize(("rate", "delay_s"), [(4, 0.38), (8, 0.44), (15.625, 0.48), (125, 0.48)])
 def test_the_header_of_responses_tells_the_delay_that_was_measured_at_its_rate(
     rate: float, delay_s: float

@@ -12,6 +12,7 @@ import sys
 import uuid
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -346,6 +347,24 @@ def test_where_no_folder_is_named_it_is_that_of_the_page(
     del sources
 
 
+@pytest.mark.parametrize("is_red", [False, True])
+def test_a_script_may_ask_for_a_verdict_that_is_not_red(
+    is_red: bool, record: Record, sources: Sources, tmp_path: Path
+) -> None:
+    silent = pylsl.StreamInfo("silent", "EEG", 1, 2000 if is_red else 0, "float32", "silent-id")
+    outlet = pylsl.StreamOutlet(silent)
+    for options, code in (((), 0), (("--fail-on-red",), int(is_red))):
+        file = tmp_path / f"{len(options)}.xdf"
+        begun = record("start", "--here", "--file", str(file), "--all", "--json")
+        assert begun.code == 0, begun.err
+        # A stream without samples is an error there, too.
+        wait_until(partial(_is_larger, Path(begun.json["file"]), 500_000), "it grows")
+        ended = record("stop", *options)
+        assert ended.code == code, ended
+        assert ended.out.splitlines()[-1].startswith("red") == is_red
+    del outlet, sources
+
+
 def test_virtual_devices_are_recorded_in_the_session_of_the_settings(
     state: Path, record: Record, tmp_path: Path
 ) -> None:
@@ -370,6 +389,10 @@ def test_there_is_nothing_to_stop_or_to_look_at(record: Record, command: str) ->
     outcome = record(command)
     assert outcome.code == 1
     assert "nothing is being recorded here" in outcome.err
+
+
+def _is_larger(file: Path, size: int) -> bool:
+    return file.stat().st_size > size
 
 
 def _samples(status: Outcome) -> int:

@@ -37,6 +37,7 @@ from biosensor_gateway.recording.recorder.result import By, LocalStatus, Started
 from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import look, own_events
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder, usual_recordings_folder
 
@@ -293,6 +294,14 @@ OtherParticipantsOption = Annotated[
 TimeoutOption = Annotated[
     float, typer.Option(min=1, help="How many seconds the file may take to grow.")
 ]
+FailOnRedOption = Annotated[
+    bool,
+    typer.Option(
+        "--fail-on-red",
+        help="Exit code 1 also if the verdict is red or unknown; the recording is ended all the "
+        "same.",
+    ),
+]
 HereOption = Annotated[
     bool, typer.Option("--here", help="Record without LabRecorder's window in any case.")
 ]
@@ -403,6 +412,7 @@ def stop(
     file: FileOption = None,
     host: HostOption = None,
     port: PortOption = None,
+    fail_on_red: FailOnRedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """End the recording, and check that its file is closed; exit code 1 if it is not."""
@@ -412,6 +422,9 @@ def stop(
         stopped = _window(host, port).stop(file)
     warn(stopped.warnings, silent=as_json)
     typer.echo(as_json_text(stopped) if as_json else stop_text(stopped))
+    # Not by default: a script must be able to tell it from a recording that goes on.
+    if fail_on_red and (stopped.verdict is None or stopped.verdict.colour is Colour.RED):
+        raise typer.Exit(1)
 
 
 def _nobody_records(file: Path | None) -> bool:

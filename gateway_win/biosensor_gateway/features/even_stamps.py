@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.xdf.pace import STEP_BACK_S, Pace, find_pace
+from biosensor_gateway.recording.xdf.pace import STEP_BACK_S, Pace, find_pace, is_far_off
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,8 @@ SECTION_S, FEWEST = 3.0, 64
 SECTIONS = 20
 """Number of sections from which the line is computed."""
 _SECTIONS_FOR_RATE = 4
+_EARLY_S = (6.0, 12.0, 24.0)
+"""After these times a nominal rate is looked at: sections of one that is far too high last long."""
 _AT_ONCE = 0.1
 """Part of a period within which two stamps count as equal."""
 _MOST_SLEW = 0.005
@@ -49,6 +51,7 @@ class EvenStamps:
         self._section = max(FEWEST, math.ceil(SECTION_S * rate))
         self.pace: Pace | None = None
         self.rate_hz: float | None = None
+        self._early_s = list(reversed(_EARLY_S))
         self._is_held = False
         self._last = -math.inf
         self._passed = 0
@@ -61,8 +64,9 @@ class EvenStamps:
 
     @property
     def room(self) -> int:
-        """Number of samples to the end of the section."""
-        return self._section - self._count
+        """Number of samples to the next look: at the end of a section, and at first more often."""
+        left = self._section - self._count
+        return min(left, FEWEST - self._count % FEWEST) if self._early_s else left
 
     def take(self, stamps: Array, values: Array) -> tuple[Array, Array]:
         """Take samples; return those that are ready, shapes (n,) and (n, n_channels)."""
@@ -77,7 +81,19 @@ class EvenStamps:
                 ready.append(self._pass())
             if self._count == self._section:
                 ready += self._look()
+            if self._early_s and self._count % FEWEST == 0:
+                self._look_early()
         return _joined(ready, values)
+
+    def _look_early(self) -> None:
+        stamps = np.concatenate([self._history, *(each for each, _ in self._new)])
+        finite = stamps[np.isfinite(stamps)]
+        if len(finite) < FEWEST or float(np.ptp(finite)) < self._early_s[-1]:
+            return
+        self._early_s.pop()
+        rate_hz = 1 / find_pace(stamps, self._rate).period_s
+        if is_far_off(rate_hz, self._rate):
+            self.rate_hz = rate_hz
 
     def _pass(self) -> tuple[Array, Array]:
         """Return the samples before the first burst or overlap, except the last one.

@@ -37,6 +37,7 @@ _FEWEST_WINDOWS = 10
 _AT_ONCE, _NOT_BY_CHANCE = 0.1, 0.3
 # A header's rate that deviates by a larger fraction is wrong.
 _NOMINAL_HOLDS = 0.05
+_FAR_OFF = 1.5
 SECTION = 1 << 20
 # Sections have this length, so that clocks do not drift within one, but at least so many samples.
 _SECTION_S, _LEAST_SECTION = 600.0, 1 << 16
@@ -379,15 +380,32 @@ def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[i
     window = max(FEWEST, int(min(wanted, most)))
     lag = lag or window
     if len(marks) < _FEWEST_WINDOWS * lag:
-        return window, nominal_s
+        # A few bursts show whether the nominal rate is far off, and no more.
+        coarse_s = _slope_between(stamps, marks, len(marks) // _FEWEST_WINDOWS)
+        return window, coarse_s if pushes is marks and is_far_off(
+            coarse_s, nominal_s
+        ) else nominal_s
     # Fewer than half of the slopes contain a gap, so the median is not affected.
-    slopes = (stamps[marks[lag:]] - stamps[marks[:-lag]]) / (marks[lag:] - marks[:-lag])
-    slope_s = float(np.median(slopes))
+    slope_s = _slope_between(stamps, marks, lag)
     is_usual = np.abs(steps - usual_s) < _NOMINAL_HOLDS * usual_s
     if lag == window and is_usual.mean() > 0.5 and abs(slope_s / usual_s - 1) > _NOMINAL_HOLDS:
         # No clock is this wrong, so there are gaps everywhere.
         return window, usual_s
     return window, slope_s if slope_s > 0 else nominal_s
+
+
+def _slope_between(stamps: Array, marks: NDArray[np.int64], lag: int) -> float:
+    """Return the median slope between marks that are so many marks apart; 0 if there are none."""
+    if not 0 < lag < len(marks):
+        return 0.0
+    return float(
+        np.median((stamps[marks[lag:]] - stamps[marks[:-lag]]) / (marks[lag:] - marks[:-lag]))
+    )
+
+
+def is_far_off(rate: float, nominal: float) -> bool:
+    """Whether a rate, or a period, is another than the nominal one by more than chance allows."""
+    return rate > 0 and not 1 / _FAR_OFF < rate / nominal < _FAR_OFF
 
 
 def _is_late(rest_steps: Array, period_s: float) -> bool:
