@@ -6,6 +6,7 @@ import math
 import random
 import time
 from collections.abc import Callable
+from typing import cast
 
 import pylsl
 import pytest
@@ -28,6 +29,7 @@ from lsl_to_ros.ros_to_lsl.stamps import (
     Offset,
     PublisherClock,
     StampSource,
+    doubt_of,
 )
 from lsl_to_ros.statistics.ros_time import RosTime
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
@@ -116,6 +118,17 @@ def test_no_delays_make_a_right_clock_wrong(delays: list[int]) -> None:
         stamp_ns = NOW_NS + number * 100 * PERIOD_NS
         clock.observe(stamp_ns, stamp_ns + delay_ns)
     assert clock.state is ClockState.SYNCHRONISED
+
+
+@pytest.mark.parametrize("slow", [3e-4, 2e-3, 2e-2])
+def test_a_clock_that_runs_slow_does_not_stay_synchronised(slow: float) -> None:
+    clock = observed(5.0, 0.001)
+    for number in range(150 * 20):
+        passed_s = number / 20
+        true_ns = NOW_NS + round((5 + passed_s) * NS_PER_S)
+        clock.observe(true_ns - round((passed_s * slow - 0.001) * NS_PER_S), true_ns + MILLISECOND)
+    assert clock.state in (ClockState.BEHIND, ClockState.WRONG)
+    assert clock.edge_s > 0.02
 
 
 @pytest.mark.parametrize("offset_s", [0.05, 0.5, 0.95])
@@ -267,6 +280,29 @@ def test_a_computer_whose_clock_is_wrong_is_stamped_by_arrival(ros_time: RosTime
     # The own clock was set: all is judged again.
     stamping.restart()
     assert not stamping.doubtful_clocks
+
+
+@pytest.mark.parametrize("has_header", [True, False])
+@pytest.mark.parametrize("offsets_s", [(0.0, -0.3), (-0.3, 0.0), (0.0, -5.0), (-0.05, -0.7, 0.0)])
+def test_of_several_publishers_no_wrong_clock_hides_behind_a_right_one(
+    offsets_s: tuple[float, ...], has_header: bool
+) -> None:
+    # Which time is chosen needs no clock of ROS.
+    stamping = MessageStamping(cast("RosTime", None), has_header=has_header, by_arrival=False)
+    stamping.is_mixed = True
+    for number in range(400):
+        offset_s = offsets_s[number % len(offsets_s)]
+        sent_ns = NOW_NS + number * 10 * MILLISECOND
+        own_ns = sent_ns + round(offset_s * NS_PER_S)
+        message = stamped(JointState(), own_ns) if has_header else String()
+        told = info(own_ns, sent_ns + MILLISECOND - own_ns)
+        stamping.observe(message, told)
+        if not stamping.is_in_doubt:
+            by_arrival = stamping.choose(message, told) is StampSource.ARRIVAL
+            assert by_arrival == (offset_s != 0)
+    worst = stamping.doubtful_clocks[StampSource.SOURCE]
+    assert worst.edge_s == pytest.approx(-min(offsets_s), abs=0.01)
+    assert "of its several publishers" in doubt_of(StampSource.SOURCE, worst)
 
 
 @pytest.mark.nightly

@@ -206,6 +206,7 @@ class Topic:
         elif publishers and self.kind is not None:
             self._tell_others(publishers, self.kind.name)
             of_kind = [p for p in publishers if p.topic_type == self.kind.name]
+            self.bridge.stamping.is_mixed = len(of_kind) > 1
             is_mixed = len(of_kind) > 1 and self.bridge.sends_numbers
             self.bridge.refusals.hold(Refusal.MIXED, is_mixed, publishers=len(of_kind))
             quality = quality_of(of_kind)

@@ -23,6 +23,8 @@ PATIENCE_S = 2.0
 """For this time, late messages may still be explained by a backlog."""
 SET_BACK = Patience(10.0, 10, spread=0.5)
 """If messages of a correct clock stay late, all by the same time, the clock was set."""
+STAYED_LATE = Patience(30.0, 10)
+"""If they stay late for so long by any time, the clock may run slow."""
 _PERIOD_S = 1.0
 
 
@@ -116,7 +118,7 @@ class PublisherClock:
         # If the clock was measured to be right, late messages are due to the network.
         is_right = self.state is ClockState.SYNCHRONISED and self.offset is None
         is_to_doubt = is_right or self._late.least > BEHIND_S
-        if self.state in _NOT_WRONG and is_to_doubt and self._late.outlasts(SET_BACK):
+        if self.state in _NOT_WRONG and is_to_doubt and any(map(self._late.outlasts, _LATE)):
             self.state = _late_state(self._late.least)
             self._begin(stamp_ns, arrival_ns)
 
@@ -151,6 +153,7 @@ class PublisherClock:
                 self.state = _late_state(self.edge_s)
 
 
+_LATE = (SET_BACK, STAYED_LATE)
 _NOT_WRONG = (ClockState.SYNCHRONISED, ClockState.BEHIND)
 
 
@@ -194,12 +197,15 @@ class Doubt(NamedTuple):
         Measured offset; None without a measurement.
     is_used
         Whether its stamps are used nevertheless.
+    is_mixed
+        Whether it is the clock of one of several publishers.
     """
 
     state: ClockState
     edge_s: float
     offset: Offset | None
     is_used: bool
+    is_mixed: bool = False
 
 
 class MessageStamping:
@@ -216,6 +222,9 @@ class MessageStamping:
 
     Attributes
     ----------
+    is_mixed
+        Whether several publishers send the messages. Nobody can tell which is whose, so each stamp
+        is compared with its own arrival, and not used if it is too far from that.
     clocks
         Clocks of the header's stamps and of the middleware's.
     sources
@@ -226,6 +235,8 @@ class MessageStamping:
         self._ros_time = ros_time
         self._has_header, self._by_arrival = has_header and not by_arrival, by_arrival
         self._monotonic = MonotonicStamps()
+        self.is_mixed = False
+        self._strays: dict[StampSource, float] = {}
         self.clocks = _new_clocks()
         self.sources = dict.fromkeys(StampSource, 0)
 
@@ -244,7 +255,11 @@ class MessageStamping:
     @property
     def doubtful_clocks(self) -> dict[StampSource, Doubt]:
         """Clocks that are not, or may not be, synchronised."""
-        return {
+        strays = {
+            source: Doubt(_late_state(abs(stray_s)), stray_s, None, is_used=False, is_mixed=True)
+            for source, stray_s in self._strays.items()
+        }
+        return strays | {
             source: Doubt(clock.state, clock.edge_s, clock.offset, is_used=self._trusts(source))
             for source, clock in self.clocks.items()
             if clock.state in (ClockState.BEHIND, ClockState.WRONG)
@@ -279,6 +294,7 @@ class MessageStamping:
     def restart(self) -> None:
         """Start again with all clocks, because this computer's clock was set."""
         self.clocks = _new_clocks()
+        self._strays.clear()
 
     def choose(self, message: RosMessage, info: MessageInfo) -> StampSource:
         """Return the source of a message's stamp."""
@@ -298,13 +314,28 @@ class MessageStamping:
 
     def _chosen(self, message: RosMessage, info: MessageInfo) -> tuple[StampSource, int]:
         """Return the source and the stamp in nanoseconds since 1970."""
+        arrival_ns = info["received_timestamp"]
+        source_ns = 0 if self._by_arrival else info["source_timestamp"]
+        is_source_right = self._is_near(StampSource.SOURCE, source_ns, arrival_ns)
         is_headed = self._has_header and self._trusts(StampSource.HEADER)
         if is_headed and (stamp_ns := _header_ns(message)):
-            return StampSource.HEADER, stamp_ns
-        source_ns = 0 if self._by_arrival else info["source_timestamp"]
-        if source_ns and self._trusts(StampSource.SOURCE):
+            # As in `_trusts`: it is older than its publication.
+            most_s = BEHIND_S if source_ns and is_source_right else WAY_S
+            if self._is_near(StampSource.HEADER, stamp_ns, arrival_ns, most_s):
+                return StampSource.HEADER, stamp_ns
+        if source_ns and is_source_right and self._trusts(StampSource.SOURCE):
             return StampSource.SOURCE, source_ns
-        return StampSource.ARRIVAL, info["received_timestamp"]
+        return StampSource.ARRIVAL, arrival_ns
+
+    def _is_near(
+        self, source: StampSource, stamp_ns: int, arrival_ns: int, most_s: float = WAY_S
+    ) -> bool:
+        """Whether a stamp is near its arrival; with one publisher all of its messages tell that."""
+        late_s = (arrival_ns - stamp_ns) / NS_PER_S
+        if not self.is_mixed or not stamp_ns or -AHEAD_S <= late_s <= most_s:
+            return True
+        self._strays[source] = max(self._strays.get(source, 0.0), late_s, key=abs)
+        return False
 
     def _trusts(self, source: StampSource) -> bool:
         state = self.clocks[source].state
@@ -330,6 +361,14 @@ def doubt_of(source: StampSource, doubt: Doubt) -> str:
         return (
             f"the stamps in its headers are up to {doubt.edge_s:.3f} s older than their arrival;"
             " they are used, because the clock of its publisher is right"
+        )
+    if doubt.is_mixed:
+        before_after = "after" if doubt.edge_s < 0 else "before"
+        what = "headers" if source is StampSource.HEADER else "publishers' clocks"
+        return (
+            f"by their {what}, some messages of its several publishers are from up to "
+            f"{abs(doubt.edge_s):.3f} s {before_after} their arrival; these are stamped by it: "
+            "synchronise the clocks (chrony, PTP)"
         )
     whose = {
         StampSource.HEADER: "the stamps in its headers are",
