@@ -27,7 +27,6 @@ from biosensor_gateway.devices.bluetooth_health.driver.services import (
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
-from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
@@ -105,26 +104,6 @@ def test_a_device_is_found_by_any_of_its_services(service: str) -> None:
     found = recognised(drivers_by_precedence(), seen)
     assert found is not None
     assert (found.sensor, found.name) == ("bluetooth_health", "Nonin3230_1")
-
-
-@ON_BUMBLE
-async def test_a_service_that_is_refused_is_said_and_the_others_come(
-    device: SimulatedHealthDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    subscribe = BleLink.subscribe
-
-    async def refused(link: BleLink, uuid: str) -> None:
-        if uuid.startswith("00002a5f"):
-            raise AttError(0x80, link.what)
-        await subscribe(link, uuid)
-
-    monkeypatch.setattr(BleLink, "subscribe", refused)
-    async with streaming(device) as run:
-        await until(run.sink.has(2, "temp", "running", "power"))
-        assert run.supervisor.last_error == (
-            "connected, but the device refuses spo2 "
-            "(its service lets nobody subscribe: ATT error 0x80)"
-        )
 
 
 @ON_BUMBLE

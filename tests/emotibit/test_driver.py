@@ -17,7 +17,7 @@ from biosensor_gateway.devices.emotibit.driver import EmotiBitSettings, find
 from biosensor_gateway.devices.emotibit.driver import link as link_module
 from biosensor_gateway.devices.emotibit.simulator import rounds as wire
 from biosensor_gateway.devices.emotibit.simulator.rounds import Rounds
-from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import Fault, FaultKind
 from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
@@ -133,47 +133,3 @@ async def test_those_in_the_network_are_found_with_their_settings(
     own = EmotiBitSettings(sensor="emotibit", unit="1", host="127.0.0.1", port=port)
     (found,) = await find([own])
     assert found.settings["host"] == "127.0.0.1"
-
-
-async def test_what_was_sent_before_the_end_is_read_before_it_is_told(
-    emotibit: MakeEmotiBit,
-) -> None:
-    device = emotibit(jitter_s=0.0)
-    async with streaming(device) as run:
-        await until(run.sink.has(20, *REGULAR))
-        device.apply(Fault(FaultKind.DROP, 0.5))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.goes_on(20, *REGULAR)
-    for name in REGULAR:
-        assert not np.isnan(run.sink.array(name)).any()
-        assert_once_and_in_order(run.sink.rows[name], device.truth.samples(name).values)
-        assert np.all(np.diff(run.sink.times[name]) > 0)
-
-
-@pytest.mark.parametrize(
-    "kinds", [[Untidiness.APART], [Untidiness.OVERTAKEN], list(Untidiness)[:2]]
-)
-async def test_an_untidy_device_has_whole_rows_at_the_right_times(
-    emotibit: MakeEmotiBit, kinds: list[Untidiness]
-) -> None:
-    device = emotibit(jitter_s=0.0)
-    async with streaming(device) as run:
-        await until(run.sink.has(20, *REGULAR))
-        for kind in kinds:
-            device.apply(Fault(kind, 3600.0))
-        await run.goes_on(100, *REGULAR)
-        assert run.lost == {}
-    for name in REGULAR:
-        truth = device.truth.samples(name)
-        places = assert_once_and_in_order(run.sink.rows[name], truth.values)
-        assert set(np.diff(places)) == {1}, name
-        errors_s = np.array(run.sink.times[name]) - truth.times[places]
-        assert np.ptp(errors_s[20:]) < 0.03, name
-
-
-async def test_a_rate_that_changes_is_said(emotibit: MakeEmotiBit) -> None:
-    device = emotibit()
-    async with streaming(device) as run:
-        await until(run.sink.has(20, *REGULAR))
-        device.apply(Fault(Untidiness.RATE, 100.0))
-        await until(lambda: "set `ppg_rate = 100`" in run.error)

@@ -9,7 +9,6 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, closing
 from typing import Any
 
-import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
@@ -30,13 +29,12 @@ from biosensor_gateway.devices.line_sensor.simulator import (
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.live import History
 from biosensor_gateway.recording.xdf.verdict import by_devices
-from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
+from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.transports.tap import What
 from tests.line_sensor.conftest import line_settings
 from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polling import until
-from tests.rigs.truth import assert_once_and_in_order
 
 # Virtual boards under the supervisor, by each way; and what is said of lines that do not fit.
 
@@ -112,21 +110,6 @@ async def test_a_bad_line_is_counted_said_once_and_harms_no_other(world: World) 
     assert len(told) == 1
     assert "is no text" in told[0]
     assert run.lost == {}
-
-
-async def test_stray_lines_are_left_out_and_cost_nothing(world: World) -> None:
-    with SimulatedLineSensor(world, jitter_s=0.0) as device:
-        async with streaming(device) as run:
-            await until(run.sink.has(50, "acc"))
-            for count in (1, 3):
-                device.apply(Fault(Untidiness.STRAY, count))
-                await run.goes_on(50, "acc")
-            assert run.lost == {}
-    truth = device.truth.samples("acc")
-    places = assert_once_and_in_order(run.sink.rows["acc"], truth.values)
-    assert set(np.diff(places)) == {1}
-    errors_s = np.array(run.sink.times["acc"]) - truth.times[places]
-    assert np.ptp(errors_s[20:]) < 0.02
 
 
 async def test_a_udp_port_that_somebody_has_is_said(world: World) -> None:

@@ -165,16 +165,6 @@ async def test_a_headband_of_an_unknown_generation_is_said(
     assert caught.value.reason is ProtocolReason.UNSUPPORTED
 
 
-@ON_BUMBLE
-async def test_answers_that_share_a_packet_are_heard(headband: Make) -> None:
-    device = headband()
-    device.apply(Fault(Untidiness.GLUED, 3600.0))
-    async with streaming(device) as run:
-        await until(run.sink.has(200, "eeg"))
-        assert run.supervisor.connections == 1
-    assert_complete(run, device, "eeg")
-
-
 @pytest.mark.parametrize("wanted", ["00:55:da:b0:77:01", ""])
 @ON_BUMBLE
 async def test_a_headband_without_a_name_is_found(headband: Make, wanted: str) -> None:

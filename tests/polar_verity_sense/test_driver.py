@@ -152,20 +152,6 @@ async def test_a_360_has_two_diodes(sensor: MakeSensor) -> None:
 
 
 @ON_BUMBLE
-async def test_a_sensor_that_forgot_everything_measures_everything_again(
-    sensor: MakeSensor,
-) -> None:
-    verity = sensor()
-    async with streaming(verity) as run:
-        await until(run.sink.has(50, *REGULAR))
-        await until(run.sink.has(1, "ppi"))
-        verity.apply(Fault(FaultKind.FORGET, 0))
-        await run.goes_on(50, *REGULAR)
-        await run.goes_on(2, "ppi")
-        assert run.supervisor.connections == 1
-
-
-@ON_BUMBLE
 async def test_a_rate_that_nobody_could_know_is_declared_before_its_samples_come(
     sensor: MakeSensor,
 ) -> None:
