@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Coroutine
 from typing import Any
 
@@ -17,6 +18,7 @@ from bleak.exc import (
 )
 
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
+from biosensor_gateway.simulation.central import GattLink
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
@@ -55,6 +57,38 @@ async def test_two_thousand_notifications_arrive_in_order(probe: Probe) -> None:
         assert all(probe.notify(probe.flow, *sent))
         await until(lambda: len(got) >= len(sent))
     assert got == sent
+
+
+@pytest.mark.parametrize("what", ["_discover", "read"])
+async def test_who_gave_up_hears_of_no_error_later(
+    world: World, probe: Probe, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    begun: list[GattLink] = []
+
+    async def endless(link: GattLink, *_: Any) -> bytes:
+        begun.append(link)
+        return await link.request(asyncio.get_running_loop().create_future())
+
+    monkeypatch.setattr(GattLink, what, endless)
+    reported: list[dict[str, Any]] = []
+    for loop in (asyncio.get_running_loop(), world.loop):
+        loop.set_exception_handler(lambda _, context: reported.append(context))
+    client = BleakClient(probe.address)
+    if what == "read":
+        await client.connect()
+    given_up = asyncio.create_task(
+        client.read_gatt_char(SERIAL) if what == "read" else client.connect()
+    )
+    await until(lambda: begun)
+    given_up.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await given_up
+    await client.disconnect()
+    await until(lambda: begun[0].lost)
+    await asyncio.sleep(0.1)
+    gc.collect()
+    await asyncio.sleep(0.1)
+    assert reported == []
 
 
 async def test_an_indication_returns_when_it_is_confirmed(probe: Probe) -> None:

@@ -34,7 +34,7 @@ from bumble.gatt_client import CharacteristicProxy, DescriptorProxy
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_gateway.simulation.bleak_pickers import standing_in
-from biosensor_gateway.simulation.central import Central, GattLink, Heard, Listener
+from biosensor_gateway.simulation.central import Central, GattLink, Heard, Listener, uncancelled
 from biosensor_gateway.simulation.radio import Advertised, Radio, uuid_string
 from biosensor_gateway.simulation.world import World
 
@@ -216,7 +216,7 @@ class VirtualClient(BaseBleakClient):
         if link is None or not self._connected:
             raise BleakError("Not connected")
         # A request that was sent cannot be cancelled; the next one waits for it.
-        return await asyncio.shield(in_world(self._world, request(link)))
+        return await uncancelled(in_world(self._world, request(link)))
 
     async def _find(self) -> None:
         try:

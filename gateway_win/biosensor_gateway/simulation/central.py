@@ -25,6 +25,19 @@ _Properties = Characteristic.Properties
 _COMMAND_HEADER = 3
 
 
+async def uncancelled(awaitable: Awaitable[_T]) -> _T:
+    """Wait for something that goes on if the waiting is cancelled; then nobody hears its error."""
+    task = asyncio.ensure_future(awaitable)
+    task.add_done_callback(_look_at)
+    return await asyncio.shield(task)
+
+
+def _look_at(ended: asyncio.Future[Any]) -> None:
+    if not ended.cancelled():
+        # Else the event loop reports the error of what was given up.
+        ended.exception()
+
+
 class _GattClient(Protocol):
     """The used part of bumble's client, whose annotations lack type arguments."""
 
@@ -82,10 +95,9 @@ class GattLink:
             ``LOST``. After any error, the connection has been closed.
         """
         link = cls(connection)
-        preparing = asyncio.ensure_future(link._prepare(mtu))
         async with AsyncExitStack() as failed:
             failed.push_async_callback(link.disconnect)
-            await asyncio.shield(preparing)
+            await uncancelled(link._prepare(mtu))
             failed.pop_all()
         return link
 
@@ -181,7 +193,7 @@ class GattLink:
     async def disconnect(self) -> None:
         """End the connection if it still exists; cannot be cancelled."""
         if not self.lost:
-            await asyncio.shield(self._connection.disconnect())
+            await uncancelled(self._connection.disconnect())
 
     async def _prepare(self, mtu: int) -> None:
         await self.request(self._client.request_mtu(mtu))
@@ -374,7 +386,7 @@ class Central:
 
     async def _uncancelled(self, coroutine: Coroutine[Any, Any, None]) -> None:
         # bumble does not tolerate the cancellation of a command to the controller.
-        await asyncio.shield(self._spawn(coroutine))
+        await uncancelled(self._spawn(coroutine))
 
     def _spawn(self, coroutine: Coroutine[Any, Any, _T]) -> asyncio.Task[_T]:
         task = asyncio.ensure_future(coroutine)
