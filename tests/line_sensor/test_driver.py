@@ -257,6 +257,7 @@ PHONE = {
     "athlete": {"name": "J\u00fcrgen", "first": "Eva"},
     "acc": [0.0437, -0.9723],
     "gsr": "4.8049",
+    "error": {"message": "Renates iPhone is gone"},
     "location": {"lat": 48.13743, "Longitude": 11.57549},
 }
 GPS = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"

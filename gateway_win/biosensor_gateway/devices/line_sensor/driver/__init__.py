@@ -332,7 +332,7 @@ def _texts(key: str, behind: str = "") -> tuple[re.Pattern[bytes], ...]:
     )
 
 
-_WORDS_OF_THE_APP = "method|action|stream|event|sensor_id|type|message|name"
+_WORDS_OF_THE_APP = "method|action|stream|event|sensor_id|type|name"
 _NO_SENSOR = '(?:(?!"sensor_id")[^{}])*'
 IDENTIFIERS = (
     re.compile(rb'"(?:device_id|serial_number|serial|mac)"\s*:\s*"([^"]{4,64})"'),
