@@ -361,6 +361,19 @@ def test_a_wheel_whose_count_steps_back_has_no_speed(step: int) -> None:
     sent.sink.close()
 
 
+def test_a_wheel_whose_event_time_steps_back_has_no_speed() -> None:
+    sent = _Sent("bluetooth_health")
+    emitter = HealthEmitter(sent.sink, 2.105)
+    row = next(row for row in ROWS if row.stream == "cycling")
+    for count, ticks in ((100, 2000), (102, 3024), (104, 2512), (106, 3536)):
+        sent.time.now_s += 1.0
+        emitter.take(row, struct.pack("<BIH", 1, count, ticks), sent.time.now_s)
+    assert [speed for speed, _ in sent.rows["cycling"]] == pytest.approx([4.21] * 2)
+    assert sent.counters("cycling").refused == 1
+    assert "speed was -8.42 m/s" in sent.status()
+    sent.sink.close()
+
+
 def _pulse(emitter: StrapEmitter, intervals_s: Sequence[float], now_s: float) -> None:
     values = [round(1024 * each) for each in intervals_s]
     emitter.measurement(struct.pack(f"<BB{len(values)}H", 0x10, 72, *values), now_s)

@@ -74,10 +74,13 @@ class Revolutions:
         return 0.0 if arrival_s - self._turned_s > STANDSTILL_S else math.nan
 
     def _elapsed_s(self, last: _Event, now: _Event) -> float:
-        """Return the time between two events; arrivals show how often the ticks overflowed."""
+        """Return the time between two events; arrivals show how often the ticks overflowed.
+
+        It is negative if the ticks stepped back, and then so is the rate.
+        """
         rest_s = (now.ticks - last.ticks) % _TIME_TURNS / self._ticks_per_s
         period_s = _TIME_TURNS / self._ticks_per_s
-        periods = max(0, round((now.heard_s - last.heard_s - rest_s) / period_s))
+        periods = max(-1, round((now.heard_s - last.heard_s - rest_s) / period_s))
         return rest_s + periods * period_s
 
 
