@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device_states import State
-from biosensor_gateway.devices.ble_heart_rate import driver as driver_module
+from biosensor_gateway.devices import ble_session
 from biosensor_gateway.devices.ble_heart_rate import driver as strap_module
 from biosensor_gateway.devices.ble_heart_rate.driver import (
     HeartRateStrapSettings,
@@ -99,7 +99,7 @@ async def test_a_battery_that_notifies_is_not_polled(strap: SimulatedHeartRateSt
 
 def test_limits() -> None:
     assert strap_module.BATTERY_PERIOD_S == 300.0
-    assert driver_module.GOODBYE_LIMIT_S < supervisor_module.CLOSE_TIMEOUT_S / 2
+    assert ble_session.GOODBYE_LIMIT_S < supervisor_module.CLOSE_TIMEOUT_S / 2
 
 
 # Which advertisements are heart-rate straps, and how they come into the settings.

@@ -15,7 +15,6 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import CredentialError, ProtocolError, ProtocolReason
 from biosensor_gateway.agent.device_states import State
-from biosensor_gateway.devices import ble_session as session_module
 from biosensor_gateway.devices.polar_h10 import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import (
     PolarDriver,
@@ -94,8 +93,6 @@ async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
     assert_only_gaps(h10, run.sink)
 
 
-def test_limits() -> None:
-    assert session_module.GOODBYE_LIMIT_S < 0.5
 
 
 # What the driver asks of a Polar sensor, what it makes of the answers, and pairing.

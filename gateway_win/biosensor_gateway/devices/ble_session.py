@@ -1,10 +1,11 @@
-"""One connection to a Bluetooth LE sensor that mixes answers and data."""
+"""One connection to a Bluetooth LE sensor, which may mix answers and data."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Generator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from biosensor_common.errors import (
@@ -14,7 +15,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.dialogue import Dialogue
 
 GOODBYE_LIMIT_S = 0.45
@@ -25,8 +26,58 @@ _CommandT = TypeVar("_CommandT")
 _AnswerT = TypeVar("_AnswerT")
 
 
-class BleSession(Generic[_MessageT, _CommandT]):
-    """A link with its dialogue, from connecting to the last commands.
+class BleConnection:
+    """A link to a device that only sends, from connecting to the last requests."""
+
+    def __init__(self, link: BleLink) -> None:
+        self.link = link
+        self._signal: tuple[int | None, float] = (None, 0.0)
+
+    async def connect(self) -> None:
+        """Find the device and connect to it; raises like :meth:`BleLink.open`."""
+        seen = await self.link.open()
+        self._signal = (seen.rssi_dbm, self.link.clock())
+
+    async def run(
+        self,
+        take_signal: Callable[[int | None, float], None],
+        *tasks: Callable[[], Coroutine[Any, Any, None]],
+    ) -> None:
+        """Run tasks as long as the connection, such as listening or reading the battery.
+
+        Parameters
+        ----------
+        take_signal
+            Called first with the signal strength before the connection, and its time.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, after everything received was passed on.
+        """
+        take_signal(*self._signal)
+        async with asyncio.TaskGroup() as group:
+            for each in tasks:
+                group.create_task(each())
+
+    async def listen(self, take: Callable[[Notification], None]) -> None:
+        """Pass on each notification, starting with those that the link has buffered."""
+        while True:
+            take(await self.link.next())
+
+    async def close(self, say_goodbye: Callable[[], Awaitable[None]]) -> None:
+        """Stop the device without waiting for answers, and disconnect; never raises."""
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                await say_goodbye()
+        await self._end()
+
+    async def _end(self) -> None:
+        await self.link.close()
+
+
+class BleSession(BleConnection, Generic[_MessageT, _CommandT]):
+    """A connection with its dialogue.
 
     A subclass starts the dialogue after subscribing, and defines the commands.
 
@@ -45,15 +96,9 @@ class BleSession(Generic[_MessageT, _CommandT]):
         send: Callable[[_CommandT], Awaitable[None]],
         advice: str,
     ) -> None:
-        self.link = link
+        super().__init__(link)
         self.dialogue = Dialogue(receive, send)
         self._advice = advice
-        self._signal: tuple[int | None, float] = (None, 0.0)
-
-    async def connect(self) -> None:
-        """Find the device and connect to it; raises like :meth:`BleLink.open`."""
-        seen = await self.link.open()
-        self._signal = (seen.rssi_dbm, self.link.clock())
 
     async def ask(
         self,
@@ -96,29 +141,14 @@ class BleSession(Generic[_MessageT, _CommandT]):
         ----------
         take
             Called with the messages of each read, including answers.
-        take_signal
-            Called with the signal strength before the connection, and its time.
-        alongside
-            Tasks to run as long as the connection, such as reading the battery.
-
-        Raises
-        ------
-        TransportError
-            ``LOST``, after everything received was passed on.
+        take_signal, alongside
+            As of :meth:`run`, which raises the same.
         """
-        take_signal(*self._signal)
-        async with asyncio.TaskGroup() as tasks:
-            for each in alongside:
-                tasks.create_task(each())
-            tasks.create_task(self.dialogue.stream(take))
+        await self.run(take_signal, *alongside, partial(self.dialogue.stream, take))
 
-    async def close(self, say_goodbye: Callable[[], Awaitable[None]]) -> None:
-        """Stop the device without waiting for answers, and disconnect; never raises."""
-        with suppress(GatewayError, TimeoutError):
-            async with asyncio.timeout(GOODBYE_LIMIT_S):
-                await say_goodbye()
+    async def _end(self) -> None:
         await self.dialogue.close()
-        await self.link.close()
+        await super()._end()
 
 
 @contextmanager

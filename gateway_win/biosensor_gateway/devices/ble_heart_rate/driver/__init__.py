@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import structlog
 from pydantic import Field
@@ -12,7 +13,6 @@ from pydantic import Field
 from biosensor_common.errors import (
     CredentialError,
     CredentialReason,
-    GatewayError,
     ProtocolError,
     ProtocolReason,
     TransportError,
@@ -30,7 +30,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     SERIAL_NUMBER,
     parse_text,
 )
-from biosensor_gateway.devices.ble_session import optional_request
+from biosensor_gateway.devices.ble_session import BleConnection, optional_request
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
@@ -39,7 +39,6 @@ from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, AttError, Pairing, PairSetting
 from biosensor_gateway.transports.nearby import Advertisement
 
-GOODBYE_LIMIT_S = 0.4
 _log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
 _ADVICE = "put it on with wet electrodes, and end its connection to phones and watches"
 BATTERY_PERIOD_S = 300.0
@@ -71,11 +70,11 @@ class HeartRateStrapDriver:
         self._pairing = pairing
         self._emitter = emitter
         self._strap = Strap(link, emitter)
-        self._seen: tuple[Advertisement, float] | None = None
+        self._connection = BleConnection(link)
 
     async def connect(self) -> Connected:
         """Connect and subscribe; see the protocol class."""
-        self._seen = await self._link.open(), self._link.clock()
+        await self._connection.connect()
         self._emitter.reconnected()
         if not self._link.has(HEART_RATE_MEASUREMENT):
             message = f"{self._link.what} measures no heart rate; choose another `device`"
@@ -90,19 +89,12 @@ class HeartRateStrapDriver:
 
     async def stream(self) -> None:
         """Emit what the strap sends, starting with what the link has buffered."""
-        if self._seen is not None:
-            advertisement, seen_s = self._seen
-            self._emitter.signal_strength(advertisement.rssi_dbm, seen_s)
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._strap.watch_battery())
-            tasks.create_task(self._read_forever())
+        listen = partial(self._connection.listen, self._strap.take)
+        await self._connection.run(self._emitter.signal_strength, self._strap.watch_battery, listen)
 
     async def close(self) -> None:
         """Try to unsubscribe within a short time, and disconnect."""
-        with suppress(GatewayError, TimeoutError):
-            async with asyncio.timeout(GOODBYE_LIMIT_S):
-                await self._strap.stop()
-        await self._link.close()
+        await self._connection.close(self._strap.stop)
 
     async def _start(self) -> DeviceInfo:
         try:
@@ -121,10 +113,6 @@ class HeartRateStrapDriver:
                 "in the system's Bluetooth settings, then start again"
             )
             raise CredentialError(CredentialReason.REJECTED, message) from error
-
-    async def _read_forever(self) -> None:
-        while True:
-            self._strap.take(await self._link.next())
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDriver]:

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 
 from pydantic import Field
 
-from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_heart_rate.driver import Strap
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_session import BleConnection
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError, Pairing
 from biosensor_gateway.transports.nearby import Advertisement
 
-GOODBYE_LIMIT_S = 0.4
 KIND = "health device"
 _ADVICE = "switch it on or put it on, and end its connection to phones"
 
@@ -99,11 +99,11 @@ class HealthDeviceDriver:
         self._link = link
         self._emitter = emitter
         self._strap = Strap(link, emitter.strap)
-        self._seen: tuple[Advertisement, float] | None = None
+        self._connection = BleConnection(link)
 
     async def connect(self) -> Connected:
         """Connect and subscribe; see the protocol class."""
-        self._seen = await self._link.open(), self._link.clock()
+        await self._connection.connect()
         self._emitter.reconnected()
         rows = [row for row in ROWS if self._link.has(row.characteristic)]
         if not rows:
@@ -133,21 +133,19 @@ class HealthDeviceDriver:
 
     async def stream(self) -> None:
         """Emit what the device sends, starting with what the link has buffered."""
-        if self._seen is not None:
-            advertisement, seen_s = self._seen
-            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._strap.watch_battery())
-            tasks.create_task(self._read_forever())
+        listen = partial(self._connection.listen, self._take)
+        await self._connection.run(
+            self._emitter.strap.signal_strength, self._strap.watch_battery, listen
+        )
 
     async def close(self) -> None:
         """Try to unsubscribe within a short time, and disconnect."""
-        with suppress(GatewayError, TimeoutError):
-            async with asyncio.timeout(GOODBYE_LIMIT_S):
-                for row in ROWS:
-                    if self._link.has(row.characteristic):
-                        await self._link.unsubscribe(row.characteristic)
-        await self._link.close()
+        await self._connection.close(self._unsubscribe)
+
+    async def _unsubscribe(self) -> None:
+        for row in ROWS:
+            if self._link.has(row.characteristic):
+                await self._link.unsubscribe(row.characteristic)
 
     async def _subscribe(self, row: Row) -> AttError | None:
         """Subscribe; return the error of a refusal."""
@@ -174,15 +172,12 @@ class HealthDeviceDriver:
             return ProtocolError(ProtocolReason.REFUSED, message)
         return found[0]
 
-    async def _read_forever(self) -> None:
-        rows = {row.characteristic: row for row in ROWS}
-        while True:
-            notification = await self._link.next()
-            row = rows.get(notification.uuid)
-            if row is None:
-                self._strap.take(notification)
-            else:
-                self._emitter.take(row, notification.data, notification.arrival)
+    def _take(self, notification: Notification) -> None:
+        row = next((each for each in ROWS if each.characteristic == notification.uuid), None)
+        if row is None:
+            self._strap.take(notification)
+        else:
+            self._emitter.take(row, notification.data, notification.arrival)
 
 
 def identify(seen: Advertisement) -> str | None:
