@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import struct
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -43,7 +42,7 @@ from biosensor_gateway.recording.xdf.measuring import (
     joined,
 )
 from biosensor_gateway.recording.xdf.pace import Cuts
-from biosensor_gateway.recording.xdf.samples import decode
+from biosensor_gateway.recording.xdf.samples import decode, decode_clock_offset
 
 STOPPED_S = 5.0
 STOPPED_PERIODS = 3
@@ -58,7 +57,6 @@ LITTLE_SPACE_BYTES = 200_000_000
 _MOST_NAMED = 3
 
 _STREAM_ID_BYTES = 4
-_CLOCK_OFFSET = struct.Struct("<dd")
 # Length of the sections in which another program's stream is analysed.
 _SECTION_S, _FEWEST = 20.0, 64
 # LabRecorder writes chunks of half a second, so a larger chunk means a damaged length field.
@@ -329,25 +327,20 @@ class _StreamReader:
     def take_offset(self, content: memoryview) -> float | None:
         """Process the content of a clock offset chunk; return the recorder's time in it.
 
-        None if it was not measured: for an outlet that has just closed, LabRecorder writes a clock
-        time of 0.
+        None if it was not measured.
 
         Raises
         ------
         ChunkError
             If it is invalid.
         """
-        if len(content) != _CLOCK_OFFSET.size:
-            raise ChunkError("it does not have the size of a clock offset")
-        taken_at, offset = _CLOCK_OFFSET.unpack(content)
-        if not (math.isfinite(taken_at) and math.isfinite(offset)):
-            raise ChunkError("its times are no numbers")
-        if not taken_at:
+        measured = decode_clock_offset(content)
+        if measured is None:
             return None
         self.offsets += 1
-        self._offset = offset
+        taken_at, self._offset = measured
         # This is the true time, whatever the timestamps of samples say.
-        self.reached = taken_at + offset
+        self.reached = taken_at + self._offset
         return self.reached
 
     def _find_gaps(self, stamps: NDArray[np.float64]) -> None:

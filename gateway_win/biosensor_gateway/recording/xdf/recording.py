@@ -7,8 +7,6 @@ only checked for NaN.
 
 from __future__ import annotations
 
-import math
-import struct
 import sys
 import tempfile
 import weakref
@@ -42,10 +40,9 @@ from biosensor_gateway.recording.xdf.header import (
     parse_footer,
     parse_stream_header,
 )
-from biosensor_gateway.recording.xdf.samples import decode
+from biosensor_gateway.recording.xdf.samples import decode, decode_clock_offset
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
-_CLOCK_OFFSET = struct.Struct("<dd")
 # Numbers of timestamps of one stream.
 _MOST_IN_MEMORY = _BLOCK = 1 << 16
 
@@ -182,21 +179,11 @@ class StreamSorter(Generic[_StreamT]):
         elif chunk.tag is Tag.SAMPLES:
             stream.take_samples(chunk)
         elif chunk.tag is Tag.CLOCK_OFFSET:
-            taken_at, offset = _clock_offset(chunk.body)
-            # LabRecorder writes zeros if the other computer does not answer at first.
-            if taken_at:
-                stream.take_clock_offset(taken_at, offset)
+            measured = decode_clock_offset(chunk.body)
+            if measured is not None:
+                stream.take_clock_offset(*measured)
         else:
             stream.take_footer(parse_footer(bytes(chunk.body)), chunk)
-
-
-def _clock_offset(content: memoryview) -> tuple[float, float]:
-    if len(content) != _CLOCK_OFFSET.size:
-        raise ChunkError("it does not have the size of a clock offset")
-    taken_at, offset = _CLOCK_OFFSET.unpack(content)
-    if not (math.isfinite(taken_at) and math.isfinite(offset)):
-        raise ChunkError("its times are no numbers")
-    return taken_at, offset
 
 
 class _Stamps:

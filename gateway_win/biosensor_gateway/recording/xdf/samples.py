@@ -1,7 +1,12 @@
-"""Decodes samples chunks: for each sample an optional timestamp and one value per channel."""
+"""Decodes samples chunks, and the clock offset chunks that belong to them.
+
+A samples chunk has for each sample an optional timestamp and one value per channel.
+"""
 
 from __future__ import annotations
 
+import math
+import struct
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -22,6 +27,7 @@ _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.INT8: np.dtype("<i1"),
 }
 _STAMP_BYTES = 8
+_CLOCK_OFFSET = struct.Struct("<dd")
 _LENGTH_SIZES = frozenset({1, 4, 8})
 
 
@@ -207,3 +213,22 @@ def _variable_length(body: memoryview, position: int) -> tuple[int, int]:
     if size not in _LENGTH_SIZES or end > len(body):
         raise ChunkError("a length in it cannot be read")
     return int.from_bytes(body[position + 1 : end], "little"), end
+
+
+def decode_clock_offset(content: memoryview) -> tuple[float, float] | None:
+    """Return the recorder's time of a measurement and the offset of the sender's clock, in seconds.
+
+    None if it was not measured: for an outlet that has just closed, and for another computer that
+    does not answer at first, LabRecorder writes a clock time of 0.
+
+    Raises
+    ------
+    ChunkError
+        If it is invalid.
+    """
+    if len(content) != _CLOCK_OFFSET.size:
+        raise ChunkError("it does not have the size of a clock offset")
+    taken_at, offset = _CLOCK_OFFSET.unpack(content)
+    if not (math.isfinite(taken_at) and math.isfinite(offset)):
+        raise ChunkError("its times are no numbers")
+    return (taken_at, offset) if taken_at else None
