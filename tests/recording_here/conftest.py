@@ -11,6 +11,8 @@ from typing import Self
 import pylsl
 import pytest
 
+from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.program import find_programs
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 
@@ -68,6 +70,16 @@ class Sources:
         if stamps:
             self._outlets[name].push_chunk([[1.0, 2.0]] * len(stamps), stamps)
             self._pushed[name] = due
+
+
+def only(recorder: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let there be one of the two recorders."""
+    command = find_programs(Path())[0][recorder]
+
+    def programs(_folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+        return {recorder: command}, []
+
+    monkeypatch.setattr(local, "find_programs", programs)
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import socket
 import stat
@@ -30,8 +29,6 @@ from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, find
 from biosensor_gateway.recording.recorder.receiver import ReceivedStream
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
-    RecorderError,
-    RecorderReason,
     RecordingRequest,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder
@@ -41,7 +38,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import decode
 from biosensor_gateway.recording.xdf.verdict import Colour
-from tests.recording_here.conftest import Sources
+from tests.recording_here.conftest import Sources, only
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.lsl_streams import note_askers, wait_until
 
@@ -191,10 +188,7 @@ def request(folder: Path) -> RecordingRequest:
 
 @pytest.fixture
 def only_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    def programs(_folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
-        return {OWN: OWN_COMMAND}, []
-
-    monkeypatch.setattr(local, "find_programs", programs)
+    only(OWN, monkeypatch)
 
 
 def _program(folder: Path, script: str) -> str:
@@ -252,66 +246,6 @@ def test_a_stream_that_does_not_answer_is_named(
     begun = LocalRecorder(state).start(short, lambda: presence)
     assert any("not recorded: gone" in each for each in begun.warnings)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
-
-
-@pytest.mark.usefixtures("only_own")
-def test_its_file_is_closed_if_its_supervisor_is_killed(
-    sources: Sources, state: Path, tmp_path: Path
-) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    supervisor = psutil.Process(kept.program).parent()
-    assert supervisor is not None
-    supervisor.kill()
-    wait_until(lambda: not recording.is_running, "the lock is given back")
-    ended = recording.stop()
-    assert any("supervisor was killed" in each for each in ended.warnings)
-    assert set(contents(ended.file)) == {"chest", "wrist"}
-
-
-@pytest.mark.usefixtures("only_own")
-def test_a_service_that_ends_closes_its_file(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    receiver = psutil.Process(kept.program)
-    supervisor = receiver.parent()
-    assert supervisor is not None
-    for process in (receiver, supervisor):
-        process.send_signal(signal.SIGTERM)
-    wait_until(lambda: not recording.is_running, "it has ended")
-    assert set(contents(recording.stop().file)) == {"chest", "wrist"}
-
-
-@pytest.mark.usefixtures("only_own")
-def test_a_full_disk_is_said_at_once(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (100_000, 100_000))
-    wait_until(lambda: not recording.is_running, "it has ended")
-    standing = recording.status()
-    assert standing is not None
-    assert "cannot be written: File too large" in standing.problems[0].text
-    with pytest.raises(RecorderError, match="File too large") as caught:
-        recording.stop()
-    assert caught.value.reason is RecorderReason.NOT_CLOSED
-
-
-@pytest.mark.usefixtures("only_own")
-def test_a_killed_one_is_said(sources: Sources, state: Path, tmp_path: Path) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    os.kill(kept.program, signal.SIGKILL)
-    wait_until(lambda: not recording.is_running, "its supervisor has noticed")
-    with pytest.raises(RecorderError, match=OWN):
-        recording.stop()
 
 
 def test_without_a_stream_it_says_so_and_ends(tmp_path: Path) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import resource
-import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import psutil
 import pylsl
@@ -22,6 +20,7 @@ import pytest
 import pyxdf
 
 from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     NotClosedError,
@@ -35,7 +34,7 @@ from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
-from tests.recording_here.conftest import Sources
+from tests.recording_here.conftest import Sources, only
 from tests.rigs.lsl_streams import wait_until
 
 pytestmark = pytest.mark.nightly
@@ -46,7 +45,7 @@ NAME = "sub-P07/ses-S001/beh/sub-P07_ses-S001_task-Walk_run-{run:03}_beh.xdf"
 _load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
 
 
-def request(folder: Path, **more: Any) -> RecordingRequest:
+def request_of(folder: Path, **more: Any) -> RecordingRequest:
     return RecordingRequest(folder, labels=BIDS, growth_s=60.0, **more)
 
 
@@ -71,11 +70,11 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
 ) -> None:
     recording = LocalRecorder(state)
     assert recording.status() is None
-    begun = recording.start(request(tmp_path), sources.presence)
+    begun = recording.start(request_of(tmp_path), sources.presence)
     assert begun.file == tmp_path / NAME.format(run=1)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
     with pytest.raises(RecorderError) as caught:
-        recording.start(request(tmp_path), sources.presence)
+        recording.start(request_of(tmp_path), sources.presence)
     assert caught.value.reason is RecorderReason.RECORDING
 
     def samples(name: str) -> int:
@@ -118,9 +117,9 @@ def test_a_name_that_is_taken_counts_up_or_refuses(
     taken.write_bytes(b"of somebody")
     recording = LocalRecorder(state)
     with pytest.raises(RecorderError) as caught:
-        recording.start(request(tmp_path, counts_up=False), sources.presence)
+        recording.start(request_of(tmp_path, counts_up=False), sources.presence)
     assert caught.value.reason is RecorderReason.EXISTS
-    begun = recording.start(request(tmp_path), sources.presence)
+    begun = recording.start(request_of(tmp_path), sources.presence)
     assert begun.file == tmp_path / NAME.format(run=2)
     assert recording.stop().file == tmp_path / NAME.format(run=2)
     assert taken.read_bytes() == b"of somebody"
@@ -133,7 +132,7 @@ def test_a_required_stream_that_is_missing_refuses(
     recording = LocalRecorder(state)
     missing = "p01 zephyr (x), none of its 13 streams"
     with pytest.raises(RecorderError, match="p01 zephyr") as caught:
-        recording.start(request(tmp_path / "data"), lambda: sources.presence(missing))
+        recording.start(request_of(tmp_path / "data"), lambda: sources.presence(missing))
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not (tmp_path / "data").exists()
 
@@ -172,25 +171,8 @@ def test_where_nothing_can_be_written_it_says_so(
         if folder.parent == tmp_path:
             folder.touch()
         with pytest.raises(RecorderError, match=r"no folder|cannot be written") as caught:
-            LocalRecorder(state).start(request(folder), sources.presence)
+            LocalRecorder(state).start(request_of(folder), sources.presence)
         assert caught.value.reason is RecorderReason.UNWRITABLE
-
-
-@pytest.mark.seam
-def test_a_killed_program_is_said_with_what_it_said(
-    sources: Sources, state: Path, tmp_path: Path
-) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    os.kill(kept.program, signal.SIGKILL)
-    wait_until(lambda: not recording.is_running, "its supervisor has noticed")
-    assert codes(recording) == {"": "ended"}
-    with pytest.raises(RecorderError, match="killed by SIGKILL") as caught:
-        recording.stop()
-    assert caught.value.reason is RecorderReason.NOT_CLOSED
-    assert "Started data collection" in str(caught.value)
 
 
 STARTER = """
@@ -231,47 +213,73 @@ def _bytes(recording: LocalRecorder) -> int:
     return 0 if sight is None else sight.bytes
 
 
-@pytest.mark.seam
-def test_a_killed_supervisor_closes_the_file(sources: Sources, state: Path, tmp_path: Path) -> None:
+class Begun(NamedTuple):
+    """A recording that runs, by one recorder."""
+
+    recording: LocalRecorder
+    by: str
+    program: psutil.Process
+    supervisor: psutil.Process
+
+
+@pytest.fixture(params=[LAB_RECORDER, OWN])
+def begun(
+    request: pytest.FixtureRequest,
+    sources: Sources,
+    state: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Begun:
+    only(request.param, monkeypatch)
     recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
+    recording.start(request_of(tmp_path), sources.presence)
     kept = RecorderFolder(state).saved()
     assert kept is not None
-    supervisor = psutil.Process(kept.program).parent()
+    assert kept.recorder == request.param
+    program = psutil.Process(kept.program)
+    supervisor = program.parent()
     assert supervisor is not None
-    supervisor.kill()
-    wait_until(lambda: not recording.is_running, "the lock is given back")
-    ended = recording.stop()
+    return Begun(recording, kept.recorder, program, supervisor)
+
+
+@pytest.mark.seam
+def test_a_killed_program_is_said_with_what_it_said(begun: Begun) -> None:
+    recording = begun.recording
+    begun.program.kill()
+    wait_until(lambda: not recording.is_running, "its supervisor has noticed")
+    assert codes(recording) == {"": "ended"}
+    with pytest.raises(RecorderError, match="killed by SIGKILL") as caught:
+        recording.stop()
+    assert caught.value.reason is RecorderReason.NOT_CLOSED
+    assert begun.by in str(caught.value)
+    assert "Started data collection" in str(caught.value)
+
+
+@pytest.mark.seam
+def test_a_killed_supervisor_closes_the_file(begun: Begun) -> None:
+    begun.supervisor.kill()
+    wait_until(lambda: not begun.recording.is_running, "the lock is given back")
+    ended = begun.recording.stop()
     assert any("supervisor was killed" in each for each in ended.warnings)
     assert set(loaded(ended.file)) == {"chest-id", "wrist-id"}
 
 
-def test_a_supervisor_that_its_service_ends_closes_the_file(
-    sources: Sources, state: Path, tmp_path: Path
-) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    program = psutil.Process(kept.program)
-    supervisor = program.parent()
-    assert supervisor is not None
+def test_a_supervisor_that_its_service_ends_closes_the_file(begun: Begun) -> None:
     # As systemd does: all processes of the service.
-    for process in (program, supervisor):
+    for process in (begun.program, begun.supervisor):
         process.terminate()
-    wait_until(lambda: not recording.is_running, "it has ended")
-    assert set(loaded(recording.stop().file)) == {"chest-id", "wrist-id"}
+    wait_until(lambda: not begun.recording.is_running, "it has ended")
+    assert set(loaded(begun.recording.stop().file)) == {"chest-id", "wrist-id"}
 
 
-def test_a_full_disk_is_said_though_the_program_says_nothing(
-    sources: Sources, state: Path, tmp_path: Path
-) -> None:
-    recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
-    kept = RecorderFolder(state).saved()
-    assert kept is not None
-    limit = 100_000
-    resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (limit, limit))
+def let_the_disk_be_full(program: psutil.Process) -> None:
+    resource.prlimit(program.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+
+@pytest.mark.parametrize("begun", [LAB_RECORDER], indirect=True)
+def test_a_full_disk_is_said_though_the_program_says_nothing(begun: Begun) -> None:
+    recording = begun.recording
+    let_the_disk_be_full(begun.program)
     wait_until(lambda: codes(recording) == {"": "still"}, "that it does not grow is said")
     with pytest.raises(NotClosedError, match="disk is full") as caught:
         recording.stop()
@@ -279,6 +287,17 @@ def test_a_full_disk_is_said_though_the_program_says_nothing(
     verdict = caught.value.verdict
     assert verdict is not None
     assert (verdict.colour, verdict.can_be_salvaged) == (Colour.RED, True)
+
+
+@pytest.mark.parametrize("begun", [OWN], indirect=True)
+def test_a_full_disk_is_said_at_once_by_our_own(begun: Begun) -> None:
+    recording = begun.recording
+    let_the_disk_be_full(begun.program)
+    wait_until(lambda: not recording.is_running, "it has ended")
+    assert "cannot be written: File too large" in standing(recording).problems[0].text
+    with pytest.raises(RecorderError, match="File too large") as caught:
+        recording.stop()
+    assert caught.value.reason is RecorderReason.NOT_CLOSED
 
 
 # ``record`` where no window of LabRecorder is open.
