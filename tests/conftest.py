@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.rigs.inherited_signals import let_programs_be_interrupted
+from tests.rigs.processes import let_programs_be_interrupted
 from tests.slots import lsl_ports, take_slot
 from tests.tiers.tier import Tier, tier_of
 
@@ -82,9 +82,8 @@ def _links_of_unit_tests_are_in_memory(  # pyright: ignore[reportUnusedFunction]
         yield
         return
     from biosensor_gateway.streaming import outlets  # noqa: PLC0415 - LSL comes later
-    from tests.rigs.memory_links import links_in_memory  # noqa: PLC0415 - see above
-    from tests.rigs.memory_outlet import MemoryOutlet  # noqa: PLC0415 - see above
-    from tests.rigs.patience import patience_without_limit  # noqa: PLC0415 - see above
+    from tests.rigs.memory_links import MemoryOutlet, links_in_memory  # noqa: PLC0415 - see above
+    from tests.rigs.virtual_time import patience_without_limit  # noqa: PLC0415 - see above
 
     # Not the fixture: made before all others, it would undo what tests patch after them.
     with links_in_memory(), patience_without_limit(), pytest.MonkeyPatch.context() as patch:
@@ -104,7 +103,7 @@ def _no_program_outlives_its_tests(  # pyright: ignore[reportUnusedFunction]
     own = [each for each in request.session.items if each.path == request.path]
     if all(tier_of(each) is Tier.UNIT for each in own):
         return
-    from tests.rigs.outliving import OF_A_RUN, end_all, outliving  # noqa: PLC0415 - not for all
+    from tests.rigs.processes import OF_A_RUN, end_all, outliving  # noqa: PLC0415 - not for all
 
     left = end_all(outliving(OF_A_RUN, _lsl_config))
     assert not left, f"programs outlived their tests: {'; '.join(left)}"

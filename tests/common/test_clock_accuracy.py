@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.clock_accuracy import RATES_HZ, STAMP_TARGETS, WAYS, run
 from biosensor_common.device_clock import DeviceClock
@@ -25,7 +25,6 @@ from biosensor_gateway.devices.zephyr.simulator.recording import RECORDING_150_S
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs import clock_simulation as simulation
 from tests.rigs.clock_simulation import Way, exponential_20_ms, simulate, summary, uniform_100_ms
-from tests.rigs.hindsight import Floats, line_in_hindsight
 
 # The first minute of every drift, way and packet rate that `make bench` tabulates.
 
@@ -286,3 +285,25 @@ def test_drift_is_measured(drift_ppm: int) -> None:
 
     # A fast device clock needs fewer LSL seconds for each of its own.
     assert clock.state.drift_ppm == pytest.approx(-drift_ppm, abs=15.0)
+
+
+Floats = NDArray[np.float64]
+
+
+def line_in_hindsight(device_s: Floats, arrival_s: Floats) -> Floats:
+    """Return the arrival that each packet would have had with the smallest delay.
+
+    It is the highest straight line under all packets, measured at their mean device time.
+
+    Parameters
+    ----------
+    device_s, arrival_s : shape (n,)
+        In seconds.
+    """
+    middle_s = float(device_s.mean())
+    slopes = np.arange(-250e-6, 250e-6, 1e-6)
+    behind_s = arrival_s - device_s
+    heights_s = np.array([(behind_s - slope * (device_s - middle_s)).min() for slope in slopes])
+    best = int(heights_s.argmax())
+    line_s: Floats = device_s + heights_s[best] + slopes[best] * (device_s - middle_s)
+    return line_s

@@ -1,17 +1,32 @@
-"""Programs of the system are started from the system's folders, never from the current one."""
+"""Programs that are started, limits of processes, files that cannot be written, light imports."""
 
 from __future__ import annotations
 
 import ast
 import errno
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
+import biosensor_common
+from biosensor_common import process_limits
 from biosensor_common.child import full_path, output_of
+from biosensor_common.errors import TransportError, TransportReason, cannot_write
+from biosensor_common.process_limits import (
+    ARENAS,
+    INLET,
+    MOST,
+    OUTLET,
+    RESERVE,
+    fitting,
+    wanted_limits,
+)
+from tests.rigs.processes import count_arenas
 
 ROOT = Path(__file__).resolve().parents[2]
 PRODUCT = ("common", "gateway_win", "ros_side/lsl_to_ros/lsl_to_ros")
@@ -104,3 +119,212 @@ def test_nothing_of_the_product_is_started_by_its_name_or_from_the_current_folde
         if isinstance(node, ast.List | ast.Tuple) and in_current_folder(node):
             found.append(f"{path}:{node.lineno}: start Python with -P -m")
     assert not found
+
+
+THREADS = 6
+# Threads that each take memory, hold it, and wait until all have.
+PROGRAM = f"""
+import ctypes, os, sys, threading
+from biosensor_common.process_limits import limit_arenas
+if sys.argv[1] == "limited":
+    print(limit_arenas(os.environ), flush=True)
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+here = threading.Barrier({THREADS} + 1)
+def take():
+    libc.malloc(100_000)
+    here.wait()
+    here.wait()
+threads = [threading.Thread(target=take) for _ in range({THREADS})]
+for thread in threads:
+    thread.start()
+here.wait()
+print("here", flush=True)
+sys.stdin.read()
+here.wait()
+"""
+
+
+def run(how: str, **environment: str) -> tuple[list[str], int]:
+    """Return what the program says, and how many arenas it has."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, how],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        said: list[str] = []
+        while "here" not in said:
+            said.append(process.stdout.readline().strip())
+        arenas = count_arenas(process.pid)
+        process.stdin.close()
+    assert process.returncode == 0
+    return said[:-1], arenas
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas")
+def test_threads_share_as_many_arenas_as_are_allowed() -> None:
+    # By default up to eight for each processor.
+    assert run("as they like") == ([], 1 + THREADS)
+    assert run("limited") == (["True"], ARENAS)
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("MALLOC_ARENA_MAX", "5"), ("GLIBC_TUNABLES", "glibc.malloc.arena_max=5")],
+)
+def test_what_the_user_has_said_holds(name: str, value: str) -> None:
+    assert run("limited", **{name: value}) == (["False"], 5)
+
+
+if sys.platform != "win32":
+    import resource
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "wanted"),
+    [
+        (1024, 1_048_576, [MOST, 10240]),
+        (1024, 4096, [4096]),
+        (1024, 1024, []),
+        # macOS: no hard limit, but more than OPEN_MAX may be refused.
+        (256, -1, [MOST, 10240]),
+        # Somebody wants more already.
+        (200_000, 1_048_576, []),
+        (-1, -1, []),
+        (12_000, 20_000, [20_000]),
+    ],
+)
+def test_the_limit_is_raised_as_far_as_the_system_allows_and_streams_need(
+    soft: int, hard: int, wanted: list[int]
+) -> None:
+    assert wanted_limits(soft, hard) == wanted
+
+
+def test_streams_fit_beside_what_the_program_itself_opens() -> None:
+    assert fitting(RESERVE + 3 * OUTLET - 1, OUTLET) == 2
+    assert fitting(RESERVE + 3 * INLET, INLET) == 3
+    assert fitting(0, OUTLET) == 0
+
+
+def test_what_does_not_fit_is_an_error_with_the_command_that_makes_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(process_limits, "limit", lambda: 200)
+    monkeypatch.setattr(process_limits, "opened", lambda: 200 - RESERVE // 2 - OUTLET)
+    process_limits.require(OUTLET, "the stream Polar-ECG")
+    monkeypatch.setattr(process_limits, "opened", lambda: 200 - RESERVE // 2 - OUTLET + 1)
+    with pytest.raises(
+        TransportError, match=r"Polar-ECG is left out.* 200 files.*run in"
+    ) as caught:
+        process_limits.require(OUTLET, "the stream Polar-ECG")
+    assert caught.value.reason is TransportReason.EXHAUSTED
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+def test_a_program_may_open_as_many_files_as_the_system_allows() -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (100, before[1]))
+        process_limits.raise_limit()
+        assert process_limits.limit() == wanted_limits(100, before[1])[0]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not limit open files so")
+@pytest.mark.parametrize(
+    ("number", "is_full"), [(errno.EMFILE, True), (errno.ENFILE, True), (errno.ENOENT, False)]
+)
+def test_a_system_that_does_not_list_open_files_refuses_no_stream(
+    monkeypatch: pytest.MonkeyPatch, number: int, is_full: bool
+) -> None:
+    def refused(_: Path) -> NoReturn:
+        raise OSError(number, "refused")
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    assert process_limits.has_room(OUTLET) is not is_full
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [
+        (errno.EACCES, "choose another place"),
+        (errno.EROFS, "another disk"),
+        (errno.ENOSPC, "make room"),
+        (errno.ENAMETOOLONG, "a shorter name"),
+        (errno.ENOENT, "make its folder first"),
+    ],
+)
+def test_it_says_what_where_and_what_to_do(number: int, advice: str) -> None:
+    path = Path("study") / "P01.csv"
+    what, _, todo = cannot_write(path, OSError(number, os.strerror(number))).partition("; ")
+    assert what == f"cannot write {path}: {os.strerror(number)}"
+    assert advice in todo
+
+
+def test_a_file_that_windows_has_open_elsewhere_is_to_be_closed() -> None:
+    error = PermissionError(errno.EACCES, "The process cannot access the file")
+    error.winerror = 32  # pyright: ignore[reportAttributeAccessIssue] - only Windows declares it
+    assert cannot_write("table.csv", error).endswith("close the program that has it open")
+
+
+def test_without_a_known_remedy_it_says_what_the_system_says() -> None:
+    assert cannot_write("x.csv", OSError("no luck")) == "cannot write x.csv: no luck"
+
+
+def test_a_real_folder_that_is_missing() -> None:
+    missing = Path("no such folder") / "x.csv"
+    with pytest.raises(OSError, match="No such file") as caught:
+        missing.write_text("")
+    assert "make its folder first" in cannot_write(missing, caught.value)
+
+
+HEAVY = {"numpy", "pylsl", "rclpy"}
+IMPORT_EVERYTHING = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from importlib import import_module
+from pkgutil import walk_packages
+import biosensor_common
+for module in walk_packages(biosensor_common.__path__, "biosensor_common."):
+    # Of a program of its own, which asks LSL; of pylsl's kind; bytes of messages from arrays.
+    if module.name.partition(".")[2] not in (
+        "doctor.survey", "lsl.inlet", "lsl.network", "lsl.outlet",
+        "ros.cdr", "ros.messages", "ros.standard_messages",
+    ):
+        import_module(module.name)
+print(*sys.modules)
+"""
+
+
+@pytest.mark.seam
+def test_every_module_needs_the_standard_library_only() -> None:
+    # Without site (-S) nothing that was installed can be imported at all.
+    root = Path(biosensor_common.__path__[0]).parent
+    result = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", IMPORT_EVERYTHING, str(root)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    loaded = set(result.stdout.split())
+    assert {"biosensor_common.naming", "biosensor_common.table"} <= loaded
+    assert not HEAVY & loaded
+
+
+@pytest.mark.nightly
+def test_no_module_takes_what_happens_to_be_installed() -> None:
+    script = IMPORT_EVERYTHING.replace("sys.path.insert(0, sys.argv[1])", "")
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not HEAVY & set(result.stdout.split())

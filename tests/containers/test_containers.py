@@ -1,4 +1,4 @@
-"""The agent with its page and the node, each in a container, find each other."""
+"""Agent, page and node in containers find each other; the development container runs tests."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import json
 import os
 import re
 import subprocess
+from pathlib import Path
+from typing import Any
 from urllib.request import HTTPCookieProcessor, build_opener
 
 import pytest
 
-from tests.containers.conftest import Engine, needs
+from tests.containers.conftest import BASE, CERTIFICATES, ROOT, Engine, needs
 
 MISSING = needs()
 
@@ -89,3 +91,37 @@ def test_an_image_is_not_much_larger_than_the_documents_say(
     number, unit = size.split()
     assert unit == "MB", sizes
     assert float(number) < most_mb, sizes
+
+
+FOLDER = ROOT / ".devcontainer"
+LIMIT_S = 3300.0
+
+
+def settings() -> dict[str, Any]:
+    """Return what an editor reads, where a line may be a comment."""
+    text = (FOLDER / "devcontainer.json").read_text(encoding="utf-8")
+    return json.loads(re.sub(r"(?m)^\s*//.*$", "", text))
+
+
+def test_the_unit_tests_pass_in_it_without_root(engine: Engine, tmp_path: Path) -> None:
+    told = settings()
+    engine.run(
+        *("build", "--tag", "biosensor-gateway-dev", "--build-arg", f"BASE={BASE}"),
+        *("--volume", f"{CERTIFICATES}:{CERTIFICATES}:ro"),
+        *("--file", FOLDER / told["build"]["dockerfile"], FOLDER),
+    )
+    container = engine.run("from", "biosensor-gateway-dev").split()[-1]
+    clone = tmp_path / "repository"
+    subprocess.run(["git", "clone", "--quiet", "--no-local", ROOT, clone], check=True)
+    there = f"/home/{told['remoteUser']}/repository"
+    engine.run("copy", "--chown", "1000:1000", container, clone, there)
+    engine.run("copy", container, CERTIFICATES, CERTIFICATES)
+    # Where a name does not say, pip is told of the system's certificates.
+    variables = {name: os.environ[name] for name in ("PIP_CERT",) if name in os.environ}
+    prepare = told["postCreateCommand"]
+    commands = f"cd {there} && id -un && {prepare} && make test"
+    process = engine.start(container, "sh", "-c", commands, variables=variables)
+    said, _ = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, said[-8000:]
+    assert said.startswith(f"{told['remoteUser']}\n")
+    assert re.search(r"\d+ passed", said), said[-8000:]

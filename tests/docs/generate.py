@@ -17,11 +17,9 @@ from pathlib import Path
 from tests.docs import (
     catalogue,
     fault_picture,
-    findings_table,
     page_requests,
-    sender_table,
     sensor_table,
-    untidiness_table,
+    tables,
     worked_with,
 )
 
@@ -84,13 +82,13 @@ EXAMPLES = {
 PARTS = (
     Part("README.md", "sensors", sensor_table.sensors),
     Part("docs/topics.md", "topics", sensor_table.topics),
-    Part("docs/ros-reference.md", "senders", sender_table.senders),
-    Part("docs/recording-troubleshooting.md", "findings", findings_table.findings),
+    Part("docs/ros-reference.md", "senders", tables.senders),
+    Part("docs/recording-troubleshooting.md", "findings", tables.findings),
     Part("docs/sensors/README.md", "pages", catalogue.pages),
     Part("docs/sensors/README.md", "verified", catalogue.verified),
     Part("docs/sensors/catalogue.md", "catalogue", catalogue.catalogue),
     Part("docs/sensors/worked-with.md", "worked-with", worked_with.worked_with),
-    Part("docs/measurements.md", "untidiness", untidiness_table.untidiness),
+    Part("docs/measurements.md", "untidiness", tables.untidiness),
     Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
     Part("docs/page-api.md", "requests", page_requests.requests),

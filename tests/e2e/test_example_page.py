@@ -1,4 +1,4 @@
-"""The worked example: its programs and commands, as they stand on its page, in their order."""
+"""The worked examples: their programs and commands, as they stand on their pages."""
 
 from __future__ import annotations
 
@@ -6,19 +6,24 @@ import csv
 import itertools
 import json
 import math
+import os
 import re
 import shlex
 import signal
+import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator
+from array import array
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from std_msgs.msg import Float32
+from rcl_interfaces.srv import SetParameters
+from rclpy.duration import Duration
+from std_msgs.msg import Float32, Float32MultiArray
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "example.md"
@@ -27,8 +32,6 @@ COMMAND_LIMIT_S = 90
 _BLOCK = re.compile(r'^```(\w+) title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 # They run until they are told to end; all others end by themselves.
 _STAYS = re.compile(r"biosensor-gateway run|robot\.py|lsl_to_ros")
-
-pytestmark = [pytest.mark.nightly, pytest.mark.timeout(400)]
 
 
 class Line(NamedTuple):
@@ -126,6 +129,8 @@ def _are_there(*names: str) -> bool:
     return streaming >= set(names) and all(each["state"] == "streaming" for each in devices)
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(400)
 def test_the_page_is_true(
     terminals: Terminals,
     listener: Any,
@@ -178,3 +183,152 @@ def _check_table(path: Path) -> None:
     assert since
     # The robot hands something over every two seconds.
     assert max(since) < 4.0
+
+
+ACTING_PAGE = ROOT / "docs" / "acting-on-features.md"
+HEART_RATE = "/P01/biosensors/polar_h10/hr_live"
+HEART_STATE = "/P01/biosensors/polar_h10/hr_state"
+DEADLINE_S = 30.0
+# The library of trees, and what it imports; of the other peers, nothing may be found.
+TREES = ("py_trees", "pydot", "pyparsing")
+_PROGRAM = re.compile(r'^```python title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+_COMMAND = re.compile(r"^ros2 run lsl_to_ros lsl_to_ros (--ros-args .*)$", re.MULTILINE)
+
+Start = Callable[[str], object]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Generator[Start]:
+    """Start a program of the page; it runs to the end of the test, and must."""
+    running: list[subprocess.Popen[bytes]] = []
+    (installed,) = ROOT.glob(".venv-peers/lib/python*/site-packages")
+    for package in TREES:
+        (tmp_path / package).symlink_to(installed / package)
+    texts = dict(_PROGRAM.findall(ACTING_PAGE.read_text(encoding="utf-8")))
+
+    def run(name: str) -> None:
+        (tmp_path / name).write_text(texts[name], encoding="utf-8")
+        running.append(subprocess.Popen([sys.executable, str(tmp_path / name)], env=os.environ))
+
+    yield run
+    codes = [process.poll() for process in running]
+    for process in running:
+        process.kill()
+        process.wait()
+    assert codes == [None] * len(running)
+
+
+class Strap:
+    """The topics of a heart rate, and of what is known of it."""
+
+    def __init__(self, listener: Any) -> None:
+        self._node = listener.node
+        self._publisher = self._node.create_publisher(Float32, HEART_RATE, 10)
+        self._states = self._node.create_publisher(Float32MultiArray, HEART_STATE, 10)
+
+    @property
+    def is_heard(self) -> bool:
+        return self._publisher.get_subscription_count() > 0
+
+    @property
+    def is_state_heard(self) -> bool:
+        return self._states.get_subscription_count() > 0
+
+    def tell_state(self, rate: float, quality: float = 1.0) -> None:
+        """Tell a rate of now, that of somebody at rest, with this quality."""
+        self._states.publish(Float32MultiArray(data=array("f", [rate, 0.5, quality, 0.0, 11.0])))
+
+    def meet(self) -> None:
+        """Return once a subscriber hears it: one that is seen may not see the publisher yet."""
+        self.tell(math.nan)
+        assert self._publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+
+    def tell(self, rate: float) -> None:
+        self._publisher.publish(Float32(data=rate))
+
+    def tell_each(self, rates: Sequence[float], name: str) -> None:
+        """Tell them to a node that must take every one: its queue has ten places.
+
+        What is published comes before a request that is sent after it, and of what has come an
+        executor takes messages before requests. So an answer says that the rate was taken.
+        """
+        services = self._node.create_client(SetParameters, f"/{name}/set_parameters")
+        assert services.wait_for_service(timeout_sec=DEADLINE_S)
+        for rate in rates:
+            self.tell(rate)
+            answer, deadline = services.call_async(SetParameters.Request()), _deadline()
+            while not answer.done():
+                assert time.monotonic() < deadline, f"{name} has not answered"
+                time.sleep(0.001)
+        self._node.destroy_client(services)
+
+
+def _deadline() -> float:
+    return time.monotonic() + DEADLINE_S
+
+
+@pytest.fixture
+def strap(listener: Any) -> Strap:
+    return Strap(listener)
+
+
+@pytest.mark.nightly
+def test_a_score_is_how_far_a_person_is_from_their_rest(
+    start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    scores: list[Float32] = listener.listen(Float32, "/P01/hr_above_rest")
+    start("score.py")
+    wait_until(lambda: strap.is_heard, "the score's subscription")
+    rest = [65.0, 75.0] * 30
+    strap.meet()
+    strap.tell_each([*rest[:10], math.nan, *rest[10:], math.nan], "score")
+    assert scores == []
+
+    def is_told() -> bool:
+        strap.tell(80.0)
+        return bool(scores)
+
+    wait_until(is_told, "a score")
+    spread = statistics.stdev(rest)
+    assert scores[0].data == pytest.approx((80.0 - 70.0) / spread)
+
+
+@pytest.mark.nightly
+def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
+    start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    speeds: list[Float32] = listener.listen(Float32, "/speed_scale")
+
+    def comes(speed: float, what: str) -> None:
+        wait_until(lambda: speeds and speeds[-1].data == pytest.approx(speed), what)
+
+    start("tree.py")
+    wait_until(lambda: strap.is_state_heard, "the condition's subscription")
+    comes(0.3, "slow without a heart rate")
+
+    def is_fast() -> bool:
+        # A subscriber that is seen may not see the publisher yet.
+        strap.tell_state(70.0)
+        return speeds[-1].data == pytest.approx(1.0)
+
+    wait_until(is_fast, "fast with a calm one")
+    for rate, quality in ((130.0, 1.0), (60.0, 0.4), (60.0, math.nan), (math.nan, 1.0)):
+        strap.tell_state(rate, quality)
+        comes(0.3, f"slow with {rate} of quality {quality}")
+        strap.tell_state(70.0)
+        comes(1.0, "fast again")
+    comes(0.3, "slow when the newest one is of long ago")
+
+
+@pytest.mark.nightly
+def test_a_namespace_puts_a_person_where_ros4hri_looks(
+    programs: Any, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    (arguments,) = _COMMAND.findall(ACTING_PAGE.read_text(encoding="utf-8"))
+    programs.start("lsl_to_ros.node", *arguments.split())
+    programs.start("biosensor_gateway.cli", "run", "--simulate", "polar_h10@P01", "--features")
+    topic = "/humans/persons/P01/biosensors/polar_h10/hr_live"
+    assert topic in ACTING_PAGE.read_text(encoding="utf-8")
+    rates = listener.listen(Float32, topic)
+    wait_until(lambda: rates, "a heart rate below /humans/persons")
+    assert 40 < rates[0].data < 150

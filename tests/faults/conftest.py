@@ -14,7 +14,7 @@ from tests.faults.expectations import SENSORS, numeric_streams, source
 from tests.faults.recorder import Recorder
 from tests.faults.table import LEGEND, NAME, FaultTable
 from tests.rigs.lab_client import LabProcess, settings_toml
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 
 JITTER_S = 0.01
 

@@ -17,7 +17,7 @@ from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.witnesses import Motion, Warmth, Witness
-from tests.features import hearts, signals
+from tests.features import signals
 from tests.features.signals import Array
 
 SIGNALS = {
@@ -167,8 +167,8 @@ SECONDS, RATE = 60.0, 250.0
 
 
 def test_a_heart_rate_is_joined_with_its_age_and_quality_each_second() -> None:
-    beats = hearts.regular(70, SECONDS)
-    events = signals.events_of("ECG", hearts.ecg_of(beats, RATE, SECONDS), RATE)
+    beats = signals.regular(70, SECONDS)
+    events = signals.events_of("ECG", signals.ecg_of(beats, RATE, SECONDS), RATE)
     stamps, told = signals.stamps_of(events, "hr_state"), signals.values_of(events, "hr_state")
     assert stamps + 1 / RATE == pytest.approx(np.arange(1, SECONDS + 1))
     rates, ages, qualities, motions, counts = told.T
@@ -188,15 +188,15 @@ def test_a_heart_rate_is_joined_with_its_age_and_quality_each_second() -> None:
 
 
 def test_electrodes_that_come_off_leave_no_rate_and_no_good_quality() -> None:
-    beats = hearts.regular(70, SECONDS)
-    signal = hearts.ecg_of(beats, RATE, SECONDS)
+    beats = signals.regular(70, SECONDS)
+    signal = signals.ecg_of(beats, RATE, SECONDS)
     off = round(30 * RATE)
     signal[off:] = 0.3 * np.random.default_rng(6).standard_normal(len(signal) - off)
     events = signals.events_of("ECG", signal, RATE)
     stamps, told = signals.stamps_of(events, "hr_state"), signals.values_of(events, "hr_state")
     # A tree that asks for quality is warned within three seconds, not at the end of ten.
     assert told[stamps > 33, 2].max() < 0.5
-    flat = hearts.ecg_of(beats, RATE, SECONDS)
+    flat = signals.ecg_of(beats, RATE, SECONDS)
     flat[off:] = 0.0
     events = signals.events_of("ECG", flat, RATE)
     stamps, told = signals.stamps_of(events, "hr_state"), signals.values_of(events, "hr_state")

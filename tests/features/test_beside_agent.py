@@ -24,7 +24,7 @@ from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.system.logs import LOG_FILE_NAME
-from tests.features.test_sender_that_hangs import Noted
+from tests.features.test_senders_in_bursts import Noted
 from tests.rigs.lsl_streams import note_askers, wait_until
 
 pytestmark = pytest.mark.nightly

@@ -13,7 +13,7 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, foreign_header
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import judge
-from tests.features import hearts, signals
+from tests.features import signals
 from tests.features.signals import Array
 
 SECONDS = 90.0
@@ -36,11 +36,11 @@ class Told(NamedTuple):
 
 
 def _ecg(beats: Array) -> tuple[str, Array, float]:
-    return "ECG", hearts.ecg_of(beats, ECG_HZ, SECONDS), ECG_HZ
+    return "ECG", signals.ecg_of(beats, ECG_HZ, SECONDS), ECG_HZ
 
 
 def _pulse(beats: Array) -> tuple[str, Array, float]:
-    return "PPG", hearts.pulse_of(beats, PULSE_HZ, SECONDS), PULSE_HZ
+    return "PPG", signals.pulse_of(beats, PULSE_HZ, SECONDS), PULSE_HZ
 
 
 def told_of(events: list[Event], beats: Array) -> Told:
@@ -57,18 +57,18 @@ def told_of(events: list[Event], beats: Array) -> Told:
 
 
 RHYTHMS: dict[str, tuple[Array, float]] = {
-    **{f"sinus at {bpm}": (hearts.regular(bpm, SECONDS), 0.0) for bpm in (45, 70, 120, 180, 205)},
+    **{f"sinus at {bpm}": (signals.regular(bpm, SECONDS), 0.0) for bpm in (45, 70, 120, 180, 205)},
     **{
-        f"fibrillation by {spread} at {bpm}": (hearts.fibrillation(bpm, SECONDS, spread), 0.15)
+        f"fibrillation by {spread} at {bpm}": (signals.fibrillation(bpm, SECONDS, spread), 0.15)
         for spread in (0.18, 0.28)
         for bpm in (70, 100)
     },
     **{
-        f"arrhythmia by {swing} at {bpm}": (hearts.arrhythmia(bpm, SECONDS, swing), 0.02)
+        f"arrhythmia by {swing} at {bpm}": (signals.arrhythmia(bpm, SECONDS, swing), 0.02)
         for swing in (0.2, 0.3)
         for bpm in (50, 75)
     },
-    "bigeminy": (hearts.bigeminy(SECONDS), 0.0),
+    "bigeminy": (signals.bigeminy(SECONDS), 0.0),
 }
 
 
@@ -91,7 +91,7 @@ def test_of_many_hearts_that_fibrillate_at_most_a_twenty_fifth_of_good_rates_is_
     # A pulse that comes 0.3 s after another may be missed, which spoils the values of 10 s.
     off: list[Array] = []
     for bpm, spread, seed in ((70, 0.18, 3), (70, 0.28, 3), (100, 0.22, 4), (110, 0.28, 5)):
-        beats = hearts.fibrillation(bpm, SECONDS, spread, seed)
+        beats = signals.fibrillation(bpm, SECONDS, spread, seed)
         told = told_of(signals.events_of(*make(beats)), beats)
         off.append(told.off_bpm[told.is_good])
     assert np.mean(np.abs(np.concatenate(off)) > 5) <= 0.04
@@ -99,7 +99,7 @@ def test_of_many_hearts_that_fibrillate_at_most_a_twenty_fifth_of_good_rates_is_
 
 @pytest.mark.parametrize("bpm", [30, 34, 38])
 def test_of_a_slow_pulse_no_wave_is_counted_twice(bpm: float) -> None:
-    beats = hearts.regular(bpm, SECONDS, 0.02)
+    beats = signals.regular(bpm, SECONDS, 0.02)
     told = told_of(signals.events_of(*_pulse(beats)), beats)
     assert told.wrong == 0
     assert len(told.off_bpm) == pytest.approx(np.sum(beats > LEARNT_S), abs=3)
@@ -107,8 +107,8 @@ def test_of_a_slow_pulse_no_wave_is_counted_twice(bpm: float) -> None:
 
 @pytest.mark.parametrize("bpm", [45, 60, 80, 100])
 def test_a_large_second_wave_is_no_pulse_and_does_not_turn_it_over(bpm: float) -> None:
-    beats = hearts.regular(bpm, SECONDS, 0.02)
-    signal = hearts.pulse_of(beats, PULSE_HZ, SECONDS, second=0.9)
+    beats = signals.regular(bpm, SECONDS, 0.02)
+    signal = signals.pulse_of(beats, PULSE_HZ, SECONDS, second=0.9)
     events = signals.events_of("PPG", signal, PULSE_HZ)
     assert told_of(events, beats).wrong == 0
     found = signals.stamps_of(events, "beats")
@@ -121,9 +121,9 @@ def test_a_large_second_wave_is_no_pulse_and_does_not_turn_it_over(bpm: float) -
 def test_an_artefact_moves_no_stamp_fifteen_seconds_later(
     height: float, width_s: float, sign: float
 ) -> None:
-    beats = hearts.regular(70, SECONDS)
-    bump = hearts.artefact(SECONDS, PULSE_HZ, 40.0, width_s)
-    signal = sign * hearts.pulse_of(beats, PULSE_HZ, SECONDS) + height * bump
+    beats = signals.regular(70, SECONDS)
+    bump = signals.artefact(SECONDS, PULSE_HZ, 40.0, width_s)
+    signal = sign * signals.pulse_of(beats, PULSE_HZ, SECONDS) + height * bump
     found = signals.stamps_of(signals.events_of("PPG", signal, PULSE_HZ), "beats")
     later = found[found > 55]
     assert len(later) >= np.sum((beats > 55) & (beats < SECONDS - 1.5))
@@ -190,9 +190,9 @@ def test_an_arm_that_swings_is_no_good_pulse_even_without_an_accelerometer(
     bpm: float, hertz: float, height: float, uneven: float
 ) -> None:
     # By the shape alone, or by the pulse below. One that is a multiple of it still passes.
-    beats = hearts.regular(bpm, 40)
-    swing = hearts.swing_of(40, PULSE_HZ, hertz, height, uneven)
-    events = signals.events_of("PPG", hearts.pulse_of(beats, PULSE_HZ, 40) + swing, PULSE_HZ)
+    beats = signals.regular(bpm, 40)
+    swing = signals.swing_of(40, PULSE_HZ, hertz, height, uneven)
+    events = signals.events_of("PPG", signals.pulse_of(beats, PULSE_HZ, 40) + swing, PULSE_HZ)
     assert told_of(events, beats).wrong == 0
     assert signals.values_of(events, "sqi")[:, 0].max() < 0.5
 
@@ -203,8 +203,8 @@ def test_an_arm_that_swings_is_no_good_pulse_even_without_an_accelerometer(
 def test_of_a_slow_ecg_nothing_but_its_beats_is_told_from_the_first_on(
     bpm: float, seed: int, rate: float
 ) -> None:
-    beats = hearts.regular(bpm, 40, seed=seed)
-    events = signals.events_of("ECG", hearts.ecg_of(beats, rate, 40, seed), rate)
+    beats = signals.regular(bpm, 40, seed=seed)
+    events = signals.events_of("ECG", signals.ecg_of(beats, rate, 40, seed), rate)
     found = signals.stamps_of(events, "beats")
     assert max(np.abs(beats - each).min() for each in found) < 0.02
     assert len(found) == pytest.approx(np.sum(beats < 39), abs=1)
@@ -222,8 +222,8 @@ def _rmssd_ms(intervals_s: Array) -> float:
     ("kind", "rate"), [("ECG", 100), ("ECG", 130), ("ECG", 250), ("PPG", 25), ("PPG", 64)]
 )
 def test_variability_is_finer_than_the_sampling(kind: str, rate: float, swing: float) -> None:
-    beats = hearts.regular(70, 120, swing)
-    make = hearts.ecg_of if kind == "ECG" else hearts.pulse_of
+    beats = signals.regular(70, 120, swing)
+    make = signals.ecg_of if kind == "ECG" else signals.pulse_of
     events = signals.events_of(kind, make(beats, rate, 120), rate)
     stamps = signals.stamps_of(events, "beats")
     intervals = signals.values_of(events, "beats")[:, 0]
@@ -235,8 +235,8 @@ def test_variability_is_finer_than_the_sampling(kind: str, rate: float, swing: f
 
 
 def test_variability_says_what_it_was_told_from() -> None:
-    beats = hearts.regular(70, SECONDS)
-    signal = hearts.ecg_of(beats, ECG_HZ, SECONDS)
+    beats = signals.regular(70, SECONDS)
+    signal = signals.ecg_of(beats, ECG_HZ, SECONDS)
     here = slice(round(40 * ECG_HZ), round(52 * ECG_HZ))
     signal[here] += 0.5 * np.random.default_rng(1).standard_normal(here.stop - here.start)
     events = signals.events_of("ECG", signal, ECG_HZ)
@@ -253,9 +253,9 @@ def test_variability_says_what_it_was_told_from() -> None:
 
 
 def test_variability_is_withheld_where_most_of_the_window_is_not_covered() -> None:
-    beats = hearts.regular(70, SECONDS)
+    beats = signals.regular(70, SECONDS)
     paused = beats[(beats < 40) | (beats > 60)]
-    events = signals.events_of("ECG", hearts.ecg_of(paused, ECG_HZ, SECONDS), ECG_HZ)
+    events = signals.events_of("ECG", signals.ecg_of(paused, ECG_HZ, SECONDS), ECG_HZ)
     stamps, values = signals.stamps_of(events, "hrv_live"), signals.values_of(events, "hrv_live")
     after = (stamps > 61) & (stamps < 70)
     assert after.any()
@@ -265,8 +265,8 @@ def test_variability_is_withheld_where_most_of_the_window_is_not_covered() -> No
 
 @pytest.mark.parametrize("lost", [1, 12])
 def test_a_hole_that_hides_no_beat_ends_no_window(lost: int) -> None:
-    beats = hearts.regular(70, SECONDS)
-    signal = hearts.ecg_of(beats, ECG_HZ, SECONDS)
+    beats = signals.regular(70, SECONDS)
+    signal = signals.ecg_of(beats, ECG_HZ, SECONDS)
     stamps = 100.0 + np.arange(len(signal)) / ECG_HZ
     kept = np.arange(len(signal)) % 500 >= lost
     whole = signals.events_of("ECG", signal, ECG_HZ)
@@ -313,8 +313,8 @@ def test_a_lost_sample_of_what_is_slow_ends_no_window_and_two_seconds_do(
 def test_a_fast_ecg_is_averaged(rate: float) -> None:
     core = CoreFields("Amp", "ECG", "amp", "host", 1, rate, ChannelFormat.FLOAT32)
     assert judge("Amp", "amp", foreign_header(core, ("x",), ("mV",))) is not None
-    beats = hearts.regular(70, 40)
-    events = signals.events_of("ECG", hearts.ecg_of(beats, rate, 40), rate)
+    beats = signals.regular(70, 40)
+    events = signals.events_of("ECG", signals.ecg_of(beats, rate, 40), rate)
     found = signals.stamps_of(events, "beats")
     decided = beats[beats < 39]
     assert max(np.abs(found - each).min() for each in decided[1:]) < 0.003
@@ -324,16 +324,16 @@ def test_a_fast_ecg_is_averaged(rate: float) -> None:
 @pytest.mark.parametrize("rate", [130, 250, 1000])
 @pytest.mark.parametrize("step", [0.01, 0.025, 0.05])
 def test_coarse_steps_of_an_ecg_are_not_flat_at_any_rate(step: float, rate: float) -> None:
-    beats = hearts.regular(70, 30)
-    signal = np.round(hearts.ecg_of(beats, rate, 30) / step) * step
+    beats = signals.regular(70, 30)
+    signal = np.round(signals.ecg_of(beats, rate, 30) / step) * step
     assert signals.values_of(signals.events_of("ECG", signal, rate), "sqi")[:, 0].min() >= 0.5
 
 
 @pytest.mark.parametrize("rate", [64, 250, 1000])
 @pytest.mark.parametrize("steps", [20, 50])
 def test_coarse_steps_of_a_pulse_are_not_clipped_at_any_rate(steps: int, rate: float) -> None:
-    beats = hearts.regular(70, 30)
-    signal = hearts.pulse_of(beats, rate, 30)
+    beats = signals.regular(70, 30)
+    signal = signals.pulse_of(beats, rate, 30)
     coarse = signals.values_of(signals.events_of("PPG", np.round(signal * steps), rate), "sqi")
     assert coarse[:, 0].min() >= 0.5
     cut = np.floor(np.minimum(signal, 0.9) * steps + 0.5)

@@ -22,7 +22,7 @@ from biosensor_gateway.recording.xdf.verdict import Colour, verdict
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.gateway.test_new_file import NoDriver
-from tests.rigs.memory_outlet import MemoryOutlet
+from tests.rigs.memory_links import MemoryOutlet
 from tests.xdf.test_participants import judged
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -12,13 +13,15 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pylsl
 import pytest
 
-from tests.features import hearts
+from biosensor_gateway.features import live as live_module
+from biosensor_gateway.features.live import Live
+from biosensor_gateway.features.sources import Source
+from tests.features import signals
 from tests.features.signals import Array
-
-pytestmark = pytest.mark.seam
 
 # Live heart rates of other programs that push many samples at once, by the real program.
 
@@ -34,8 +37,8 @@ class Sender:
 
     def __init__(self, kind: str, rate: float, bpm: float, *, overlaps: bool) -> None:
         self.name, self._rate, self._overlaps = f"stranger_{kind.lower()}", rate, overlaps
-        beats = hearts.regular(bpm, LASTS_S)
-        make = hearts.ecg_of if kind == "ECG" else hearts.pulse_of
+        beats = signals.regular(bpm, LASTS_S)
+        make = signals.ecg_of if kind == "ECG" else signals.pulse_of
         self._signal = make(beats, rate, LASTS_S)
         info = pylsl.StreamInfo(self.name, kind, 1, rate, "float32", f"{self.name}-id")
         self._outlet = pylsl.StreamOutlet(info)
@@ -96,6 +99,7 @@ def _all_of(inlet: pylsl.StreamInlet) -> tuple[Array, Array]:
     return np.array(stamps), np.array(values)
 
 
+@pytest.mark.seam
 def test_a_stranger_that_sends_in_bursts_has_its_heart_rate(tmp_path: Path) -> None:
     with ExitStack() as stack:
         stack.enter_context(features_program(tmp_path / "said.txt"))
@@ -153,6 +157,7 @@ def _wait_for(said: Path, text: str) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.seam
 @pytest.mark.skipif(sys.platform == "win32", reason="ends a process by a signal")
 def test_others_go_on_and_a_signal_ends_it(tmp_path: Path) -> None:
     said = tmp_path / "said.txt"
@@ -171,3 +176,66 @@ def test_others_go_on_and_a_signal_ends_it(tmp_path: Path) -> None:
         program.send_signal(signal.SIGTERM)
         assert program.wait(GONE_DEADLINE_S) == 0
         del stays, later, comes_back
+
+
+SENDER = """
+import sys, time
+import pylsl
+info = pylsl.StreamInfo("held", "ECG", 1, 130.0, "float32", "held")
+outlet = pylsl.StreamOutlet(info)
+print("up", flush=True)
+time.sleep(600)
+"""
+
+
+class Noted:
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def found(self, source: Source) -> None:
+        self.names.append(source.name)
+
+    def refused(self, sentence: str) -> None:
+        raise AssertionError(sentence)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="stops a process by a signal")
+@pytest.mark.seam
+def test_another_stream_is_taken_while_one_does_not_say_what_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(live_module, "SETTLED_S", 0.0)
+    # Longer than the test: who waits for it fails.
+    monkeypatch.setattr(live_module, "_DESCRIPTION_S", 3 * DEADLINE_S)
+    info = pylsl.StreamInfo("own", "ECG", 1, 130.0, "float32", "own")
+    channel = info.desc().append_child("channels").append_child("channel")
+    channel.append_child_value("label", "ECG")
+    channel.append_child_value("unit", "microvolts")
+    outlet = pylsl.StreamOutlet(info)
+    with subprocess.Popen([sys.executable, "-c", SENDER], stdout=subprocess.PIPE) as sender:
+        try:
+            assert sender.stdout is not None
+            assert sender.stdout.readline() == b"up\n"
+            both = [*_resolved("held"), *_resolved("own")]
+            os.kill(sender.pid, signal.SIGSTOP)
+            # One of its threads may still be at work, and answer.
+            while psutil.Process(sender.pid).status() != psutil.STATUS_STOPPED:
+                time.sleep(0.01)
+            noted = Noted()
+            live = Live(noted)
+            end = time.monotonic() + DEADLINE_S
+            while not noted.names:
+                live.look(both)
+                live.read()
+                assert time.monotonic() < end, "the other one was waited for"
+                time.sleep(0.05)
+        finally:
+            sender.kill()
+    assert noted.names == ["own"]
+    del outlet
+
+
+def _resolved(source_id: str) -> list[pylsl.StreamInfo]:
+    found = pylsl.resolve_byprop("source_id", source_id, 1, DEADLINE_S)
+    assert found, source_id
+    return found[:1]

@@ -41,7 +41,7 @@ from biosensor_gateway.features.sources import (
     judge,
     stream_info,
 )
-from tests.features import hearts, signals
+from tests.features import signals
 from tests.xdf.test_pace import BURST, NOMINAL_HZ, bursts, delays, measured, overlaps, without
 
 # What a header must say, and what is told of one that does not.
@@ -133,8 +133,8 @@ def test_a_unit_that_no_header_of_ours_has_is_no_hindrance(kind: str, unit: str)
 def test_a_wrong_rate_in_a_header_is_told_and_the_true_one_taken(
     header_hz: float, sizes: list[int]
 ) -> None:
-    beats = hearts.regular(72.0, 60.0)
-    signal = hearts.ecg_of(beats, 130.0, 60.0)[:, np.newaxis]
+    beats = signals.regular(72.0, 60.0)
+    signal = signals.ecg_of(beats, 130.0, 60.0)[:, np.newaxis]
     stamps = 1000.0 + np.arange(len(signal)) / 130.0
     computer = _judged(_header("ECG", rate=header_hz)).new_computer()
     events: list[Event] = []

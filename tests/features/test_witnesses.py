@@ -14,7 +14,7 @@ from biosensor_common.stream_header import CoreFields, foreign_header
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
 from biosensor_gateway.features.witnesses import Witnesses
-from tests.features import hearts, signals
+from tests.features import signals
 from tests.features.signals import Array
 
 SECONDS, PULSE_HZ, ACC_HZ = 60.0, 64.0, 32.0
@@ -67,9 +67,9 @@ def _column(events: Sequence[Event], feature: str, channel: int) -> Array:
 
 @pytest.mark.parametrize(("bpm", "hertz"), [(70, 1.0), (70, 1.9), (70, 2.6), (120, 1.0)])
 def test_cadence_is_never_a_heart_rate_of_good_quality(bpm: float, hertz: float) -> None:
-    beats = hearts.regular(bpm, SECONDS)
-    swing = hearts.swing_of(SECONDS, PULSE_HZ, hertz, height=2.0)
-    walks = hearts.pulse_of(beats, PULSE_HZ, SECONDS) + swing
+    beats = signals.regular(bpm, SECONDS)
+    swing = signals.swing_of(SECONDS, PULSE_HZ, hertz, height=2.0)
+    walks = signals.pulse_of(beats, PULSE_HZ, SECONDS) + swing
     events = _together(walks, _acceleration(hertz, 150))
     rates = _column(events, "hr_live", 0)
     qualities, moves = (_column(events, "hr_live_quality", channel) for channel in (3, 4))
@@ -89,7 +89,7 @@ def test_cadence_is_never_a_heart_rate_of_good_quality(bpm: float, hertz: float)
 
 @pytest.mark.parametrize("height_mg", [0.0, 20.0])
 def test_who_sits_does_not_move(height_mg: float) -> None:
-    pulse = hearts.pulse_of(hearts.regular(70, SECONDS), PULSE_HZ, SECONDS)
+    pulse = signals.pulse_of(signals.regular(70, SECONDS), PULSE_HZ, SECONDS)
     events = _together(pulse, _acceleration(1.0, height_mg))
     assert _column(events, "sqi", 0).min() > 0.9
     assert set(_column(events, "sqi", 6)) == {0.0}
@@ -97,7 +97,7 @@ def test_who_sits_does_not_move(height_mg: float) -> None:
 
 
 def test_without_acceleration_motion_is_unknown_and_nothing_waits() -> None:
-    pulse = hearts.pulse_of(hearts.regular(70, SECONDS), PULSE_HZ, SECONDS)
+    pulse = signals.pulse_of(signals.regular(70, SECONDS), PULSE_HZ, SECONDS)
     for events in (_together(pulse, None), _together(pulse, _acceleration(1.0, 150), late_s=30)):
         assert len(signals.stamps_of(events, "sqi")) == pytest.approx(SECONDS - 9, abs=4)
         assert np.isnan(_column(events, "sqi", 6)[:15]).all()
@@ -105,7 +105,7 @@ def test_without_acceleration_motion_is_unknown_and_nothing_waits() -> None:
 
 
 def test_the_same_comes_when_all_acceleration_is_there_before() -> None:
-    pulse = hearts.pulse_of(hearts.regular(70, SECONDS), PULSE_HZ, SECONDS)
+    pulse = signals.pulse_of(signals.regular(70, SECONDS), PULSE_HZ, SECONDS)
     acceleration = _acceleration(1.0, 150)
     acceleration[: round(20 * ACC_HZ)] = [0, 0, 1000]
     motion = ACC.new_witness()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.core import TyperGroup
@@ -107,3 +109,28 @@ def test_help_is_wrapped_by_the_console_alone(command: Deferred) -> None:
         found = waiting.pop()
         assert "\n" not in (found.help or "").replace("\n\n", ""), found.name
         waiting += found.commands.values() if isinstance(found, TyperGroup) else ()
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.seam
+def test_every_help_is_shown_and_every_use_says_one_sentence(tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.gateway.without_liblsl"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert ended.returncode == 0, ended.stderr
+    said: dict[str, dict[str, list[Any]]] = json.loads(ended.stdout)
+    assert len(said["helps"]) > 40
+    assert {command: each for command, each in said["helps"].items() if each != [0, ""]} == {}
+    assert len(said["uses"]) > 4
+    for command, (code, sentence) in said["uses"].items():
+        assert code == 1, (command, sentence)
+        assert sentence.startswith("biosensor-gateway: liblsl, the library"), command
+        assert sentence.count("\n") == 1, command
+        assert "pip install" in sentence or "PYLSL_LIB" in sentence, command

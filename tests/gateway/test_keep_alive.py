@@ -1,17 +1,32 @@
-"""A program that dies is started again; one that ends is not."""
+"""A program, the agent too, that dies is started again; one that ends, or is left, is not."""
 
 from __future__ import annotations
 
+import json
+import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
+from subprocess import Popen
+from typing import Any
 
+import numpy as np
+import psutil
+import pylsl
 import pytest
 
+from biosensor_common import naming
+from biosensor_common.errors import ConfigError
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.agent import STREAMS_FILE
 from biosensor_gateway.system.keep_alive import restart_facts
-
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
+from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.gateway.test_agent_process import command, stop
+from tests.rigs.terminal import at_terminal
 
 # Ends as the next of its arguments says: a signal, or an exit code. Notes its environment.
 PROGRAM = """
@@ -54,12 +69,14 @@ def kept(folder: Path, *ends: str) -> tuple[int, list[str], list[str]]:
     return done.returncode, done.stdout.splitlines(), log.read_text().splitlines()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
 @pytest.mark.parametrize("code", [0, 2])
 def test_what_ends_as_it_should_is_not_started_again(tmp_path: Path, code: int) -> None:
     assert kept(tmp_path, str(code)) == (code, [], ["0 "])
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
 def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Path) -> None:
     code, told, lives = kept(tmp_path, "SIGKILL", "1", "0")
@@ -71,6 +88,7 @@ def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Pat
     assert lives == ["0 ", "1 killed by SIGKILL", "2 exit code 1"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
 @pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_request_to_end_reaches_the_program(
@@ -85,7 +103,181 @@ def test_a_request_to_end_reaches_the_program(
         assert supervisor.stdout.read() == ""
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 def test_nothing_is_said_of_a_first_life() -> None:
     assert restart_facts({}) == {}
     assert restart_facts({"BIOSENSOR_GATEWAY_RESTARTS": "0"}) == {}
     assert restart_facts({"BIOSENSOR_GATEWAY_RESTARTS": "many"}) == {}
+
+
+DEADLINE_S = 30.0
+ECG, ECG_STEP_S = "zephyr-virtual-ecg", 1 / 250
+AFTER_S = 4.0
+
+Until = Callable[[Callable[[], bool]], None]
+StartCli = Callable[..., AbstractContextManager["Popen[bytes]"]]
+
+
+def status(folder: Path) -> dict[str, Any]:
+    try:
+        return status_file.read_status(folder)
+    except ConfigError:
+        return {"devices": []}
+
+
+def pushed(folder: Path) -> int:
+    devices = status(folder)["devices"]
+    return sum(each["pushed"] for device in devices for each in device["streams"].values())
+
+
+class Events:
+    """The heartbeats in the agent's stream of events, over its lives."""
+
+    def __init__(self) -> None:
+        source = naming.source_id(DeviceIdentity("gateway", os.uname().nodename), "events")
+        (info,) = pylsl.resolve_byprop("source_id", source, timeout=DEADLINE_S)
+        self._inlet = pylsl.StreamInlet(info, recover=True)
+        self._heartbeats: list[dict[str, Any]] = []
+
+    def heartbeats(self) -> list[dict[str, Any]]:
+        while (sample := self._inlet.pull_sample(0.0)[0]) is not None:
+            event = json.loads(sample[0])
+            if event["event"] == "heartbeat":
+                self._heartbeats.append(event)
+        return self._heartbeats
+
+    def close(self) -> None:
+        self._inlet.close_stream()
+
+
+def standby_of(supervisor: Popen[bytes], agent: int) -> int:
+    """The process that waits beside the agent; 0 while there is none."""
+    others = [each.pid for each in psutil.Process(supervisor.pid).children() if each.pid != agent]
+    return others[0] if others else 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
+@pytest.mark.seam
+def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as supervisor:
+        until(lambda: pushed(tmp_path) > 0 and (tmp_path / STREAMS_FILE).exists())
+        killed = status(tmp_path)["process"]
+        assert killed != supervisor.pid
+        events = Events()
+        until(lambda: len(events.heartbeats()) > 0)
+        first = events.heartbeats()[-1]
+        assert "restarts" not in first
+        until(lambda: standby_of(supervisor, killed) != 0)
+        standby = standby_of(supervisor, killed)
+        os.kill(killed, signal.SIGKILL)
+        until(lambda: status(tmp_path).get("process", killed) != killed and pushed(tmp_path) > 0)
+        assert status(tmp_path)["process"] == standby
+        assert status(tmp_path)["restarts"] == 1
+        shown = command(tmp_path, "status").stdout
+        assert "started again once, last after: killed by SIGKILL" in shown
+        # Recorders hear it from a heartbeat: they are not back yet when the agent starts.
+        until(lambda: events.heartbeats()[-1]["agent_started"] > first["agent_started"])
+        second = events.heartbeats()[-1]
+        assert (second["restarts"], second["last_end"]) == (1, "killed by SIGKILL")
+        events.close()
+        assert stop(tmp_path)[0] == 0
+        assert supervisor.wait(DEADLINE_S) == 0
+    said = (tmp_path / "stderr.txt").read_text()
+    assert "the agent has died (killed by SIGKILL) and is started again now" in said
+    log = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]
+    (restart,) = [each for each in log if "was started again" in each["event"]]
+    assert (restart["restarts"], restart["last_end"]) == (1, "killed by SIGKILL")
+    assert not (tmp_path / STREAMS_FILE).exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
+@pytest.mark.nightly
+def test_a_stream_goes_on_after_one_gap(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as supervisor:
+        until(lambda: pushed(tmp_path) > 0)
+        killed = status(tmp_path)["process"]
+        (info,) = pylsl.resolve_byprop("source_id", ECG, timeout=DEADLINE_S)
+        reader = pylsl.StreamInlet(info, recover=True)
+        until(lambda: standby_of(supervisor, killed) != 0)
+        standby = standby_of(supervisor, killed)
+        stamps = received(reader, until)
+        os.kill(killed, signal.SIGKILL)
+        killed_s = pylsl.local_clock()
+        while stamps[-1] < killed_s + AFTER_S:
+            stamps += received(reader, until)
+        reader.close_stream()
+        assert status(tmp_path)["process"] == standby
+        assert stop(tmp_path)[0] == 0
+        assert supervisor.wait(DEADLINE_S) == 0
+    steps = np.diff(stamps)
+    assert steps.min() > 0
+    (gap,) = np.flatnonzero(steps > 2 * ECG_STEP_S)
+    assert stamps[gap] <= killed_s < stamps[gap + 1]
+
+
+def received(reader: pylsl.StreamInlet, until: Until) -> list[float]:
+    stamps: list[float] = []
+
+    def some_came() -> bool:
+        stamps.extend(reader.pull_chunk(0.0, max_samples=1024)[1])
+        return bool(stamps)
+
+    until(some_came)
+    return stamps
+
+
+RUN = [sys.executable, "-m", "biosensor_gateway.cli", "run", "--keep-alive"]
+MENU = "Type a number, then Enter [1]:"
+
+
+def environment(folder: Path) -> Mapping[str, str]:
+    return os.environ | {
+        "BIOSENSOR_GATEWAY_STATE": str(folder / "state"),
+        "BIOSENSOR_GATEWAY_SETTINGS": str(folder / "settings.toml"),
+        "TERM": "xterm",
+    }
+
+
+@pytest.mark.nightly
+def test_the_end_of_input_is_no_death(tmp_path: Path) -> None:
+    with at_terminal(RUN, environment(tmp_path)) as terminal:
+        terminal.until(lambda seen: seen.endswith(MENU))
+        terminal.type("\x04")
+        assert terminal.exit_code() == 2
+    assert "started again" not in terminal.screen.text
+
+
+@pytest.mark.nightly
+def test_a_standby_can_ask_who_sits_there(tmp_path: Path) -> None:
+    with at_terminal([*RUN, "--ask"], environment(tmp_path)) as terminal:
+        terminal.until(lambda seen: seen.endswith(MENU))
+        (supervisor,) = psutil.Process().children()
+        terminal.until(lambda _seen: len(supervisor.children()) == 2)
+        agent, standby = sorted(supervisor.children(), key=lambda each: each.create_time())
+        agent.kill()
+        terminal.until(lambda seen: "is started again now" in seen and seen.endswith(MENU))
+        assert standby in supervisor.children()
+        terminal.type("3\n")
+        assert terminal.exit_code() == 0
+
+
+@pytest.mark.nightly
+def test_who_has_chosen_devices_need_not_come_back(tmp_path: Path) -> None:
+    settings = tmp_path / "settings.toml"
+    settings.write_text('[[device]]\nsensor = "zephyr"\nunit = "B1"\nport = "/dev/no-such-port"\n')
+    with at_terminal([*RUN, "--ask"], environment(tmp_path)) as terminal:
+        terminal.until(lambda seen: seen.endswith(MENU))
+        terminal.type("\n")
+        terminal.until_seen("Zephyr BioHarness 3 B1")
+        (supervisor,) = psutil.Process().children()
+        terminal.until(lambda _seen: len(supervisor.children()) == 2)
+        agent, _standby = sorted(supervisor.children(), key=lambda each: each.create_time())
+        agent.kill()
+        shown = terminal.until_seen("the agent had died and was started again")
+        assert shown.count(MENU) == 1
+        terminal.type("\x03")
+        assert terminal.exit_code() == 0

@@ -41,7 +41,7 @@ from biosensor_gateway.streaming.sink import (
 )
 from biosensor_gateway.streaming.stages import AHEAD_LIMIT_S, RIGHT_AGAIN_S
 from biosensor_gateway.system.clock import LslClock
-from tests.rigs.set_clock import SetClock
+from tests.rigs.virtual_time import SetClock
 
 # The judge of silent streams, on a clock of the test's own.
 

@@ -32,7 +32,7 @@ from biosensor_gateway.system.device_log import names_in_log
 from biosensor_gateway.system.logs import configure_logs, flush_logs
 from tests.gateway.test_new_file import NoDriver
 from tests.rigs.kept_logging import kept_logging
-from tests.rigs.memory_outlet import MemoryOutlet
+from tests.rigs.memory_links import MemoryOutlet
 from tests.xdf.checking import codes, text_of
 from tests.xdf.test_participants import judged
 

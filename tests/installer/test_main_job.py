@@ -18,7 +18,7 @@ from biosensor_gateway.agent.device_states import STATE_WORDS, State
 from biosensor_gateway.devices.registry import declaration
 from installer.layout import PROGRAM, version
 from tests.faults.expectations import is_by_agent, regular_streams, steady_streams
-from tests.rigs.hosts import counters
+from tests.rigs.hosts import completeness
 from tests.rigs.hosts.lan import Lan
 from tests.rigs.hosts.pair import VIRTUAL_UNIT
 from tests.rigs.stopwatch import Stopwatch
@@ -172,7 +172,7 @@ def test_every_sample_is_in_the_topics(job: MainJob) -> None:
 @pytest.mark.timeout(600)
 def test_the_agent_counts_the_same_and_has_lost_nothing(job: MainJob) -> None:
     observation = job.observation
-    assert counters.differences(observation.counters, observation.streams, job.minute) == {}
+    assert completeness.differences(observation.counters, observation.streams, job.minute) == {}
     for name in SENSORS:
         for source, counted in job.devices[name]["streams"].items():
             assert (counted["lost"], counted["refused"]) == (0, 0), source

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import struct
+from dataclasses import dataclass
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 
@@ -22,9 +24,6 @@ from tests.rigs.windows.desktop import (
 )
 from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
 from tests.rigs.windows.registry import Registry, Value
-from tests.rigs.windows.shortcuts import Shortcut, read_shortcut
-
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 
 LINK = re.compile(r'(?:href|src)="([^"]+)"')
 MEBIBYTE = 1024 * 1024
@@ -42,12 +41,16 @@ def size(folder: Path) -> int:
     return sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_the_folder_has_the_program_and_what_belongs_to_it(bundle: Path) -> None:
     assert {each.name for each in bundle.iterdir()} == {
         *("bin", "uninstall.exe", "docs", "licenses", "sbom.cdx.json"),
     }
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_the_folder_of_path_has_the_one_command(bundle: Path) -> None:
     """Else ``uninstall /S``, typed in any terminal, would remove the program."""
     programs = {f"{PROGRAM}.exe", f"{WINDOWED}.exe"}
@@ -59,11 +62,15 @@ def test_the_folder_of_path_has_the_one_command(bundle: Path) -> None:
     assert [each.name for each in hidden] == ["LabRecorderCLI.exe"]
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_the_words_of_the_products_name_are_no_command(installed: WindowsPc) -> None:
     ended = installed.prefix.attempt("cmd", "/c", *WINDOWED.split())
     assert ended.returncode != 0
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_the_program_without_a_console_costs_next_to_nothing(bundle: Path) -> None:
     content = (bundle / "bin" / f"{WINDOWED}.exe").read_bytes()
     assert len(content) <= 3 * MEBIBYTE
@@ -72,6 +79,8 @@ def test_the_program_without_a_console_costs_next_to_nothing(bundle: Path) -> No
     assert struct.unpack_from("<H", content, header + 4 + 20 + 68) == (2,)
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_uninstall_is_no_command(installed: WindowsPc) -> None:
     ended = installed.prefix.attempt("cmd", "/c", "uninstall", "/S")
     assert ended.returncode != 0
@@ -79,6 +88,8 @@ def test_uninstall_is_no_command(installed: WindowsPc) -> None:
     assert installed.program.is_file()
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_the_documentation_comes_along_and_its_links_lead_somewhere(bundle: Path) -> None:
     docs = bundle / "docs"
     pages = list(docs.rglob("*.html"))
@@ -89,11 +100,15 @@ def test_the_documentation_comes_along_and_its_links_lead_somewhere(bundle: Path
                 assert (page.parent / link.partition("#")[0]).resolve().is_file(), (page, link)
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_licences_and_the_list_of_components_come_along(bundle: Path) -> None:
     assert any((bundle / "licenses").iterdir())
     assert json.loads((bundle / "sbom.cdx.json").read_text("utf-8"))["bomFormat"] == "CycloneDX"
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_it_is_small_enough(setup: Path, bundle: Path, record_property: object) -> None:
     assert callable(record_property)
     record_property("setup_bytes", setup.stat().st_size)
@@ -102,6 +117,8 @@ def test_it_is_small_enough(setup: Path, bundle: Path, record_property: object) 
     assert size(bundle) <= 130 * MEBIBYTE
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_windows_lists_it_among_the_installed_programs(registry: Registry, bundle: Path) -> None:
     entry = dict(registry.key(UNINSTALL_KEY) or {})
     estimated = entry.pop("estimatedsize")
@@ -120,6 +137,8 @@ def test_windows_lists_it_among_the_installed_programs(registry: Registry, bundl
     }
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_the_run_dialog_finds_it(registry: Registry) -> None:
     assert registry.key(APP_PATH_KEY) == {
         "": Value("REG_SZ", EXE),
@@ -127,6 +146,8 @@ def test_the_run_dialog_finds_it(registry: Registry) -> None:
     }
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_it_comes_last_in_path_and_all_else_stays(registry: Registry, pc: WindowsPc) -> None:
     before = search_path(Registry.of(pc.prefix.folder))
     assert "%SystemRoot%" in str(before.data)
@@ -135,11 +156,15 @@ def test_it_comes_last_in_path_and_all_else_stays(registry: Registry, pc: Window
     assert path_entries(registry).count(BIN_FOLDER) == 1
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_a_new_terminal_finds_the_command(installed: WindowsPc) -> None:
     ended = installed.prefix.attempt("cmd", "/c", PROGRAM, "--version")
     assert (ended.returncode, ended.stdout.strip()) == (0, f"{PROGRAM} {version()}")
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_all_users_have_its_entries_in_the_start_menu(installed: WindowsPc) -> None:
     cmd = r"C:\windows\system32\cmd.exe"
     found = {each.stem: read_shortcut(each) for each in start_menu(installed).iterdir()}
@@ -156,13 +181,124 @@ def test_all_users_have_its_entries_in_the_start_menu(installed: WindowsPc) -> N
     assert len(shortcuts) == len(found)
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_nothing_else_is_done_without_being_asked(registry: Registry) -> None:
     assert registry.key(OWN_KEY) is None
     assert registry.value(RUN_KEY, NAME) is None
 
 
+@pytest.mark.system
+@pytest.mark.timeout(900)
 def test_a_folder_that_path_cannot_hold_is_refused_in_one_sentence(installed: WindowsPc) -> None:
     ended = installed.gateway("installation", "add-to-path", r"C:\a;b")
     assert ended.returncode == 2
     assert ended.stdout.count("\n") == 1
     assert r"C:\a;b has a semicolon in its name; install into another folder" in ended.stdout
+
+
+_HEADER = struct.Struct("<I16sI")
+_HEADER_SIZE = 0x4C
+_CLASS = UUID("00021401-0000-0000-c000-000000000046")
+
+_HAS_ID_LIST, _HAS_LINK_INFO, _IS_UNICODE = 0x01, 0x02, 0x80
+# In the order in which they follow each other (section 2.4).
+_STRINGS = {
+    "name": 0x04,
+    "relative_path": 0x08,
+    "working_folder": 0x10,
+    "arguments": 0x20,
+    "icon": 0x40,
+}
+
+# LinkInfo (section 2.3): its size, that of its header, flags, four offsets.
+_LINK_INFO = struct.Struct("<7I")
+_VOLUME_AND_LOCAL_BASE_PATH = 0x01
+
+
+class ShortcutError(ValueError):
+    """Bytes that are no shortcut to a local file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shortcut:
+    """What a shortcut opens.
+
+    Attributes
+    ----------
+    target
+        The program, in the code page of the PC; empty if it is only told as an ID list.
+    arguments, working_folder, icon
+        As they are written; empty where absent.
+    """
+
+    target: str
+    arguments: str = ""
+    working_folder: str = ""
+    icon: str = ""
+
+
+def read_shortcut(path: Path) -> Shortcut:
+    """Read a ``.lnk`` file.
+
+    Raises
+    ------
+    ShortcutError
+        It is none.
+    """
+    content = path.read_bytes()
+    try:
+        return _shortcut(content)
+    except (struct.error, IndexError, UnicodeDecodeError) as error:
+        raise ShortcutError(f"{path}: cut off or damaged: {error}") from error
+
+
+def _shortcut(content: bytes) -> Shortcut:
+    size, class_id, flags = _HEADER.unpack_from(content)
+    if size != _HEADER_SIZE or UUID(bytes_le=class_id) != _CLASS:
+        raise ShortcutError("the file has no shortcut's header")
+    position, target = _HEADER_SIZE, ""
+    if flags & _HAS_ID_LIST:
+        position += 2 + _uint16(content, position)
+    if flags & _HAS_LINK_INFO:
+        info_size, target = _local_target(content[position:])
+        position += info_size
+    strings: dict[str, str] = {}
+    for name, flag in _STRINGS.items():
+        if flags & flag:
+            strings[name], position = _string(content, position, wide=bool(flags & _IS_UNICODE))
+    return Shortcut(
+        target,
+        strings.get("arguments", ""),
+        strings.get("working_folder", ""),
+        strings.get("icon", ""),
+    )
+
+
+def _local_target(info: bytes) -> tuple[int, str]:
+    """Return the size of a LinkInfo and the path in it."""
+    size, _, flags, _, base, _, suffix = _LINK_INFO.unpack_from(info)
+    if not flags & _VOLUME_AND_LOCAL_BASE_PATH:
+        return size, ""
+    return size, _terminated(info, base) + _terminated(info, suffix)
+
+
+def _terminated(content: bytes, start: int) -> str:
+    # The code page is that of the PC, which is not told.
+    return content[start : content.index(0, start)].decode("cp1252")
+
+
+def _string(content: bytes, position: int, *, wide: bool) -> tuple[str, int]:
+    """Return a counted string and where the next one begins."""
+    start = position + 2
+    end = start + _uint16(content, position) * (2 if wide else 1)
+    if end > len(content):
+        raise IndexError("a string ends after the file")
+    text = content[start:end].decode("utf-16-le" if wide else "cp1252")
+    # Wine counts and writes an end that the format does not have.
+    return text.removesuffix("\0"), end
+
+
+def _uint16(content: bytes, position: int) -> int:
+    (value,) = struct.unpack_from("<H", content, position)
+    return int(value)

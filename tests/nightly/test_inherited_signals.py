@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from tests.nightly.parts import ROOT
-from tests.rigs.outliving import OF_A_FOLDER, end_all, outliving
 from tests.rigs.polling import until
+from tests.rigs.processes import OF_A_FOLDER, end_all, outliving
 
 pytestmark = pytest.mark.nightly
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.nightly
 
 PROGRAM = """
 import os, signal, subprocess, sys
-from tests.rigs.inherited_signals import let_programs_be_interrupted
+from tests.rigs.processes import let_programs_be_interrupted
 if sys.argv[1:] == ["resets"]:
     let_programs_be_interrupted()
 for number in (signal.SIGHUP, signal.SIGINT):

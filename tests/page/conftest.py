@@ -23,7 +23,7 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent.control import stop_agent
 from tests.rigs import file_keyring
 from tests.rigs.chromium import chromium
-from tests.rigs.outliving import OF_A_FOLDER, end_all, outliving
+from tests.rigs.processes import OF_A_FOLDER, end_all, outliving
 
 DEADLINE_S = 60.0
 STARTED = re.compile(r"http://127\.0\.0\.1:(\d+)/door\?token=\S+")

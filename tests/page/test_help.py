@@ -19,7 +19,7 @@ from biosensor_gateway.simulation.world import World
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.rigs import file_keyring
-from tests.rigs.arenas import count_arenas
+from tests.rigs.processes import count_arenas
 from tests.rigs.wristbands import LOCATED
 
 pytestmark = pytest.mark.nightly

@@ -31,7 +31,7 @@ from biosensor_gateway.page.network.stream_list import MAX_INLETS, StreamList
 from biosensor_gateway.page.network.view import Viewer, entry_of, readable
 from biosensor_gateway.page.pages import network_interface
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from tests.ros.test_namesakes import Info
+from tests.ros.test_aliases import Info
 
 # What the page of the network reads of real outlets in another process, without a browser.
 

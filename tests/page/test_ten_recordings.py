@@ -35,7 +35,7 @@ from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.page.test_web_experiments import is_ready, is_right, zero_of
 from tests.page.web_lab import Site, free_port
 from tests.rigs.lab_client import LabProcess, Samples, settings_toml
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1200)]
 

@@ -33,9 +33,9 @@ from biosensor_gateway.streaming.sink import DeviceSink
 from tests.polar_h10.test_emitter import ECG, arrival, ecg
 from tests.refusals.provoked import Shown, fake, in_status, provokes
 from tests.rigs.emitter_sink import EmitterSink
-from tests.rigs.memory_outlet import MemoryOutlet
-from tests.rigs.set_clock import SetClock
-from tests.ros.test_namesakes import Info
+from tests.rigs.memory_links import MemoryOutlet
+from tests.rigs.virtual_time import SetClock
+from tests.ros.test_aliases import Info
 
 NOW_S = 1000.0
 

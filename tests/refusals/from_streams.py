@@ -50,8 +50,8 @@ from lsl_to_ros.topics.writers import (
 from tests.refusals.provoked import Shown, at_node, fake, in_entry, provokes
 from tests.rigs.recorded_topics import RecordedPublisher
 from tests.rigs.recorded_topics import header_of as declared
+from tests.ros.test_aliases import Info, KnownInlet, Lab
 from tests.ros.test_judging import facts
-from tests.ros.test_namesakes import Info, KnownInlet, Lab
 
 ON = StreamSettings(raw=True, chunk=True, chunk_length=4)
 NODE: Any = fake(get_clock=lambda: fake(ros_time_is_active=False, now=lambda: None))

@@ -18,8 +18,8 @@ import numpy as np
 from biosensor_gateway.demo.virtual_devices import make
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from tests.rigs.bluez.scene import BluezScene
-from tests.rigs.priority import before_others
+from tests.rigs.bluez.adapter import BluezScene
+from tests.rigs.processes import before_others
 
 
 class Lab:

@@ -12,13 +12,16 @@ import itertools
 import math
 import os
 import socket
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 from urllib.parse import urlsplit
 
+import numpy as np
+import pylsl
 import pytest
 import serial
+from numpy.typing import NDArray
 
 from biosensor_gateway.devices.line_sensor import driver as line_driver
 from biosensor_gateway.simulation import async_serial
@@ -270,3 +273,31 @@ def links_in_memory() -> Generator[None]:
         patch.setattr(MemoryPort, "tcp_ports", {})
         patch.setattr(MemoryPort, "held", set[str]())
         yield
+
+
+class MemoryOutlet:
+    """Takes what `LslOutlet` takes and keeps nothing; it always has consumers."""
+
+    def __init__(self, info: pylsl.StreamInfo) -> None:
+        self.channel_count = info.channel_count()
+        self.is_text = info.channel_format() == pylsl.cf_string
+
+    def push_sample(
+        self, x: Sequence[Any] | NDArray[Any], timestamp: float = 0.0, pushthrough: bool = True
+    ) -> None:
+        """Take a sample of the right width."""
+        assert len(x) == self.channel_count
+
+    def push_chunk(
+        self,
+        x: Sequence[Any] | NDArray[Any],
+        timestamp: float | Sequence[float] | NDArray[np.float64] = 0.0,
+        pushthrough: bool = True,
+    ) -> None:
+        """Take samples of the right width, each with a stamp."""
+        assert np.ndim(timestamp) == 0 or np.shape(timestamp) == (len(x),)
+        assert np.shape(x) == (len(x), self.channel_count)
+
+    def have_consumers(self) -> bool:
+        """Whether somebody receives it: always, so that nothing waits."""
+        return True

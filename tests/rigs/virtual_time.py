@@ -7,6 +7,7 @@ what is in this process alone: nobody can tell a socket, a terminal or a bus to 
 unit tests are in memory (memory_sockets.py, memory_links.py).
 """
 
+# pyright: reportPrivateUsage=false
 from __future__ import annotations
 
 import asyncio
@@ -24,6 +25,8 @@ from typing import Any, NamedTuple, TypeVar, TypeVarTuple
 import pytest
 from pylsl import local_clock
 
+from biosensor_common.nonblocking_writer import NonblockingWriter
+from biosensor_gateway.system import logs
 from biosensor_gateway.system.clock import LslClock
 from tests.rigs.memory_sockets import FIRST_NUMBER, ready, sockets_in_memory
 from tests.tiers.guard import GUARD
@@ -358,3 +361,46 @@ def loop_of_the_test() -> SwitchableLoop:
     if clock_of_the_test.is_on:
         loop.switch(clock_of_the_test())
     return loop
+
+
+# The limits of the product are for outputs that hang. In a unit test a thread writes to memory or
+# to a file and is done some time, however busy the computer is; the test's limit finds a hang.
+@contextmanager
+def patience_without_limit() -> Generator[None]:
+    """Let logs be flushed, closed and opened, however long that takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NonblockingWriter, "flush", _flush)
+        patch.setattr(NonblockingWriter, "close", _close)
+        patch.setattr(logs, "OPENED_WITHIN_S", None)
+        yield
+
+
+def _flush(self: NonblockingWriter, limit_s: float) -> bool:
+    del limit_s
+    with self._changed:
+        return self._changed.wait_for(self._is_idle)
+
+
+def _close(self: NonblockingWriter, limit_s: float) -> bool:
+    with self._changed:
+        self._deadline_s = self._deadline_s or limit_s
+        self._changed.notify_all()
+    self._thread.join()
+    return True
+
+
+class SetClock(LslClock):
+    """Stands still until it is set.
+
+    Attributes
+    ----------
+    now_s
+        What it tells.
+    """
+
+    def __init__(self, now_s: float = 1000.0) -> None:
+        self.now_s = now_s
+
+    def __call__(self) -> float:
+        """Return the time now, in seconds."""
+        return self.now_s

@@ -33,7 +33,7 @@ from lsl_to_ros.statistics.status import RATE_WINDOW_S
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
-from tests.rigs.set_clock import SetClock
+from tests.rigs.virtual_time import SetClock
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode

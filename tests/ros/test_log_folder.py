@@ -14,7 +14,7 @@ from rclpy.logging import RcutilsLogger
 from lsl_to_ros import limited_log
 from lsl_to_ros.limited_log import BURST, BURST_S, SAME_AGAIN_S, LimitedLog
 from lsl_to_ros.ros_environment import ensure_log_folder, usual_folder
-from tests.rigs.set_clock import SetClock
+from tests.rigs.virtual_time import SetClock
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros

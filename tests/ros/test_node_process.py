@@ -17,7 +17,7 @@ from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.process_limits import ARENAS
 from tests.faults.agent import AgentProcess
-from tests.rigs.arenas import count_arenas
+from tests.rigs.processes import count_arenas
 from tests.rigs.terminal import HeldConsole
 
 if TYPE_CHECKING:

@@ -1,24 +1,35 @@
-"""What subscribers that come and go get, and what they do to each other: nothing."""
+"""What subscribers get that come and go, of replays, and of senders in bursts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pylsl
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-from std_msgs.msg import Float32MultiArray, String
+from std_msgs.msg import Float32, Float32MultiArray, String
 
+from biosensor_gateway.recording.contents.choice import Selection, choose
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.replay.player import Player, PlayOptions
+from tests.features.test_senders_in_bursts import BURST, Sender, features_program, sending
+from tests.recording_contents.ours import description
+from tests.replay import files
 from tests.rigs.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros
 
-pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
+pytestmark = pytest.mark.nightly
 
 Begin = Callable[..., "Flow"]
 
@@ -46,6 +57,7 @@ def is_unbroken(numbers: list[float]) -> bool:
     return numbers == [numbers[0] + place for place in range(len(numbers))]
 
 
+@pytest.mark.usefixtures("node")
 def test_who_comes_later_gets_what_is_measured_later(ros: Ros) -> None:
     regular, marker = foreign("unread"), foreign("unread_marker", 0.0, "string")
     topics = ["/biosensors/unread/EEG", "/biosensors/unread_marker/EEG"]
@@ -76,6 +88,7 @@ def test_who_comes_later_gets_what_is_measured_later(ros: Ros) -> None:
     assert [list(chunk.data) for chunk in chunks] == [[8.0, 9.0, 10.0, 11.0]]
 
 
+@pytest.mark.usefixtures("node")
 @pytest.mark.alone
 def test_a_subscriber_is_seen_within_a_second_when_it_comes_and_when_it_goes(
     ros: Ros, flow: Begin
@@ -125,6 +138,7 @@ class Reader:
             self._subscription = None
 
 
+@pytest.mark.usefixtures("node")
 def test_chunks_hold_every_sample_once_whoever_reads_raw_samples_meanwhile(
     ros: Ros, flow: Begin
 ) -> None:
@@ -172,3 +186,104 @@ def test_chunks_hold_every_sample_once_whoever_reads_raw_samples_meanwhile(
 def _received(ros: Ros, topic: str) -> tuple[str, str] | None:
     status = ros.status(topic)
     return None if status is None else (status["received"], status["lost"])
+
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+
+RATE_HZ, SECONDS = 128.0, 1.5
+TOPIC = "/P1/biosensors/polar_h10/ecg"
+
+
+@contextmanager
+def player(path: Path) -> Generator[Player]:
+    ours = description("polar_h10", "ecg", "P1")
+    own_events = description("lsl_to_ros", "events")
+    files.write(
+        path,
+        files.regular(1, "P1-polar_h10-u1-ecg", RATE_HZ, SECONDS, source_id="P1@polar_h10-ecg",
+                      desc=ours),
+        files.texts(2, "lsl_to_ros-u1-events", [0.5], source_id="lsl_to_ros-u1-events",
+                    desc=own_events),
+    )  # fmt: skip
+    with open_contents(path) as contents:
+        playing = Player(choose(contents, Selection()), PlayOptions(speed=0.5), "hash")
+        playing.offer()
+        yield playing
+
+
+@pytest.mark.usefixtures("node")
+def test_a_replay_is_published_like_the_live_device_and_said_to_be_one(
+    ros: Ros, tmp_path: Path
+) -> None:
+    heard = ros.listen(Float32MultiArray, TOPIC)
+    with player(tmp_path / "study.xdf") as playing:
+        ros.attached(TOPIC, readers=1)
+        playing.run(threading.Event())
+        sent = playing.progress().sent - 1
+        ros.until(lambda: len(heard) >= sent, "all samples")
+        ros.report()
+        status = ros.status(TOPIC)
+        topics = ros.topics()
+        with open_contents(tmp_path / "study.xdf") as contents:
+            blocks = list(contents.streams[0].blocks())
+    recorded = np.concatenate([np.asarray(each.values) for each in blocks])
+    assert [list(each.data) for each in heard] == recorded.tolist()
+    assert status is not None
+    assert status["replay_of"] == "study.xdf"
+    assert status.message.endswith("; a replay of study.xdf at 0.5 times its speed")
+    # At half the speed the stamps are half as dense, and the header says so.
+    assert float(status["rate_nominal"]) == RATE_HZ / 2
+    # No agent counts what is played: losses are estimated by its stamps, which have no gap.
+    assert status["lost"] == "about 0"
+    assert not [topic for topic in topics if "lsl_to_ros/events" in topic]
+
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros, RunningNode
+
+
+RATES = {"ECG": 72.0, "PPG": 95.0}
+FEWEST_BEATS, FEWEST_SAMPLES = 15, 20 * BURST
+
+
+def _topic(ros: Ros, of: Sender, ending: str) -> str:
+    """Wait for a topic of a feature; return its name."""
+
+    def found() -> list[str]:
+        return [each for each in ros.topics() if of.name in each and each.endswith(ending)]
+
+    ros.until(lambda: bool(found()), f"{ending} of {of.name}")
+    return found()[0]
+
+
+def test_heart_rates_of_bursts_and_overlaps_reach_a_robot(
+    ros: Ros, start_node: Callable[..., RunningNode], tmp_path: Path
+) -> None:
+    node = start_node()
+    with ExitStack() as stack:
+        stack.enter_context(features_program(tmp_path / "said.txt"))
+        senders = [Sender(kind, 130.0, bpm, overlaps=kind == "PPG") for kind, bpm in RATES.items()]
+        stack.enter_context(sending(*senders))
+        raw = {
+            each.name: f"/biosensors/{each.name}/{kind}"
+            for each, kind in zip(senders, RATES, strict=True)
+        }
+        samples = {name: ros.listen(Float32MultiArray, topic) for name, topic in raw.items()}
+        rates = {each.name: ros.listen(Float32, _topic(ros, each, "hr_live")) for each in senders}
+        end = senders[0].truth[-1]
+        warned: list[str] = []
+        while pylsl.local_clock() < end:
+            ros.report()
+            for topic in raw.values():
+                status = ros.status(topic)
+                if status is not None and status.level != DiagnosticStatus.OK:
+                    warned.append(f"{topic}: {status.message}")
+        ros.spin(1.0)
+    for sender, bpm in zip(senders, RATES.values(), strict=True):
+        told = np.array([message.data for message in rates[sender.name]])
+        assert len(told) >= FEWEST_BEATS, (sender.name, node.log)
+        assert np.abs(told - bpm).max() < 8.0, sender.name
+        assert len(samples[sender.name]) >= FEWEST_SAMPLES
+    assert not warned

@@ -18,7 +18,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.lsl_streams import wait_until
-from tests.rigs.still_process import stands_still, waiting_bytes
+from tests.rigs.processes import stands_still, waiting_bytes
 from tests.rigs.stopwatch import Stopwatch
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ import math
 import signal
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +22,11 @@ from biosensor_common.lsl.inlet import Block
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusals
 from biosensor_common.ros.standard_messages import standard_messages
+from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.statistics.losses import NodeCounters
+from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 from lsl_to_ros.topics import bridge as bridge_module
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import CountersWriter, NumberWriter, StandardMessageWriter
@@ -32,7 +35,6 @@ from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of, mes
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-pytestmark = pytest.mark.nightly
 
 # Stamps of a sender become ROS times, or are known to be none.
 
@@ -48,6 +50,7 @@ def nanoseconds(clocks: Clocks, stamp: float) -> int:
     return found
 
 
+@pytest.mark.nightly
 def test_now_is_now(ros: Ros) -> None:
     offset = 1234.5
     clocks = Clocks(ros.node, offset)
@@ -59,6 +62,7 @@ def test_now_is_now(ros: Ros) -> None:
     assert before - tolerance_ns <= nanoseconds(clocks, stamp) <= after + tolerance_ns
 
 
+@pytest.mark.nightly
 def test_the_distance_of_two_stamps_is_kept(ros: Ros) -> None:
     clocks = Clocks(ros.node, 0.25)
     start = nanoseconds(clocks, 1000.0)
@@ -67,6 +71,7 @@ def test_the_distance_of_two_stamps_is_kept(ros: Ros) -> None:
         assert abs(distance - step * 1e9 / 1024) <= 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("stamp", STAMPS)
 def test_what_is_said_to_be_a_time_is_one(ros: Ros, stamp: float) -> None:
     clocks = Clocks(ros.node, 12.5)
@@ -77,6 +82,7 @@ def test_what_is_said_to_be_a_time_is_one(ros: Ros, stamp: float) -> None:
         assert nanoseconds(clocks, stamp) / 1e9 == pytest.approx(since_1970, abs=1.0)
 
 
+@pytest.mark.nightly
 def test_many_are_judged_at_once(ros: Ros) -> None:
     clocks = Clocks(ros.node, 12.5)
     singly = [bool(clocks.are_times(np.array([stamp]))[0]) for stamp in STAMPS]
@@ -85,6 +91,7 @@ def test_many_are_judged_at_once(ros: Ros) -> None:
     assert False in singly
 
 
+@pytest.mark.nightly
 def test_nothing_is_said_before_the_senders_clock_is_known(ros: Ros) -> None:
     clocks = Clocks(ros.node, None)
     assert not clocks.is_known
@@ -99,6 +106,7 @@ def test_nothing_is_said_before_the_senders_clock_is_known(ros: Ros) -> None:
     assert clocks.local(1.0) == 3.0
 
 
+@pytest.mark.nightly
 def test_in_simulated_time_a_sample_has_the_time_of_its_receipt(ros: Ros) -> None:
     assert ros is not None
     node = Node("simulated", parameter_overrides=[Parameter("use_sim_time", value=True)])
@@ -155,6 +163,7 @@ def skin(ros: Ros) -> Skin:
     return Skin(ros)
 
 
+@pytest.mark.nightly
 def test_what_came_before_the_clock_is_written_once_it_is_known(skin: Skin) -> None:
     skin.send(1.0)
     skin.send(2.0, 3.0)
@@ -170,6 +179,7 @@ def test_what_came_before_the_clock_is_written_once_it_is_known(skin: Skin) -> N
     assert skin.counters.unstamped == 0
 
 
+@pytest.mark.nightly
 def test_what_comes_between_measurement_and_word_of_it_keeps_its_place(skin: Skin) -> None:
     skin.send(1.0)
     skin.clocks.correction = OFFSET_S
@@ -180,6 +190,7 @@ def test_what_comes_between_measurement_and_word_of_it_keeps_its_place(skin: Ski
     skin.expect(1.0, 2.0, 3.0)
 
 
+@pytest.mark.nightly
 def test_a_known_clock_makes_nothing_wait(ros: Ros) -> None:
     skin = Skin(ros, OFFSET_S)
     skin.send(1.0)
@@ -187,6 +198,7 @@ def test_a_known_clock_makes_nothing_wait(ros: Ros) -> None:
     skin.expect(1.0, 2.0)
 
 
+@pytest.mark.nightly
 def test_what_waits_does_not_change_with_the_memory_that_it_came_in(skin: Skin) -> None:
     values, stamps = np.array([[1.0], [2.0]], np.float32), np.array([1.0, 2.0])
     skin.bridge.receive(Block(values, stamps))
@@ -195,6 +207,7 @@ def test_what_waits_does_not_change_with_the_memory_that_it_came_in(skin: Skin) 
     skin.expect(1.0, 2.0)
 
 
+@pytest.mark.nightly
 def test_a_clock_that_stays_unknown_is_counted(skin: Skin) -> None:
     skin.send(1.0)
     skin.send(2.0, 3.0)
@@ -206,6 +219,7 @@ def test_a_clock_that_stays_unknown_is_counted(skin: Skin) -> None:
     skin.expect(4.0)
 
 
+@pytest.mark.nightly
 def test_what_nobody_reads_does_not_wait(skin: Skin) -> None:
     skin.timed.set_readers(0)
     skin.send(1.0)
@@ -216,6 +230,7 @@ def test_what_nobody_reads_does_not_wait(skin: Skin) -> None:
     assert skin.counters.unstamped == 0
 
 
+@pytest.mark.nightly
 def test_what_is_latched_waits_without_a_reader(ros: Ros) -> None:
     skin = Skin(ros)
     skin.timed.set_readers(0)
@@ -225,6 +240,7 @@ def test_what_is_latched_waits_without_a_reader(ros: Ros) -> None:
     skin.expect(1.0)
 
 
+@pytest.mark.nightly
 def test_the_oldest_give_way_and_are_counted(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bridge_module, "HELD_RUNS", 3)
     skin = Skin(ros)
@@ -236,6 +252,7 @@ def test_the_oldest_give_way_and_are_counted(ros: Ros, monkeypatch: pytest.Monke
     skin.expect(4.0, 5.0, 6.0)
 
 
+@pytest.mark.nightly
 def test_a_silenced_stream_lets_nothing_wait(skin: Skin) -> None:
     skin.bridge.settings = StreamSettings(raw=False, chunk=False, chunk_length=4)
     skin.send(1.0)
@@ -245,6 +262,7 @@ def test_a_silenced_stream_lets_nothing_wait(skin: Skin) -> None:
     assert skin.counters.unstamped == 0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300, 3e9])
 def test_a_stamp_that_is_no_time_costs_its_own_sample_only(ros: Ros, bad: float) -> None:
     skin = Skin(ros, OFFSET_S)
@@ -277,6 +295,7 @@ def report(pushed: int) -> str:
     return counters_text({"zephyr-U1-ecg": Counters(pushed=pushed, lost=0, last_stamp=1.0)})
 
 
+@pytest.mark.nightly
 def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
     agent = Agent(ros)
     agent.send(report(1), report(2))
@@ -285,6 +304,7 @@ def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
     assert (agent.counters.unfit, agent.warnings) == (0, [])
 
 
+@pytest.mark.nightly
 def test_a_report_that_no_agent_writes_costs_itself_only(ros: Ros) -> None:
     agent = Agent(ros)
     agent.send(report(1), "nonsense", report(3))
@@ -319,6 +339,7 @@ def counted(ros: Ros) -> int:
     return int(status["not_taken"])
 
 
+@pytest.mark.nightly
 def test_a_backlog_longer_than_the_publisher_s_queue_arrives_whole(
     ros: Ros, start_node: Callable[..., RunningNode]
 ) -> None:
@@ -342,3 +363,83 @@ def test_a_backlog_longer_than_the_publisher_s_queue_arrives_whole(
         before, not_taken = not_taken, counted(ros)
         is_whole = [message.data[0] for message in heard] == numbers
         assert is_whole or not_taken > before
+
+
+NOW_S = 100
+
+
+def at(now_s: int) -> Stamping:
+    """Return the stamping of a node whose ``/clock`` says so many seconds."""
+    now = SimpleNamespace(nanoseconds=now_s * NS_PER_S)
+    clock = SimpleNamespace(ros_time_is_active=True, now=lambda: now)
+    node: Any = SimpleNamespace(get_clock=lambda: clock)
+    return Stamping(RosTime(node), lambda: 0.0)
+
+
+def of_run(now_s: int, *stamps: float) -> list[float]:
+    return (at(now_s).of_run(np.array(stamps)) / NS_PER_S).tolist()
+
+
+@pytest.mark.parametrize("begin", [0.0, 5000.0, -3.0])
+def test_the_newest_of_a_run_is_of_now_and_the_others_were_before(begin: float) -> None:
+    stamps = [begin + place / 4 for place in range(4)]
+    assert of_run(NOW_S, *stamps) == pytest.approx([99.25, 99.5, 99.75, 100.0])
+
+
+def test_one_sample_is_of_now() -> None:
+    assert of_run(NOW_S, 7.0) == [NOW_S]
+
+
+def test_without_a_clock_all_are_of_its_zero() -> None:
+    assert of_run(0, 7.0, 8.0) == [0.0, 0.0]
+
+
+def test_none_is_of_before_the_clock_began() -> None:
+    assert of_run(1, 0.0, 4.5, 5.0) == [0.0, 0.5, 1.0]
+
+
+def test_stamps_that_run_back_or_are_no_times_stay_within_the_simulation() -> None:
+    assert of_run(NOW_S, -1e300, 1e300, 5.0) == [0.0, NOW_S, NOW_S]
+
+
+# Senders that stamp with ``time.time()`` instead of LSL's clock.
+
+NODE: Any = SimpleNamespace(get_clock=lambda: SimpleNamespace(ros_time_is_active=False))
+WEEKS_S = 3e6
+
+
+def seconds(stamping: Stamping, stamp: float) -> float:
+    (found,) = stamping.to_ns(np.array([stamp])).tolist()
+    return found * 1e-9
+
+
+@pytest.mark.parametrize("correction", [0.0, 12.5, -WEEKS_S, WEEKS_S])
+def test_unix_stamps_become_the_ros_times_that_they_are(correction: float) -> None:
+    stamping = Stamping(RosTime(NODE), lambda: correction)
+    now = time.time()
+    assert stamping.are_times(np.array([now, now - 3600])).all()
+    for stamp in (now, now - 0.125, now + 60, now - 3600):
+        assert seconds(stamping, stamp) == pytest.approx(stamp, abs=1e-6)
+    assert stamping.is_unix
+    # As old as it is, and not by the clock of LSL.
+    assert stamping.local(now) == pytest.approx(pylsl.local_clock(), abs=60.0)
+
+
+@pytest.mark.parametrize(
+    "since",
+    [0.0, 5000.0, time.time() - pylsl.local_clock()],
+    ids=["now", "another computer", "unix"],
+)
+def test_stamps_of_any_lsl_clock_are_no_unix_stamps(since: float) -> None:
+    # The last one is of a program whose LSL clock counts from 1970.
+    stamping = Stamping(RosTime(NODE), lambda: -since)
+    stamp = pylsl.local_clock() + since
+    assert stamping.are_times(np.array([stamp])).all()
+    assert seconds(stamping, stamp) == pytest.approx(time.time(), abs=60.0)
+    assert not stamping.is_unix
+
+
+def test_what_is_no_time_stays_none() -> None:
+    stamping = Stamping(RosTime(NODE), lambda: 0.0)
+    far = np.array([np.nan, np.inf, -np.inf, time.time() + 1e8, 1e300])
+    assert not stamping.are_times(far).any()

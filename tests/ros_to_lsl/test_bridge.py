@@ -21,7 +21,7 @@ from lsl_to_ros.ros_to_lsl.reports import topic_facts, topic_status
 from lsl_to_ros.ros_to_lsl.stamps import Offset, StampSource
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.statistics.status import StreamStatus
-from tests.rigs.memory_outlet import MemoryOutlet
+from tests.rigs.memory_links import MemoryOutlet
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
 
 # Their own annotations are partial.

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 
-from tests.system.lsl_time import NS_PER_S
-from tests.system.tracks import Times, Track
+from tests.system.tracks import NS_PER_S, Times, Track
 
 _OURS = "biosensor_msgs/msg/"
 

@@ -13,8 +13,7 @@ import pyxdf
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
 from tests.rigs.lab_recorder import LabRecorder
-from tests.system.lsl_time import NS_PER_S
-from tests.system.tracks import Track
+from tests.system.tracks import NS_PER_S, Track
 
 _load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
 

@@ -18,8 +18,7 @@ from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
-from tests.system.lsl_time import NS_PER_S
-from tests.system.tracks import Track
+from tests.system.tracks import NS_PER_S, Track
 
 PERIOD_S = 0.04
 # Every so many samples a channel has no value.

@@ -12,6 +12,7 @@ import re
 import shutil
 import signal
 import sys
+import sysconfig
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -24,10 +25,17 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float32MultiArray
 
 from tests.system.programs import Program
-from tests.system.toolchain import BUILD_TIMEOUT_S, Toolchain
+from tests.system.toolchain import (
+    BUILD_TIMEOUT_S,
+    BUILD_TOOLS,
+    BuildToolMissingError,
+    Toolchain,
+    fix_header_paths,
+    require_build_tools,
+)
 from tests.system.workspace import Workspace, copy_repository
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(BUILD_TIMEOUT_S)]
+pytestmark = pytest.mark.system
 
 DEADLINE_S = 30.0
 SAMPLES = 50
@@ -91,6 +99,7 @@ def received() -> Generator[Callable[[str, int], list[list[float]]]]:
     rclpy.shutdown()
 
 
+@pytest.mark.timeout(BUILD_TIMEOUT_S)
 def test_colcon_finds_the_ros_packages_and_nothing_else(
     toolchain: Toolchain, tmp_path: Path
 ) -> None:
@@ -106,6 +115,7 @@ def test_colcon_finds_the_ros_packages_and_nothing_else(
     ]
 
 
+@pytest.mark.timeout(BUILD_TIMEOUT_S)
 def test_the_ros_packages_are_built_and_tested_without_the_rest(
     toolchain: Toolchain, tmp_path: Path
 ) -> None:
@@ -131,6 +141,7 @@ def test_the_ros_packages_are_built_and_tested_without_the_rest(
         assert of["error"] == of["failure"] == 0
 
 
+@pytest.mark.timeout(BUILD_TIMEOUT_S)
 def test_the_stamped_messages_can_be_left_out(toolchain: Toolchain, tmp_path: Path) -> None:
     copy_repository(tmp_path)
     select = ("list", "--packages-up-to", "lsl_to_ros", "--names-only")
@@ -139,6 +150,7 @@ def test_the_stamped_messages_can_be_left_out(toolchain: Toolchain, tmp_path: Pa
     assert set(without.split()) == PACKAGES.keys() - {"biosensor_msgs"}
 
 
+@pytest.mark.timeout(BUILD_TIMEOUT_S)
 def test_what_runs_is_what_colcon_has_built(built: Workspace) -> None:
     run, folder, python = built.toolchain.run, built.folder, built.python
     assert set(json.loads(run(folder, python, "-c", WHERE)).values()) == {None}
@@ -149,6 +161,7 @@ def test_what_runs_is_what_colcon_has_built(built: Workspace) -> None:
     assert origins["biosensor_gateway"] is None
 
 
+@pytest.mark.timeout(BUILD_TIMEOUT_S)
 @pytest.mark.seam
 def test_all_packages_are_in_ament_s_index_with_their_files(built: Workspace) -> None:
     for name in PACKAGES:
@@ -160,6 +173,7 @@ def test_all_packages_are_in_ament_s_index_with_their_files(built: Workspace) ->
     assert (share / "config" / "params.yaml").is_file()
 
 
+@pytest.mark.timeout(BUILD_TIMEOUT_S)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_the_installed_node_publishes_a_stream_and_ends_cleanly(
     built: Workspace,
@@ -179,3 +193,47 @@ def test_the_installed_node_publishes_a_stream_and_ends_cleanly(
     node.process.send_signal(number)
     assert node.process.wait(DEADLINE_S) == 0, node.output
     assert "Traceback" not in node.output
+
+
+def _folder_with(programs: set[str], folder: Path) -> str:
+    for name in programs:
+        (folder / name).touch(0o755)
+    return str(folder)
+
+
+@pytest.mark.parametrize("tool", BUILD_TOOLS)
+def test_a_missing_tool_is_named_with_its_package(tool: str, tmp_path: Path) -> None:
+    path = _folder_with(BUILD_TOOLS.keys() - {tool}, tmp_path)
+    with pytest.raises(BuildToolMissingError) as raised:
+        require_build_tools(path)
+    assert str(raised.value) == (
+        f"colcon cannot build the ROS packages without {tool}:"
+        f" install {BUILD_TOOLS[tool]} (Debian's names)."
+    )
+
+
+def test_missing_headers_of_python_are_named(tmp_path: Path) -> None:
+    path = _folder_with(set(BUILD_TOOLS), tmp_path)
+    with pytest.raises(BuildToolMissingError, match=r"without \S+/Python\.h: install python3-dev "):
+        require_build_tools(path, headers=tmp_path / "include")
+
+
+def test_the_wheels_name_the_headers_of_this_machine(tmp_path: Path) -> None:
+    built_at = "/opt/python/cp312-cp312"
+    headers = f"{built_at}/include/python3.12"
+    numpy_headers = f"{built_at}/lib/python3.12/site-packages/numpy/_core/include"
+    cached = tmp_path / "cached.cmake"
+    cached.write_text(f'DIRECTORIES "{headers};{numpy_headers};${{prefix}}/include"\n')
+    installed = tmp_path / "venv" / "share" / "std_msgs" / "cmake" / "targets.cmake"
+    installed.parent.mkdir(parents=True)
+    installed.hardlink_to(cached)
+    fix_header_paths(tmp_path / "venv", python="/usr/include/python3.12", numpy="/numpy/include")
+    assert installed.read_text() == (
+        'DIRECTORIES "/usr/include/python3.12;/numpy/include;${prefix}/include"\n'
+    )
+    assert built_at in cached.read_text()
+
+
+def test_this_machine_has_all_tools() -> None:
+    require_build_tools()
+    assert (Path(sysconfig.get_path("include")) / "Python.h").is_file()

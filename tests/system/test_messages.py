@@ -12,9 +12,9 @@ from xml.etree import ElementTree as ET
 import pylsl
 import pytest
 
-from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
 from tests.system.toolchain import ROOT, Toolchain
+from tests.system.tracks import NS_PER_S, system_minus_lsl_ns
 from tests.system.workspace import Workspace
 
 pytestmark = pytest.mark.system

@@ -25,9 +25,16 @@ from tests.bags import made
 from tests.system import bag_reader, lab_recorder, lsl_sources
 from tests.system.bag_reader import RecordedTopic
 from tests.system.lab_recorder import RecordedStream
-from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
-from tests.system.tracks import Errors, Track, place_of, time_errors, with_columns
+from tests.system.tracks import (
+    NS_PER_S,
+    Errors,
+    Track,
+    place_of,
+    system_minus_lsl_ns,
+    time_errors,
+    with_columns,
+)
 from tests.system.workspace import Workspace
 
 pytestmark = pytest.mark.system

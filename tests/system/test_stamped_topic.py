@@ -15,9 +15,8 @@ from typing import Any
 import pylsl
 import pytest
 
-from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
-from tests.system.stamped_messages import Sample, samples_of
+from tests.system.tracks import NS_PER_S, Sample, samples_of, system_minus_lsl_ns
 from tests.system.workspace import Workspace
 
 pytestmark = pytest.mark.system

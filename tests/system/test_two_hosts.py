@@ -18,16 +18,14 @@ import pyxdf
 
 from biosensor_common.ros_clock import NS_PER_S
 from tests.faults.expectations import steady_streams
-from tests.rigs.hosts import counters, recordings
-from tests.rigs.hosts.completeness import MARGIN_S, Span, delays
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import MARGIN_S, Recording, Span, delays
 from tests.rigs.hosts.lan import Lan
 from tests.rigs.hosts.pair import SENSORS, Observation, Pair, Place, Places
 from tests.rigs.hosts.programs import Program, SteeredProgram
-from tests.rigs.hosts.recordings import Recording
 from tests.rigs.hosts.subscriber import BEST_EFFORT
 from tests.rigs.lab_recorder import LabRecorder
-from tests.rigs.recorded_robot import UNWRITTEN_S, Stream, greatest_errors_s, told_lost
-from tests.rigs.robot import PARTS
+from tests.rigs.robot import PARTS, UNWRITTEN_S, Stream, greatest_errors_s, told_lost
 from tests.rigs.turns import turn_of, turns
 
 pytestmark = pytest.mark.system
@@ -121,7 +119,7 @@ def test_the_whole_set_of_sensors_crosses_without_a_loss(crossing: Crossing) -> 
 def test_the_agent_and_another_lsl_program_agree(crossing: Crossing) -> None:
     observation = crossing.observation
     reports, streams = observation.counters, observation.streams
-    assert counters.differences(reports, streams, crossing.minute) == {}
+    assert completeness.differences(reports, streams, crossing.minute) == {}
 
 
 @pytest.mark.timeout(400)
@@ -157,7 +155,7 @@ def test_the_cut_network_heals_with_its_backlog(
 def test_the_node_kept_every_inlet_and_lost_nothing_with_the_cut(crossing: Crossing) -> None:
     assert "is gone" not in crossing.node_log
     facts = crossing.observation.facts_at(crossing.cut.end)
-    by_devices = counters.lost_by_devices(
+    by_devices = completeness.lost_by_devices(
         crossing.observation.counters, crossing.cut.end + MARGIN_S
     )
     for source, place in crossing.expected.items():
@@ -277,7 +275,7 @@ def _recorded(subscriber: SteeredProgram, folder: Path) -> Recording:
         time.sleep(0.5)
     path = folder / "topics.npz"
     subscriber.ask("save", path=str(path))
-    return recordings.load(path)[STAMPED]
+    return completeness.load(path)[STAMPED]
 
 
 @pytest.mark.timeout(400)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import pylsl
 from numpy.typing import NDArray
 
 Times = NDArray[np.int64]
@@ -82,3 +85,62 @@ def time_errors(one: Track, other: Track) -> Errors:
     """Compare the times of as many samples."""
     differences = (one.times_ns - other.times_ns).astype(np.float64)
     return Errors(float(np.abs(differences).max()), float(np.sqrt(np.mean(np.square(differences)))))
+
+
+NS_PER_S = 1_000_000_000
+READINGS = 100
+
+
+def system_minus_lsl_ns() -> int:
+    """Return system time minus LSL time, from the narrowest of many bracketed readings."""
+    readings: list[tuple[int, int]] = []
+    for _ in range(READINGS):
+        before, lsl_s, after = time.time_ns(), pylsl.local_clock(), time.time_ns()
+        readings.append((after - before, (before + after) // 2 - round(lsl_s * NS_PER_S)))
+    return min(readings)[1]
+
+
+class Sample(NamedTuple):
+    """A sample as it was received.
+
+    Attributes
+    ----------
+    values
+        One a channel; of an event its text alone.
+    """
+
+    sequence: int
+    time_ns: int
+    values: tuple[Any, ...]
+
+
+def samples_of(messages: Iterable[Mapping[str, Any]]) -> list[Sample]:
+    """Return all samples of ``Samples`` and ``Event`` messages.
+
+    Raises
+    ------
+    AssertionError
+        If a message's values do not fit its number of samples and channels.
+    """
+    return [sample for message in messages for sample in _samples(message)]
+
+
+def _samples(message: Mapping[str, Any]) -> list[Sample]:
+    stamp, sequence = message["header"]["stamp"], message["sequence"]
+    start_ns = stamp["sec"] * NS_PER_S + stamp["nanosec"]
+    if isinstance(message["data"], str):
+        return [Sample(sequence, start_ns, (message["data"],))]
+    offsets, channels = message["offsets_ns"], len(message["labels"])
+    # A stream of 64-bit integers has no data, any other has no integers.
+    values = message["data"] or message["integers"]
+    assert len(values) == len(message["data"]) + len(message["integers"])
+    assert len(values) == len(offsets) * channels
+    assert offsets[0] == 0
+    return [
+        Sample(
+            sequence + row,
+            start_ns + offset,
+            tuple(values[row * channels : (row + 1) * channels]),
+        )
+        for row, offset in enumerate(offsets)
+    ]

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.time_spent.account import SYSTEM, Account, Folder
-from tests.time_spent.plugin import ORDER
+from tests.time_spent.plugin import ORDER, SYSTEM, Account, Folder
 
 ROOT = Path(__file__).parents[2]
 SLEEPY, WAITING, BUSY = 0.6, Folder("waiting"), Folder("busy")

@@ -1,4 +1,4 @@
-"""What was built, and what becomes of it where it is installed: each Python, each way, upgrades."""
+"""What was built and its page, and what becomes of it where it is installed."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ import sys
 import tarfile
 import zipfile
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+from ruamel.yaml import YAML
 
+from hatch_build import page
 from tests.wheel.conftest import ROOT, UV, Installed, build, users, uv
-
-pytestmark = [pytest.mark.nightly, pytest.mark.timeout(600)]
 
 PEERS = ROOT / ".venv-peers/bin/python"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("repository", ["", "https://example.org/lab/gateway"])
 def test_a_package_index_would_take_it(tmp_path: Path, repository: str) -> None:
     built = [build(ROOT, tmp_path / kind, f"--{kind}", repository) for kind in ("wheel", "sdist")]
@@ -33,6 +36,8 @@ def test_a_package_index_would_take_it(tmp_path: Path, repository: str) -> None:
     assert done.stdout.count("PASSED") == 2
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
 def test_the_source_has_no_tests_and_makes_the_same_wheel(tmp_path: Path, wheel: Path) -> None:
     source = build(ROOT, tmp_path / "sdist", "--sdist")
     with tarfile.open(source) as archive:
@@ -49,6 +54,8 @@ def _content(wheel: Path) -> dict[str, int]:
         return {each.filename: each.CRC for each in archive.infolist()}
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("python", PYTHONS)
 def test_it_streams_records_exports_and_checks_itself(
     tmp_path: Path, wheel: Path, python: str
@@ -84,6 +91,8 @@ def _require(python: str) -> str:
     return found.stdout.strip()
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
 def test_uvx_needs_no_installation(tmp_path: Path, wheel: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()
@@ -96,6 +105,8 @@ def test_uvx_needs_no_installation(tmp_path: Path, wheel: Path) -> None:
     assert re.search(r"^(green|amber): ", said, re.MULTILINE), said
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
 def test_pipx_installs_it(tmp_path: Path, wheel: Path) -> None:
     program = ("tool", "run", "--from", "pipx", "pipx")
     variables = {"PIPX_HOME": str(tmp_path / "pipx"), "PIPX_BIN_DIR": str(tmp_path / "bin")}
@@ -106,6 +117,8 @@ def test_pipx_installs_it(tmp_path: Path, wheel: Path) -> None:
     assert done.stdout.startswith(b"biosensor-gateway ")
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
 def test_an_upgrade_keeps_settings_recordings_and_what_was_paused(
     tmp_path: Path, wheel: Path
 ) -> None:
@@ -155,3 +168,84 @@ def _source_of(version: str, folder: Path) -> Path:
 def _files(folder: Path) -> dict[str, bytes]:
     files = [each for each in folder.rglob("*") if each.is_file()]
     return {str(each.relative_to(folder)): each.read_bytes() for each in files}
+
+
+@pytest.mark.seam
+def test_it_shows_itself_without_hardware_and_without_ros(tmp_path: Path, wheel: Path) -> None:
+    installed = Installed(tmp_path, wheel)
+    said = installed.run("try", "--no-open", "--seconds", "3")
+    assert "http://127.0.0.1:" in said
+    assert "3 sensors stream." in said
+    assert "Recording for 3 s" in said
+    kept = tmp_path / "biosensor-gateway-try"
+    assert len([*kept.glob("*.xdf")]) == 1
+    assert len([*kept.glob("*_csv/*.csv")]) > 10
+    # Nothing else stays.
+    assert [*installed.home.iterdir()] == []
+
+
+WORKFLOW = ROOT / ".github" / "workflows" / "unit.yml"
+
+
+def _installed() -> dict[str, Any]:
+    loaded = YAML(typ="safe", pure=True).load(WORKFLOW)  # pyright: ignore[reportUnknownMemberType]
+    return cast("dict[str, Any]", loaded)["jobs"]["installed"]
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
+def test_they_see_no_checkout_and_are_run_on_each_system() -> None:
+    job = _installed()
+    assert [each for each in job["steps"] if "checkout" in each.get("uses", "")] == []
+    systems = {each.partition("-")[0] for each in job["strategy"]["matrix"]["system"]}
+    assert systems == {"ubuntu", "windows", "macos"}
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
+def test_they_do_what_they_are_to_do(tmp_path: Path, wheel: Path) -> None:
+    installed = Installed(tmp_path, wheel)
+    (step,) = (each for each in _installed()["steps"] if "xdf export" in each.get("run", ""))
+    variables = users(installed.home)
+    programs = tmp_path / "env" / "bin"
+    done = subprocess.run(
+        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
+        cwd=tmp_path,
+        env={**variables, "PATH": f"{programs}:{variables['PATH']}"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {each.name for each in tmp_path.glob("study_*")} >= {"study_bids", "study_csv"}
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+REPOSITORY = "https://example.org/lab/gateway"
+TARGETS = re.compile(r"\]\(([^)\s]+)\)")
+
+
+@pytest.mark.parametrize("repository", ["", REPOSITORY])
+def test_no_link_needs_the_repository(repository: str) -> None:
+    shown = page(README, repository, "1.2.3")
+    targets = TARGETS.findall(shown)
+    assert targets
+    assert [each for each in targets if not each.startswith("https://")] == []
+
+
+def test_links_lead_to_the_release_and_pictures_are_pictures() -> None:
+    shown = page(README, REPOSITORY, "1.2.3")
+    assert f"({REPOSITORY}/blob/v1.2.3/docs/try-it.md)" in shown
+    assert f"({REPOSITORY}/blob/v1.2.3/README.md#limits)" in shown
+    assert f"({REPOSITORY}/raw/v1.2.3/docs/pictures/page.png)" in shown
+    assert f"({REPOSITORY}/raw/v1.2.3/docs/pictures/demo.svg?sanitize=true)" in shown
+    assert f"git clone {REPOSITORY} biosensor-gateway" in shown
+    for place in TARGETS.findall(shown):
+        path = place.removeprefix(REPOSITORY).partition("v1.2.3/")[2]
+        assert (ROOT / re.split(r"[#?]", path)[0]).exists(), place
+
+
+def test_without_an_address_the_words_stay() -> None:
+    text = "![A\npicture](a.png) and [two\nwords](docs/a.md#b), [LSL](https://example.org)\n"
+    assert page(text, "", "1") == " and two\nwords, [LSL](https://example.org)\n"

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.rigs.hosts.completeness import Span
-from tests.rigs.hosts.recordings import Recording
+from tests.rigs.hosts.completeness import Recording, Span
 
 # How far two receivers' times of arrival may be apart while all is calm.
 NEAR_S = 2.0

@@ -20,10 +20,9 @@ from typing import NamedTuple
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.registry import declaration
-from tests.rigs.hosts import recordings
-from tests.rigs.hosts.completeness import Span
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import Recording, Span
 from tests.rigs.hosts.programs import Program, SteeredProgram
-from tests.rigs.hosts.recordings import Recording
 from tests.rigs.hosts.sites import (
     DEADLINE_S,
     DESK,
@@ -259,7 +258,7 @@ class Happening:
         self._watchers[robot].ask("save", path=str(path))
         diagnostics = json.loads(path.with_suffix(".json").read_text())
         return Robot(
-            recordings.load(path), [(came, facts) for came, facts in diagnostics],
+            completeness.load(path), [(came, facts) for came, facts in diagnostics],
             self._found_s[robot],
         )  # fmt: skip
 

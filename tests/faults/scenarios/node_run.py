@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 from biosensor_gateway.devices.registry import declaration
 from tests.faults.scenarios.one_computer import PLACES, OneComputer, ThisMachine, resident_mb
-from tests.rigs.hosts import recordings
-from tests.rigs.hosts.completeness import MARGIN_S, Span
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import MARGIN_S, Recording, Span
 from tests.rigs.hosts.pair import Observation, Pair
 from tests.rigs.hosts.programs import Program, SteeredProgram
-from tests.rigs.hosts.recordings import Recording
 
 SENSORS = ("zephyr", "empatica_e4")
 ECG, ECG_SOURCE = "/biosensors/zephyr/ecg", "zephyr-virtual-ecg"
@@ -152,7 +151,7 @@ def _slow_down(subscriber: SteeredProgram) -> Span:
 
 def _save(subscriber: SteeredProgram, path: Path) -> Recording:
     subscriber.ask("save", path=str(path))
-    return recordings.load(path)[ECG]
+    return completeness.load(path)[ECG]
 
 
 def _kill_and_restart(pid: int, agent_pid: int, folder: Path) -> Restart:

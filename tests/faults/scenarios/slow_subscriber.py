@@ -20,8 +20,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float32
 
-from tests.rigs.hosts import recordings
-from tests.rigs.hosts.dialogue import Dialogue
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.programs import Dialogue
 from tests.rigs.hosts.subscriber import DEPTH, Topic
 
 LOOK_S = 0.05
@@ -48,7 +48,7 @@ class SlowSubscriber:
             case "state":
                 return {"received": {self._name: len(self._topic.messages)}}
             case "save":
-                recordings.save(Path(command["path"]), {self._name: self._topic.recording()})
+                completeness.save(Path(command["path"]), {self._name: self._topic.recording()})
                 return None
             case other:
                 raise ValueError(f"what is {other!r}?")

@@ -32,7 +32,7 @@ from tests.faults.recorder import Recorded, Recorder
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.stage import wait_until
 from tests.rigs.lab_client import Samples
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = [pytest.mark.alone, pytest.mark.timeout(180)]

@@ -19,9 +19,9 @@ from tests.faults.recorder import Recorded, Recorder
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.one_computer import ThisMachine
 from tests.rigs.compiler import compile_c
-from tests.rigs.hosts import recordings
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import Recording
 from tests.rigs.hosts.programs import Program, SteeredProgram
-from tests.rigs.hosts.recordings import Recording
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -133,7 +133,7 @@ def _step(clock: SteppedClock, offset_ns: int) -> Phase:
 def _stamped(subscriber: SteeredProgram, folder: Path) -> Recording:
     path = folder / "topics.npz"
     subscriber.ask("save", path=str(path))
-    return recordings.load(path)[STAMPED]
+    return completeness.load(path)[STAMPED]
 
 
 @pytest.mark.parametrize("phase", [1, 2], ids=["forward", "back"])

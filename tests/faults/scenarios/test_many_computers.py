@@ -20,9 +20,8 @@ from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.holes import Hole, hole
 from tests.faults.scenarios.length import is_long
 from tests.faults.scenarios.many_computers import CUT_OFF, KILLED, RECORDER, Outcome, Stream, run
-from tests.rigs.hosts.completeness import Span
+from tests.rigs.hosts.completeness import Recording, Span
 from tests.rigs.hosts.link import Delays
-from tests.rigs.hosts.recordings import Recording
 from tests.rigs.hosts.sites import CLOCK_OFFSETS_S, DESK, PCS, ROBOTS, Setting, unix_s
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]

@@ -26,9 +26,8 @@ from tests.faults.scenarios.node_run import (
     pair_on_this_machine,
     times,
 )
-from tests.rigs.hosts.completeness import Span, delays, fault
+from tests.rigs.hosts.completeness import Recording, Span, delays, fault
 from tests.rigs.hosts.programs import ProgramError
-from tests.rigs.hosts.recordings import Recording
 
 pytestmark = [pytest.mark.alone, pytest.mark.timeout(240)]
 

@@ -21,7 +21,7 @@ from tests.faults.scenarios.stage import is_streaming, lab_of, wait_until, write
 from tests.faults.scenarios.xdf import load
 from tests.rigs.lab_client import Samples
 from tests.rigs.lab_recorder import LabRecorder
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 from tests.system.lab_recorder import recording
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(240)]

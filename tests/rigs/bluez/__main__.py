@@ -28,8 +28,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.demo.virtual_devices import make
 from biosensor_gateway.simulation.faults import parse_fault
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from tests.rigs.bluez.adapter import FakeBluez
-from tests.rigs.bluez.scene import BluezScene
+from tests.rigs.bluez.adapter import BluezScene, FakeBluez
 from tests.rigs.probe import Probe
 
 _PROBE = "probe"

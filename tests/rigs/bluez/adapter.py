@@ -5,17 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import ExitStack
+from functools import cached_property
 from typing import Any, Protocol, Self, cast
 
 from dbus_fast.aio import MessageBus
 from dbus_fast.message import Message
 from dbus_fast.signature import Variant
 
+from biosensor_gateway.demo.virtual_devices import Scene
 from biosensor_gateway.simulation.central import Central, Heard
 from biosensor_gateway.simulation.radio import Radio
 from tests.rigs.bluez.device import FakeDevice
-from tests.rigs.bluez.errors import BluezError, failed, not_ready
-from tests.rigs.bluez.objects import ObjectTree, Properties, Reply
+from tests.rigs.bluez.objects import BluezError, ObjectTree, Properties, Reply, failed, not_ready
 from tests.rigs.bluez.private_bus import PrivateBus
 
 # The adapter and the service itself: org.bluez.Adapter1.
@@ -268,3 +269,19 @@ async def watch_clients(
             body=[rule],
         )
     )
+
+
+class BluezScene(Scene):
+    """A scene whose air is heard by a fake BlueZ, which there is from the first use on."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        super().__init__(stack)
+        self._bluez_stack = stack
+        self.bluez: FakeBluez | None = None
+
+    @cached_property
+    def radio(self) -> Radio:
+        """The air."""
+        radio = Radio(self.world)
+        self.bluez = self._bluez_stack.enter_context(FakeBluez(radio))
+        return radio

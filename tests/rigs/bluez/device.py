@@ -18,8 +18,12 @@ from dbus_fast.signature import Variant
 from biosensor_common.errors import GatewayError, TransportError
 from biosensor_gateway.simulation.central import GattLink, Heard
 from biosensor_gateway.simulation.radio import Advertised, uuid_string
-from tests.rigs.bluez.errors import (
+from tests.rigs.bluez.objects import (
     BluezError,
+    Method,
+    ObjectTree,
+    Properties,
+    Reply,
     att_error,
     failed,
     in_progress,
@@ -28,7 +32,6 @@ from tests.rigs.bluez.errors import (
     not_supported,
     request_lost,
 )
-from tests.rigs.bluez.objects import Method, ObjectTree, Properties, Reply
 
 if TYPE_CHECKING:
     from tests.rigs.bluez.adapter import FakeBluez

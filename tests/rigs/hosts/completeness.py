@@ -7,14 +7,14 @@ they repeat themselves, as a battery's, the times of arrival tell.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tests.rigs.hosts.recordings import Recording
 
 # How far two receivers' times of arrival may be apart on a busy machine.
 MARGIN_S = 2.0
@@ -186,3 +186,103 @@ def _rivals(whole: Codes, part: Codes, starts: Sequence[int], here: slice) -> se
         if begin >= 0 and np.array_equal(whole[begin:end], part[here]):
             fitting.add(start)
     return fitting
+
+
+_FIELDS = ("arrivals", "stamps", "rows")
+
+
+class Recording(NamedTuple):
+    """Samples of one stream or topic in the order in which they came.
+
+    Attributes
+    ----------
+    arrivals : ndarray of float64, shape (n,)
+        Unix time at which each came, in seconds; all computers here share this clock.
+    stamps : ndarray, shape (n,)
+        Of a topic: header stamps in ns of Unix time, int64, 0 without a header. Of a
+        stream: stamps on the sender's LSL clock in seconds, float64.
+    rows : ndarray, shape (n, channels)
+        Values, as float32 or text.
+    """
+
+    arrivals: NDArray[np.float64]
+    stamps: NDArray[Any]
+    rows: NDArray[Any]
+
+    def between(self, start_s: float, end_s: float) -> Recording:
+        """Return the samples that came from a time on and before another."""
+        chosen = (self.arrivals >= start_s) & (self.arrivals < end_s)
+        return Recording(self.arrivals[chosen], self.stamps[chosen], self.rows[chosen])
+
+
+def save(path: Path, recordings: Mapping[str, Recording]) -> None:
+    """Write recordings by name."""
+    arrays = {
+        f"{name}|{field}": array
+        for name, recording in recordings.items()
+        for field, array in zip(_FIELDS, recording, strict=True)
+    }
+    np.savez(path, allow_pickle=False, **arrays)
+
+
+def load(path: Path) -> dict[str, Recording]:
+    """Read what `save` wrote."""
+    with np.load(path) as arrays:
+        names = dict.fromkeys(key.rpartition("|")[0] for key in arrays.files)
+        return {
+            name: Recording(*(arrays[f"{name}|{field}"] for field in _FIELDS)) for name in names
+        }
+
+
+_COUNTERS = ("pushed", "lost", "last_stamp")
+
+
+def canonical(counters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Write counters by source_id such that equal ones are equal texts.
+
+    What else an entry may have, as the state of a device's clock, is left out.
+    """
+    floats = {
+        source: {key: float(entry[key]) for key in _COUNTERS} for source, entry in counters.items()
+    }
+    return json.dumps(floats, sort_keys=True)
+
+
+def lost_by_devices(reports: Recording, until_s: float) -> dict[str, float]:
+    """Count what the agent says was lost before it came to LSL since it began, by source_id."""
+    _, last = _first_and_last(reports, Span(0.0, until_s))
+    return {source: entry["lost"] for source, entry in last.items()}
+
+
+def _first_and_last(
+    reports: Recording, span: Span
+) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
+    texts = reports.between(*span).rows[:, 0]
+    return json.loads(str(texts[0])), json.loads(str(texts[-1]))
+
+
+def differences(reports: Recording, streams: Mapping[str, Recording], span: Span) -> dict[str, str]:
+    """Compare what the agent says it pushed with what a receiver of its streams got.
+
+    Parameters
+    ----------
+    reports
+        The agent's counters.
+    span
+        Its first and last report in this time are compared.
+
+    Returns
+    -------
+    dict of str
+        What differs, by source_id; also what the agent says it has lost itself.
+    """
+    first, last = _first_and_last(reports, span)
+    found: dict[str, str] = {}
+    for source, end in last.items():
+        begin, stamps = first[source], streams[source].stamps
+        newer = stamps > begin["last_stamp"]
+        received = int(np.count_nonzero(newer & (stamps <= end["last_stamp"])))
+        pushed, lost = (end[key] - begin[key] for key in ("pushed", "lost"))
+        if received != pushed or lost:
+            found[source] = f"{pushed:.0f} pushed, {received} received, {lost:.0f} lost before"
+    return found

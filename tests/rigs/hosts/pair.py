@@ -18,11 +18,10 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.statistics.losses import GAP_PERIODS
-from tests.rigs.hosts import recordings
-from tests.rigs.hosts.completeness import MARGIN_S, Span, fault, is_current
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import MARGIN_S, Recording, Span, fault, is_current
 from tests.rigs.hosts.lan import Host, Lan
 from tests.rigs.hosts.programs import Program, SteeredProgram
-from tests.rigs.hosts.recordings import Recording
 
 SENSORS = one_of_each()
 # Of the slowest stream, at 4 Hz, one fills in four seconds.
@@ -250,8 +249,8 @@ class Pair:
         self._subscriber.ask("save", path=str(topics))
         diagnostics = json.loads(topics.with_suffix(".json").read_text())
         return Observation(
-            recordings.load(streams),
-            recordings.load(topics),
+            completeness.load(streams),
+            completeness.load(topics),
             [(came, facts) for came, facts in diagnostics],
         )
 

@@ -19,10 +19,9 @@ import numpy as np
 import pylsl
 
 from biosensor_common.quantities import ContentType
-from tests.rigs.hosts import recordings
-from tests.rigs.hosts.counters import canonical
-from tests.rigs.hosts.dialogue import Dialogue
-from tests.rigs.hosts.recordings import Recording
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import Recording, canonical
+from tests.rigs.hosts.programs import Dialogue
 
 PERIOD_S = 0.01
 LOOK_S = 0.25
@@ -95,7 +94,7 @@ class Receiver:
                 return {s: len(each) for s, each in self._streams.items() if each.is_open}
             case "save":
                 received = {source: each.recording() for source, each in self._streams.items()}
-                recordings.save(Path(command["path"]), received)
+                completeness.save(Path(command["path"]), received)
                 return None
             case other:
                 raise ValueError(f"what is {other!r}?")

@@ -19,7 +19,7 @@ from collections import deque
 from contextlib import suppress
 from typing import NamedTuple
 
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 _LARGEST_PACKET = 65_536

@@ -19,7 +19,7 @@ from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
-from tests.rigs.hosts.dialogue import Dialogue
+from tests.rigs.hosts.programs import Dialogue
 
 SENSOR, DATA = "empatica_e4", "st"
 RATE_HZ = 4.0

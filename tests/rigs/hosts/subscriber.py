@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from tests.rigs.hosts import recordings
-from tests.rigs.hosts.counters import canonical
-from tests.rigs.hosts.dialogue import Dialogue
-from tests.rigs.hosts.recordings import Recording
+from tests.rigs.hosts import completeness
+from tests.rigs.hosts.completeness import Recording, canonical
+from tests.rigs.hosts.programs import Dialogue
 
 # Neither is in the part of rclpy that this project's stubs describe. The usual executor
 # would take most of a core for as many topics.
@@ -121,7 +120,7 @@ class Subscriber:
                 }
             case "save":
                 path = Path(command["path"])
-                recordings.save(path, {n: t.recording() for n, t in self._topics.items()})
+                completeness.save(path, {n: t.recording() for n, t in self._topics.items()})
                 path.with_suffix(".json").write_text(json.dumps(self._diagnostics))
                 return None
             case other:

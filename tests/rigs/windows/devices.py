@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from typing import Any
 
-from tests.rigs.hosts.dialogue import Dialogue
+from tests.rigs.hosts.programs import Dialogue
 from tests.rigs.lab import Lab
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 from tests.rigs.windows.clocks import read_clocks
 
 PERIOD_S = 0.02

@@ -23,13 +23,12 @@ from biosensor_gateway.system.logs import LOG_FILE_NAME
 from installer.wine.prefix import windows_path
 from tests.faults.matching import UnknownSampleError, match
 from tests.faults.recorder import Recorded
-from tests.rigs.hosts.completeness import MARGIN_S, Span
-from tests.rigs.hosts.counters import canonical
+from tests.rigs.hosts.completeness import MARGIN_S, Span, canonical
 from tests.rigs.hosts.lan import Host, Lan
 from tests.rigs.hosts.pair import VIRTUAL_UNIT, Observation, Pair, Place, Places
 from tests.rigs.hosts.programs import SteeredProgram
 from tests.rigs.lab_client import Samples
-from tests.rigs.priority import before_others
+from tests.rigs.processes import before_others
 from tests.rigs.windows.clocks import Clocks
 from tests.rigs.windows.pc import WindowsPc
 from tests.rigs.windows.program import RunningProgram

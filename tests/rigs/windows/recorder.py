@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from tests.rigs.hosts.dialogue import Dialogue
+from tests.rigs.hosts.programs import Dialogue
 from tests.rigs.windows.clocks import read_clocks
 from tests.system import lab_recorder
 
