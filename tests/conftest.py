@@ -10,6 +10,7 @@ import tempfile
 import uuid
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -17,6 +18,9 @@ from hypothesis import HealthCheck, settings
 from tests.rigs.processes import let_programs_be_interrupted
 from tests.slots import lsl_ports, take_slot
 from tests.tiers.tier import Tier, tier_of
+
+if TYPE_CHECKING:
+    from biosensor_gateway.simulation.world import World
 
 pytest_plugins = ["tests.rigs.not_here", "tests.tiers.plugin", "tests.time_spent.plugin"]
 
@@ -92,6 +96,15 @@ def _links_of_unit_tests_are_in_memory(  # pyright: ignore[reportUnusedFunction]
         patch.setenv("DBUS_SYSTEM_BUS_ADDRESS", "none")
         patch.setenv("DBUS_SESSION_BUS_ADDRESS", "none")
         yield
+
+
+@pytest.fixture
+def world() -> Generator[World]:
+    """Where virtual devices live."""
+    from biosensor_gateway.simulation.world import World  # noqa: PLC0415 - LSL comes later
+
+    with World() as living:
+        yield living
 
 
 @pytest.fixture(scope="module", autouse=True)

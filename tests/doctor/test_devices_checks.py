@@ -38,12 +38,6 @@ Configured = Callable[[str], Context]
 CORTEX = '[[device]]\nsensor = "emotiv_insight"\nunit = "1"\nurl = "{}"\nca_file = "{}"\n'
 
 
-@pytest.fixture
-def world() -> Generator[World]:
-    with World() as living:
-        yield living
-
-
 @pytest.fixture(autouse=True)
 def no_secrets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for variable in ("EMOTIV_CLIENT_ID", "EMOTIV_CLIENT_SECRET"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import random
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,12 +33,6 @@ if TYPE_CHECKING:
 Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 Kept = Callable[..., contextlib.AbstractAsyncContextManager["InsightRun"]]
 QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
-
-
-@pytest.fixture
-def world() -> Iterator[World]:
-    with World() as living:
-        yield living
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,12 +27,6 @@ APP = (SteeredCortex.client_id, SteeredCortex.client_secret)
 CREDENTIALS = dict(zip(("clientId", "clientSecret"), APP, strict=True))
 _VECTORS = json.loads((Path(__file__).parent / "vectors/emotiv_cortex.json").read_text("utf-8"))
 VECTORS = {vector["name"]: vector for vector in _VECTORS["vectors"]}
-
-
-@pytest.fixture
-def world() -> Iterator[World]:
-    with World() as world:
-        yield world
 
 
 def shape(value: Any) -> Any:

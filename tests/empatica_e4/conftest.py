@@ -6,7 +6,7 @@ import asyncio
 import json
 import socket
 import time
-from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -19,7 +19,6 @@ from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.devices.empatica_e4 import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming import silence as silence_module
 from tests.rigs.driver_run import NotedSink, Run, supervised
 
@@ -73,12 +72,6 @@ class LineClient:
         assert self.ask(f"device_connect {device_id}") == "R device_connect OK\n"
         for stream in streams.split():
             assert self.ask(f"device_subscribe {stream} ON") == f"R device_subscribe {stream} OK\n"
-
-
-@pytest.fixture
-def world() -> Iterator[World]:
-    with World() as world:
-        yield world
 
 
 @pytest.fixture

@@ -204,12 +204,6 @@ def run(
 
 
 @pytest.fixture
-def world() -> Generator[World]:
-    with World() as living:
-        yield living
-
-
-@pytest.fixture
 def radio(world: World) -> Generator[Radio]:
     """The air that this process's Bluetooth hears."""
     air = Radio(world)

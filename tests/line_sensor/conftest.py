@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from typing import Any
 
-import pytest
-
 from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
-from biosensor_gateway.simulation.world import World
 
 
 def line_settings(**fields: Any) -> LineSettings:
@@ -16,9 +12,3 @@ def line_settings(**fields: Any) -> LineSettings:
     way = {} if fields.keys() & {"port", "url"} else {"udp_port": 5005}
     named = {"sensor": "line_sensor", "unit": "1", "columns": ["x", "y"], **way}
     return LineSettings.model_validate(named | fields)
-
-
-@pytest.fixture
-def world() -> Generator[World]:
-    with World() as world:
-        yield world

@@ -93,8 +93,6 @@ async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
     assert_only_gaps(h10, run.sink)
 
 
-
-
 # What the driver asks of a Polar sensor, what it makes of the answers, and pairing.
 @contextmanager
 def noted_writes(monkeypatch: pytest.MonkeyPatch) -> Generator[list[str]]:

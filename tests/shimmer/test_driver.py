@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +39,6 @@ from tests.rigs.truth import assert_once_and_in_order
 MOTION = {"acc_low_noise", "acc_wide_range", "gyro", "mag"}
 AIR = {"pressure", "temp"}
 SAMPLES = 40
-
-
-@pytest.fixture
-def world() -> Generator[World]:
-    with World() as made:
-        yield made
 
 
 @pytest.fixture(autouse=True)

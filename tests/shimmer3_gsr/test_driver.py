@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from itertools import pairwise
 from typing import Any
@@ -83,12 +83,6 @@ class ShimmerRun(Run):
 def rows_of(*columns: Floats) -> Floats:
     count = min(len(column) for column in columns)
     return np.stack([column[:count] for column in columns], axis=1)
-
-
-@pytest.fixture
-def world() -> Generator[World]:
-    with World() as made:
-        yield made
 
 
 @pytest.fixture(autouse=True)
