@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import UNWRITTEN_REPORTS, StatusWriter, snapshot
@@ -29,6 +29,7 @@ from biosensor_gateway.settings.places import cloud_of, recordings_folder, warni
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 from biosensor_gateway.system.new_file import new_file, new_place
+from tests.rigs.open_elsewhere import SENTENCE, hold_open
 
 # A file is there whole or not at all, and never in the place of another.
 
@@ -52,6 +53,23 @@ def test_it_has_its_name_when_it_is_whole(like: Path, tmp_path: Path) -> None:
         assert not path.exists()
     assert path.read_bytes() == b"first\n"
     assert names(tmp_path) == {"like", "new"}
+
+
+@pytest.mark.parametrize("make", [new_file, new_place])
+def test_a_name_that_windows_does_not_give_leaves_nothing(
+    make: Callable[[Path, Path], Any], like: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write() -> None:
+        with make(tmp_path / "new", like) as made:
+            made.write_bytes(b"first") if isinstance(made, Path) else made.write(b"first")
+            # A search for viruses looks at what was made.
+            hold_open(monkeypatch, *tmp_path.glob("new.*.part"), *tmp_path.glob("new.*.part/new"))
+
+    with pytest.raises(PermissionError) as caught:
+        write()
+    assert SENTENCE in cannot_write("new", caught.value)
+    monkeypatch.undo()
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_place_that_is_taken_is_refused_before_anything_is_made(

@@ -52,6 +52,7 @@ from tests.recording_export.bids_shapes import (
     times,
 )
 from tests.recording_export.conftest import Exporting
+from tests.rigs.open_elsewhere import SENTENCE, hold_open
 from tests.xdf import xdf_file as made
 
 # A BIDS dataset has every sample of a recording, bit for bit and at its time.
@@ -636,6 +637,21 @@ def test_thirty_recordings_become_one_dataset(tmp_path: Path, root: Path) -> Non
         "dataset_description.json"
     ]
     assert [each.name for each in tmp_path.iterdir() if each.suffix == ".part"] == []
+
+
+def test_nothing_is_added_while_a_spreadsheet_has_the_participants_open(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _add(root, _recording(tmp_path, "P01"))
+    before = _files(root)
+    hold_open(monkeypatch, root / "participants.tsv")
+    with pytest.raises(RecordingError, match=SENTENCE) as caught:
+        _add(root, _recording(tmp_path, "P02"))
+    assert str(caught.value).startswith(f"cannot write {root / 'participants.tsv'}: ")
+    monkeypatch.undo()
+    assert _files(root) == before
+    assert _add(root, _recording(tmp_path, "P02")) is not None
+    assert list(_people(root)) == ["sub-P01", "sub-P02"]
 
 
 def test_what_was_added_is_not_added_again(tmp_path: Path, root: Path) -> None:

@@ -31,6 +31,7 @@ from biosensor_gateway.recording.withdrawal.work import (
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import judge
 from tests.recording_export.study import BEGIN_S, ecg_values, ours
+from tests.rigs.open_elsewhere import SENTENCE, hold_open
 from tests.xdf import xdf_file as made
 
 GONE, STAYS = "P07", "P08"
@@ -190,6 +191,27 @@ def test_a_recording_of_another_name_than_its_sensors_is_left_to_a_person(tmp_pa
     assert [(each.path, each.action) for each in found.steps] == [(path, Action.LOOK)]
     assert not carry_out(found).is_clean
     assert path.read_bytes() == _alone(STAYS, 5)
+
+
+@pytest.mark.parametrize("name", ["together.xdf", "notes.txt", "together_bag", "packed.xdf.gz"])
+def test_what_another_program_has_open_stays_as_it_is_and_is_told(
+    study: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = study / name
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    before = {each: each.read_bytes() for each in files}
+    found = plan(GONE, [path])
+    hold_open(monkeypatch, files[0])
+    report = carry_out(found)
+    monkeypatch.undo()
+    (undone,) = (each for each in report.done if each.error)
+    assert undone.error.startswith(f"cannot write {path}: ")
+    assert undone.error.endswith(SENTENCE)
+    assert not report.is_clean
+    assert {each: each.read_bytes() for each in files} == before
+    assert not [each for each in study.iterdir() if each.name.startswith(".")]
+    # Once it is closed, the rest is done.
+    assert _withdrawn(path)[1].is_clean
 
 
 def test_names_that_only_hold_it_are_others() -> None:

@@ -44,11 +44,20 @@ def new_file(path: Path, like: Path) -> Generator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        # A rename would replace a file that was created meanwhile; creating the target fails then.
-        os.close(_create(path, mode))
-        temporary.replace(path)
+        _take_name(temporary, path, mode)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _take_name(made: Path, path: Path, mode: int) -> None:
+    # A rename would replace a file that was created meanwhile; creating the target fails then.
+    os.close(_create(path, mode))
+    try:
+        made.replace(path)
+    except OSError:
+        # On Windows, another program may have one of both open.
+        path.unlink(missing_ok=True)
+        raise
 
 
 def _create(path: Path, mode: int) -> int:
@@ -121,7 +130,7 @@ def new_place(path: Path, like: Path) -> Generator[Path]:
             # Fails if something but an empty folder was created there meanwhile.
             made.rename(path)
         else:
-            _move_file(made, path)
+            _take_name(made, path, _OWNER_MODE)
     finally:
         shutil.rmtree(workshop, ignore_errors=True)
 
@@ -146,9 +155,3 @@ def _umask() -> int:
     mask = os.umask(0o077)
     os.umask(mask)
     return mask
-
-
-def _move_file(made: Path, path: Path) -> None:
-    # A rename would replace a file that was created meanwhile; creating the target fails then.
-    path.touch(_OWNER_MODE, exist_ok=False)
-    made.replace(path)

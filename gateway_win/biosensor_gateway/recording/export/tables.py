@@ -135,7 +135,8 @@ def quoted(rows: Iterable[Sequence[str | float]]) -> bytes:
     """Return CSV lines in which texts are quoted and numbers are not."""
     text = io.StringIO(newline="")
     csv.writer(text, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
+    # pandas and R end a text at a NUL.
+    return text.getvalue().replace("\0", " ").encode()
 
 
 # Any decimal of 6 digits survives conversion to float32; 9 digits distinguish all float32.

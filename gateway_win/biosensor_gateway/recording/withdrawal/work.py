@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum, unique
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -288,7 +289,9 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
             yield Done(path, step.action, "", digest(path))
 
 
-_NOT_WRITTEN = frozenset({errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EACCES, errno.EPERM})
+_NOT_WRITTEN = frozenset(
+    {errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EBUSY}
+)
 
 
 def _why(step: Step, error: Exception) -> str:
@@ -310,14 +313,30 @@ def _rewrite(path: Path, person: Person) -> None:
         write = write_edf_without
     new = path.with_name(f".{path.name}.without")
     if path.is_dir():
-        shutil.rmtree(new, ignore_errors=True)
-        write(path, new, person)
-        shutil.rmtree(path)
-        new.rename(path)
+        _rewrite_folder(path, new, partial(write, path, new, person))
         return
     new.unlink(missing_ok=True)
-    write(path, new, person)
-    new.replace(path)
+    try:
+        write(path, new, person)
+        new.replace(path)
+    finally:
+        # Another program may have the original open, so that it stays.
+        new.unlink(missing_ok=True)
+
+
+def _rewrite_folder(path: Path, new: Path, write: Callable[[], None]) -> None:
+    shutil.rmtree(new, ignore_errors=True)
+    old = path.with_name(f".{path.name}.old")
+    try:
+        write()
+        # On Windows, a folder in which a file is open is not renamed, but deleted in part.
+        path.rename(old)
+        new.rename(path)
+        shutil.rmtree(old)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+        if old.exists() and not path.exists():
+            old.rename(path)
 
 
 def digest(path: Path) -> str:

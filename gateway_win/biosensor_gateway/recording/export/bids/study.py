@@ -86,7 +86,8 @@ class Study:
             if outcome.is_whole:
                 self._note(recording.name, digest)
         except OSError as error:
-            message = cannot_write(self._root, error)
+            # A file that another program has open is named, such as a table in a spreadsheet.
+            message = cannot_write(error.filename2 or self._root, error)
             raise RecordingError(RecordingReason.UNWRITABLE, message) from error
         told = "1 file was added" if count == 1 else f"{count} files were added"
         written = tuple(
@@ -152,12 +153,13 @@ class Study:
         self._root.mkdir(parents=True, exist_ok=True)
         if not is_dataset(self._root):
             self._describe()
+        # First, because the table of participants is what people have open.
+        self._add_people(_read_table(made / _PARTICIPANTS), made)
         files = list(_data_of(made))
         for file in files:
             place = self._root / file.relative_to(made)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
-        self._add_people(_read_table(made / _PARTICIPANTS), made)
         return len(files)
 
     def _describe(self) -> None:
@@ -274,5 +276,8 @@ def _read_table(path: Path) -> Table:
 def _replace(path: Path, text: str) -> None:
     new = path.with_name(f".{path.name}.new")
     new.unlink(missing_ok=True)
-    write_text(new, text)
-    new.replace(path)
+    try:
+        write_text(new, text)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
