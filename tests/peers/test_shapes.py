@@ -20,7 +20,8 @@ from biosensor_gateway.recording.xdf.container import RecordingError
 from tests.peers.test_peers import ENVIRONMENT, PEERS
 from tests.recording_export import odd_shapes
 
-pytestmark = pytest.mark.nightly
+# All are read by one process, and the first test waits for it.
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1200)]
 
 FORMATS = ("csv", "csv-long.gz", "edf", "kubios", "ledalab", "bids", "mcap")
 DEADLINE_S = 900.0

@@ -89,7 +89,7 @@ class EvenStamps:
         stamps = np.concatenate([self._history, *(each for each, _ in self._new)])
         finite = stamps[np.isfinite(stamps)]
         if len(finite) < FEWEST or float(np.ptp(finite)) < self._early_s[-1]:
-            return
+            return  # nothing is dropped: it only looks at the rate
         self._early_s.pop()
         rate_hz = 1 / find_pace(stamps, self._rate).period_s
         if is_far_off(rate_hz, self._rate):
