@@ -1,15 +1,17 @@
 """Finds places that may drop data and report no refusal.
 
 The rule, for each function of a data room: an empty ``return``, a ``continue``, an ``except``, a
-``suppress`` and a line for the log stand in a block that calls ``refuse`` (or ``hold``) before, or
-have a comment that begins with ``nothing is dropped:`` and says why, in the line or in the one
-above. A bounded ``deque`` has such a comment, too. What answers a question, a function that returns
-``bool`` or ``str`` and a property, may return what it likes.
+``suppress``, a line for the log and a comprehension that leaves data out stand in a block with a
+``refuse`` (or ``hold``) before, or have a comment that begins with ``nothing is dropped:`` and says
+why, in the line or in the one above. A bounded ``deque`` has such a comment, too. What answers a
+question, a function that returns ``bool``, ``str`` or a number and a property, may return what it
+likes; one that may return None instead of a number may not, for it may drop what it was to place.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -22,7 +24,12 @@ _LOGS = frozenset(
     {"debug", "info", "inform", "warn", "warning", "error", "exception", "critical", "print"}
     | {"_warn", "_say", "say", "_inform"}
 )
-_ANSWERS = frozenset({"bool", "str", "int", "float", "bool | None", "int | None", "float | None"})
+_ANSWERS = frozenset({"bool", "str", "int", "float", "bool | None"})
+_OF_DATA = re.compile(
+    r"(?<![a-z])(samples?|rows?|values?(?!\(\))|beats?|forces|events?|stamps?|times|packets?|messages?|blocks?"
+    r"|frames?|chunks?|markers?|rates|came|together|pairs|timed|intervals)(?![a-z])"
+)
+"""What a filter goes through that may drop data."""
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -73,6 +80,7 @@ def _in_block(
         is_excused = statement.lineno in excused
         if not (reported or is_excused):
             yield from _of(statement)
+            yield from _filters(statement, excused)
         for block in _blocks(statement):
             inside = [each for each in block if not isinstance(each, _Function | ast.ClassDef)]
             yield from _in_block(inside, excused, reports, is_reported=False)
@@ -97,6 +105,20 @@ def _of(statement: ast.stmt) -> Iterator[Drop]:
         yield Drop(line, "log")
     if isinstance(statement, ast.Assign | ast.AnnAssign) and "maxlen=" in ast.unparse(statement):
         yield Drop(line, "deque")
+
+
+def _filters(statement: ast.stmt, excused: set[int]) -> Iterator[Drop]:
+    """Look at what a statement leaves out of data, but not at the blocks that stand inside."""
+    inside = {id(each) for block in _blocks(statement) for each in block}
+    inside |= {id(each) for each in getattr(statement, "handlers", [])}
+    parts = [each for each in ast.iter_child_nodes(statement) if id(each) not in inside]
+    for each in (found for part in parts for found in ast.walk(part)):
+        if (
+            isinstance(each, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp)
+            and any(one.ifs and _OF_DATA.search(ast.unparse(one.iter)) for one in each.generators)
+            and excused.isdisjoint(range(statement.lineno, (each.end_lineno or 0) + 1))
+        ):
+            yield Drop(each.lineno, "filter")
 
 
 def _is_empty(value: ast.expr | None) -> bool:

@@ -21,6 +21,7 @@ _KINDS = {
     "return": ("if drop_it:", "    return"),
     "continue": ("for _ in (1,):", "    continue"),
     "except": ("try:", "    take_it()", "except ValueError:", "    pass"),
+    "filter": ("samples = [each for each in samples if each]",),
     "log": ('self._log.warning("a sample is dropped")',),
 }
 

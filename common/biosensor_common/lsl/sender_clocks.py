@@ -80,9 +80,9 @@ class Measurement:
 
     def _ask(self) -> float | None:
         # Every error of pylsl is a RuntimeError; the usual one says that it takes longer.
-        with suppress(RuntimeError):
+        with suppress(RuntimeError):  # nothing is dropped: a measurement that fails is repeated
             return self._lsl.time_correction(0.0)
-        return None
+        return None  # nothing is dropped: the clock is not known yet
 
 
 class SenderClocks:

@@ -104,6 +104,7 @@ class MarkerCommands:
 
 def _as_json(marker: Marker) -> dict[str, Any]:
     timing = marker.timing
+    # nothing is dropped: `timing` is added below
     content = {name: each for name, each in asdict(marker).items() if name != "timing"}
     return content | ({} if timing is None else timing._asdict())
 
@@ -149,7 +150,7 @@ def _timing(arguments: Mapping[str, Any]) -> Timing:
 def _time(arguments: Mapping[str, Any], oldest_s: float, now: float) -> float | None:
     at = arguments.get("at")
     if at is None:
-        return None
+        return None  # nothing is dropped: without a time it is now
     if not _is_number(at) or not now - oldest_s <= at <= now + MAX_LEAD_S:
         message = (
             f"the argument 'at' is no LSL time from {oldest_s:g} s ago to {MAX_LEAD_S:g} s "

@@ -94,6 +94,7 @@ class Breathing:
         """
         intervals = [each.value for each in self._intervals]
         middle = median(intervals)
+        # nothing is dropped: its quality tells how many are left
         alike = [s for s in intervals if middle / at.BR_ALIKE <= s <= middle * at.BR_ALIKE]
         # With an even number, the median lies between two intervals, and none may be close to it.
         taken = alike or intervals

@@ -239,6 +239,7 @@ class _Written:
         self.clock_offsets = [each for part in parts for each in part.clock_offsets]
 
     def chunk(self, events: Sequence[Event]) -> bytes:
+        # nothing is dropped: each feature has its turn
         own = [each for each in events if each.feature == self._feature.name]
         if not own:
             return b""  # nothing is dropped: there is nothing

@@ -98,6 +98,7 @@ class _Flags:
         """Return the stamps of the flags that are set in between."""
         part = self._part(begin_s, end_s)
         pairs = zip(self._stamps[part], self._flags[part], strict=True)
+        # nothing is dropped: it answers when flags were set
         return [stamp for stamp, flag in pairs if flag]
 
     def _part(self, begin_s: float, end_s: float) -> slice:
@@ -254,7 +255,9 @@ class Beside:
             The latest stamp of the source.
         """
         there = [self._witnesses[each] for each in self._keys if each in self._witnesses]
+        # nothing is dropped: the others wait
         ready = [each for each in events if each.feature not in _PLACES]
+        # nothing is dropped: the others are ready
         self._waiting.extend(each for each in events if each.feature in _PLACES)
         while self._waiting:
             stamp = self._waiting[0].stamp

@@ -73,6 +73,7 @@ def limits(
     patience_s
         Least of the limits of regular streams.
     """
+    # nothing is dropped: these are rates
     regular = {
         name: max(patience_s, PATIENCE_SAMPLES / rate) for name, rate in rates.items() if rate > 0
     }
@@ -243,6 +244,7 @@ class StreamWatch:
             # What has stopped together is taken together, also where more patience is due.
             together = self._overdue(0.5)
             return self._enable(
+                # nothing is dropped: these are names
                 {name: each for name, each in together.items() if not each.is_enabled_again}
             )
         if self._may_reconnect(overdue):

@@ -329,6 +329,7 @@ class DeviceSink:
         if all(may_send) or rows.shape[:1] != (len(times),):
             return samples, times
         self._outlets[data_name].withhold(may_send.count(False))
+        # nothing is dropped: `withhold` has counted it
         return rows[may_send], [time for time, sent in zip(times, may_send, strict=True) if sent]
 
     def _tell_late(self, data_name: str, count: int, seconds: float) -> None:

@@ -202,6 +202,7 @@ class _Bounds:
         if self._stream.format.is_float:
             # A regular stream keeps its pace.
             is_kept = is_kept | self._stream.is_regular | ~np.isnan(left).all(axis=1)
+        # nothing is dropped: the answer counts them, and says why
         times = [time for time, kept in zip(checked.times, is_kept, strict=True) if kept]
         why = self._sentence(column, float(rows[row, column]))
         what = self._stream.channels[column].label

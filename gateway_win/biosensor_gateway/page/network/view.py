@@ -349,7 +349,7 @@ def _newest(
             value = float(values[roles.index(role)])
             if np.isfinite(value):
                 return value
-    return None
+    return None  # nothing is dropped: it looks at a copy
 
 
 def readable(text: str, most: int = MAX_NAME) -> str:

@@ -131,17 +131,17 @@ class GrowingFile:
     def _next(self, position: int) -> int | None:
         """Process the chunk at a buffer offset; return the next offset, None if incomplete."""
         if self._is_lost or position >= len(self._rest):
-            return None
+            return None  # nothing is dropped: it looks for the next chunk
         frame = _frame(self._rest, position)
         if frame is None:
-            return None
+            return None  # nothing is dropped: its head comes with the next read
         if not frame.is_known or frame.end - position > MOST_CHUNK_BYTES:
             return self._lose(position, "no chunk begins there")
         if frame.end > len(self._rest):
-            return None
+            return None  # nothing is dropped: the rest comes with the next read
         try:
             self._take(Tag(frame.tag), memoryview(self._rest)[frame.content_start : frame.end])
-        except ChunkError as error:
+        except ChunkError as error:  # nothing is dropped: `_lose` reports it
             return self._lose(position, f"a {Tag(frame.tag).title} chunk: {error}")
         return frame.end
 
@@ -336,7 +336,7 @@ class _StreamReader:
         """
         measured = decode_clock_offset(content)
         if measured is None:
-            return None
+            return None  # nothing is dropped: an offset without a time is none
         self.offsets += 1
         taken_at, self._offset = measured
         # This is the true time, whatever the timestamps of samples say.
@@ -711,5 +711,5 @@ def _clock_time(lsl_s: float, log: EventLog) -> str:
 def _free_bytes(file: Path) -> int | None:
     try:
         return shutil.disk_usage(file.parent).free
-    except OSError:
-        return None
+    except OSError:  # nothing is dropped: the size of a disk
+        return None  # nothing is dropped: the size of a disk

@@ -170,6 +170,7 @@ class ReceivedStream:
             waiting = max(1, inlet.samples_available())
             try:
                 pulled = inlet.pull_chunk(0.0, min(waiting, self._most))
+            # nothing is dropped: what the outlet took with it is counted below
             except util.LostError:
                 self.is_open, self._lost = False, (inlet, monotonic())
                 break
@@ -184,7 +185,7 @@ class ReceivedStream:
             self.last = float(stamps[-1])
             self.sample_count += len(stamps)
         if self._lost is None or monotonic() - self._lost[1] < LAST_ENTRY_S:
-            return None
+            return None  # nothing is dropped: it is not over yet
         (inlet, _), self._lost = self._lost, None
         return undelivered(inlet)
 

@@ -90,8 +90,8 @@ def size_of(path: Path) -> int | None:
         # Opened, because on Windows the folder entry of a file being written may be outdated.
         with path.open("rb") as file:
             return file.seek(0, 2)
-    except OSError:
-        return None
+    except OSError:  # nothing is dropped: the size of a file
+        return None  # nothing is dropped: the size of a file
 
 
 def sizes(target: Target) -> dict[Path, int]:

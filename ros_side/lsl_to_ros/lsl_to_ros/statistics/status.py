@@ -125,7 +125,7 @@ class Load:
             points.popleft()
         begun, used = points[0]
         if now - begun < SHARE_WINDOW_S:
-            return None
+            return None  # nothing is dropped: a share of the processor is unknown
         return (points[-1][1] - used) / (now - begun)
 
 

@@ -248,6 +248,7 @@ class SensorRows:
 
     def break_off(self) -> None:
         """Discard incomplete samples, for example at the end of a connection."""
+        # nothing is dropped: what is missing is counted by the numbers
         self._rows = {index: row for index, row in self._rows.items() if not self._waits(index)}
 
     def _waits(self, index: int) -> bool:
@@ -377,6 +378,7 @@ class EmotiBitEmitter:
     def take(self, packets: Iterable[Packet], arrival_s: float) -> None:
         """Emit the samples of packets that arrived together."""
         timed = [(each, self._time_s(each)) for each in packets]
+        # nothing is dropped: only the clock looks at these
         measured = [time_s for each, time_s in timed if each.tag in _PLACES]
         if measured and (self._observed_s is None or max(measured) > self._observed_s):
             self._observed_s = max(measured)

@@ -97,7 +97,7 @@ class SampleCount:
         """
         number = self._usable(counter)
         if self._is_known(number, time_s):
-            return None
+            return None  # nothing is dropped: the caller counts the copy
         lost = 0 if self._time_s is None else self._lost(number, time_s, arrival_s)
         elapsed_s = max(0.0, arrival_s - self._arrival_s)
         self._least_delay_s = min(self._least_delay_s + _DELAY_LEAK * elapsed_s, arrival_s - time_s)
@@ -112,7 +112,7 @@ class SampleCount:
         # With a fractional rate, or a counter beyond it, the modulus is unknown.
         if 0 <= counter < self._modulus == self.rate_hz and counter == int(counter):
             return int(counter)
-        return None
+        return None  # nothing is dropped: it has no number to place it by
 
     def _is_known(self, number: int | None, time_s: float) -> bool:
         if self._time_s is None or time_s > self._time_s:
@@ -237,7 +237,7 @@ class EmotivEmitter:
     def _lost_before(self, sample: Sample, arrival_s: float) -> int | None:
         count = self._counts.get(sample.stream)
         if count is None:
-            return 0
+            return 0  # nothing is dropped: an unnumbered stream cannot tell
         counter = sample.numbers.get(_COUNTERS.get(sample.stream, ""), math.nan)
         return count.lost_before(counter, sample.time_s, arrival_s)
 

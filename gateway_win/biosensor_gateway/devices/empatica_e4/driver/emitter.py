@@ -83,7 +83,7 @@ class LossEstimate:
         deficit_s = arrival_s - self._first_s - self._count * self._period_s
         self._least_s = min(self._least_s, deficit_s)
         if arrival_s < self._window_end_s:
-            return None
+            return None  # nothing is dropped: it estimates losses, and has no samples
         return self._close_window(arrival_s)
 
     def _close_window(self, arrival_s: float) -> float:
@@ -139,6 +139,7 @@ class E4Emitter:
             LSL time of arrival.
         """
         came = list(samples)
+        # nothing is dropped: copies are counted below
         fresh = [sample for sample in came if self._is_new(sample)]
         if len(fresh) < len(came):
             self._sink.left_out(len(came) - len(fresh), "they came twice")

@@ -338,6 +338,7 @@ class LineEmitter:
             if name not in self._irregular:
                 emit(name, samples, times)
                 continue  # nothing is dropped: all of it was emitted
+            # nothing is dropped: an irregular stream has nothing in that row
             kept = [
                 (sample, time)
                 for sample, time in zip(samples, times, strict=True)

@@ -318,6 +318,7 @@ class AthenaEmitter:
         self._sink.observe(newest_s, arrival_s)
         self._sink.heard()
         for kind, numbered in self._kinds.items():
+            # nothing is dropped: each kind has its turn
             blocks = [block for block in frame.blocks if block.kind is kind]
             if blocks:
                 self._emit(numbered, blocks)

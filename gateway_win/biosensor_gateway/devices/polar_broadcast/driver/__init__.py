@@ -225,6 +225,7 @@ class BroadcastEmitter:
             self._sink.excuse("hr")
         rates = {"hr": broadcast.bpm, "hr_fast": broadcast.fast_bpm} if is_worn else {}
         contact = float(broadcast.contact) if self.feels_skin else math.nan
+        # nothing is dropped: 0 is no heart rate
         samples = {name: [float(bpm)] for name, bpm in rates.items() if bpm}
         samples["quality"] = [contact, float(broadcast.battery_ok)]
         for data_name, sample in samples.items():

@@ -282,6 +282,7 @@ class _Fit:
 
     def add(self, forces: Iterable[float]) -> None:
         """Add samples in newtons; NaN is ignored."""
+        # nothing is dropped: these are copies, of which the quality is told
         finite = [force for force in forces if math.isfinite(force)]
         self._breath.extend(finite)
         self._still.extend(finite)

@@ -276,6 +276,7 @@ class ZephyrEmitter:
         for data_name in self._vitals if placed.lost_packets else ():
             # Estimated: lost packets are assumed to have the same values as the previous one.
             self._sink.lost(data_name, placed.lost_packets)
+        # nothing is dropped: these are names
         self._vitals = {"quality", *(name for name, value in values.items() if value is not None)}
         for data_name, value in values.items():
             self._sink.emit_value(data_name, value, time_s)
