@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tracemalloc
 from collections.abc import Collection, Mapping, Sequence
 from itertools import accumulate
@@ -464,6 +465,25 @@ def test_an_agent_that_was_started_again() -> None:
         32, 32, 0, restarts=1
     )
     assert compare(_readings(counts, stamps), np.delete(held, [7, 30]), 100.0).held == 30
+
+
+def test_after_a_restart_what_is_sent_as_seldom_as_before_is_not_too_much() -> None:
+    def text(ecg: int, events: int, marker: float) -> str:
+        told = {"ecg": (ecg, float(ecg)), "markers": (1, marker), "events": (events, marker)}
+        return json.dumps(
+            {
+                source: {"pushed": pushed, "lost": 0, "last_stamp": stamp}
+                for source, (pushed, stamp) in told.items()
+            }
+        )
+
+    # The second agent has sent one marker, too, and more events than the first.
+    texts = [text(100, 1, 5.0), text(200, 1, 5.0), text(90, 2, 50.0), text(190, 2, 50.0)]
+    readings, _ = parse_readings(texts)
+    assert [each.run for each in readings["markers"]] == [0, 0, 1, 1]
+    assert [each.run for each in readings["events"]] == [0, 0, 1, 1]
+    compared = compare(readings["markers"], np.array([5.0, 50.0]), 60.0)
+    assert (compared.pushed, compared.held, compared.restarts) == (0, 0, 1)
 
 
 def test_a_beat_that_is_told_of_late_and_at_the_stop_is_not_missing() -> None:

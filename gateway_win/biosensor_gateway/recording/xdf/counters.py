@@ -37,7 +37,8 @@ STRANGE_SAMPLES = (
 class Reading(NamedTuple):
     """The agent's counts for one stream at one moment, `told_at` on the agent's clock.
 
-    `refused` are sentences about data that was not passed on unchanged.
+    `refused` are sentences about data that was not passed on unchanged; `run` grows when the agent
+    counts from 0 again.
     """
 
     pushed: int
@@ -46,6 +47,7 @@ class Reading(NamedTuple):
     is_off: bool = False
     told_at: float = math.nan
     refused: tuple[str, ...] = ()
+    run: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +99,24 @@ def parse_readings(
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
             unreadable += 1
             continue
+        before = {each: readings[each][-1] for each in entries if each in readings}
+        anew = [each for each in before if _counts_anew(before[each], entries[each])]
+        # Of a restarted agent, what is sent seldom may have been sent as often again.
+        others = [each for each in before if _is_sent_anew(before[each], entries[each])]
+        have_begun = before if 2 * len({*anew, *others}) > len(before) and anew else anew
         for source_id, reading in entries.items():
-            readings.setdefault(source_id, []).append(reading._replace(told_at=float(told_at)))
+            run = before[source_id].run + (source_id in have_begun) if source_id in before else 0
+            told = reading._replace(told_at=float(told_at), run=run)
+            readings.setdefault(source_id, []).append(told)
     return readings, unreadable
+
+
+def _counts_anew(before: Reading, now: Reading) -> bool:
+    return now.pushed < before.pushed or now.lost < before.lost
+
+
+def _is_sent_anew(before: Reading, now: Reading) -> bool:
+    return now.pushed == before.pushed and now.last_stamp != before.last_stamp
 
 
 def _entries(text: str) -> dict[str, Reading]:
@@ -231,7 +248,7 @@ def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:
     runs: list[list[Reading]] = [[]]
     for reading in readings:
         before = runs[-1][-1] if runs[-1] else reading
-        if reading.pushed < before.pushed or reading.lost < before.lost:
+        if reading.run != before.run or _counts_anew(before, reading):
             runs.append([])
         runs[-1].append(reading)
     return runs
