@@ -100,10 +100,10 @@ def parse_readings(
             unreadable += 1
             continue
         before = {each: readings[each][-1] for each in entries if each in readings}
-        anew = [each for each in before if _counts_anew(before[each], entries[each])]
+        again = [each for each in before if _counts_again(before[each], entries[each])]
         # Of a restarted agent, what is sent seldom may have been sent as often again.
-        others = [each for each in before if _is_sent_anew(before[each], entries[each])]
-        have_begun = before if 2 * len({*anew, *others}) > len(before) and anew else anew
+        others = [each for each in before if _is_sent_again(before[each], entries[each])]
+        have_begun = before if 2 * len({*again, *others}) > len(before) and again else again
         for source_id, reading in entries.items():
             run = before[source_id].run + (source_id in have_begun) if source_id in before else 0
             told = reading._replace(told_at=float(told_at), run=run)
@@ -111,11 +111,11 @@ def parse_readings(
     return readings, unreadable
 
 
-def _counts_anew(before: Reading, now: Reading) -> bool:
+def _counts_again(before: Reading, now: Reading) -> bool:
     return now.pushed < before.pushed or now.lost < before.lost
 
 
-def _is_sent_anew(before: Reading, now: Reading) -> bool:
+def _is_sent_again(before: Reading, now: Reading) -> bool:
     return now.pushed == before.pushed and now.last_stamp != before.last_stamp
 
 
@@ -248,7 +248,7 @@ def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:
     runs: list[list[Reading]] = [[]]
     for reading in readings:
         before = runs[-1][-1] if runs[-1] else reading
-        if reading.run != before.run or _counts_anew(before, reading):
+        if reading.run != before.run or _counts_again(before, reading):
             runs.append([])
         runs[-1].append(reading)
     return runs
