@@ -45,7 +45,6 @@ _LENGTHS = {
     Packet.LIFESIGN: 0,
     Packet.RR: 45,
     Packet.ACCELERATION: 84,
-    Packet.ACCELERATION_100MG: 84,
     Packet.SUMMARY: 71,
 }
 _PERIODIC = frozenset(REQUESTS.values())

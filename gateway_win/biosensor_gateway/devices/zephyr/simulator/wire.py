@@ -33,7 +33,6 @@ class Packet(IntEnum):
     LIFESIGN = 0x23
     RR = 0x24
     ACCELERATION = 0x25
-    ACCELERATION_100MG = 0x2A
     SUMMARY = 0x2B
     EVENT = 0x2C
 
@@ -45,7 +44,6 @@ REQUESTS: Mapping[int, Packet] = MappingProxyType(
         0x16: Packet.ECG,
         0x19: Packet.RR,
         0x1E: Packet.ACCELERATION,
-        0xBC: Packet.ACCELERATION_100MG,
         0xBD: Packet.SUMMARY,
     }
 )
@@ -66,7 +64,6 @@ WAVEFORMS: Mapping[Packet, WaveformLayout] = MappingProxyType(
         Packet.ECG: WaveformLayout(63, 1, 4),
         Packet.RR: WaveformLayout(18, 1, 56),
         Packet.ACCELERATION: WaveformLayout(20, 3, 20),
-        Packet.ACCELERATION_100MG: WaveformLayout(20, 3, 20),
     }
 )
 

@@ -51,7 +51,6 @@ _CONVERTER_NOISE: Mapping[Packet, float] = MappingProxyType(
         Packet.BREATHING: 0.5,
         Packet.RR: 0.0,
         Packet.ACCELERATION: 0.4,
-        Packet.ACCELERATION_100MG: 0.2,
     }
 )
 
@@ -70,8 +69,7 @@ class Inputs:
         Returns
         -------
         ndarray of int64, shape (samples, channels)
-            10-bit counts (centre 512); signed 0.1 g for the 100 mg packet; signed
-            ms for R-to-R.
+            10-bit counts (centre 512), or signed ms for R-to-R.
         """
         layout = WAVEFORMS[packet]
         position = index * layout.samples + np.arange(layout.samples)
@@ -81,7 +79,6 @@ class Inputs:
             Packet.BREATHING: self._breathing,
             Packet.RR: self._rr,
             Packet.ACCELERATION: self._acceleration,
-            Packet.ACCELERATION_100MG: self._acceleration_100mg,
         }
         values = signals[packet](t).reshape(layout.samples, layout.channels)
         rng = np.random.default_rng((self._wearer.seed, packet, index))
@@ -123,9 +120,6 @@ class Inputs:
 
     def _acceleration(self, t: Floats) -> Floats:
         return CENTRE_COUNTS + COUNTS_PER_G * self._wearer.acceleration_g(t)
-
-    def _acceleration_100mg(self, t: Floats) -> Floats:
-        return 10 * self._wearer.acceleration_g(t)
 
 
 def _one(t: float) -> Floats:
@@ -337,13 +331,11 @@ EXPECTED = Expected(
     loss_tolerance=LossTolerance(over_restart={"ecg": 63, "breathing": 18, "acc": 20}),
 )
 
-_COUNTS_PER_G_100MG = 10.0
 _WAVEFORMS: Mapping[Packet, str] = MappingProxyType(
     {
         Packet.ECG: "ecg",
         Packet.BREATHING: "breathing",
         Packet.ACCELERATION: "acc",
-        Packet.ACCELERATION_100MG: "acc",
     }
 )
 _VITALS: Mapping[str, str] = MappingProxyType(
@@ -424,8 +416,6 @@ class _Notes:
 def _scaled(packet: Packet, samples: Integers) -> list[list[float]]:
     if packet is Packet.ACCELERATION:
         scaled = (samples - CENTRE_COUNTS) / COUNTS_PER_G
-    elif packet is Packet.ACCELERATION_100MG:
-        scaled = samples / _COUNTS_PER_G_100MG
     else:
         scaled = samples.astype(np.float64)
     return [[float(value) for value in row] for row in scaled]
