@@ -33,9 +33,8 @@ from biosensor_gateway.transports.nearby import Advertisement
 from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import Run, connected, streaming
-from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
-from tests.rigs.truth import assert_once_and_in_order
+from tests.rigs.truth import assert_once_and_in_order, assert_only_gaps
 
 # The driver streams from virtual Polar sensors: all of it, once, at the right time.
 
@@ -82,7 +81,7 @@ async def test_a_small_mtu_is_enough(sensor: MakeSensor) -> None:
         await until(run.sink.has(200, "ecg"))
         await until(run.sink.has(50, "acc"))
         assert run.sink.lost_count("ecg") == 0
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
@@ -90,7 +89,7 @@ async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
     async with streaming(h10) as run:
         await until(run.sink.has(100, "acc"))
         assert run.sink.lost_count("acc") == 0
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 # What the driver asks of a Polar sensor, what it makes of the answers, and pairing.
@@ -146,7 +145,7 @@ async def test_a_former_host_s_measurements_are_stopped_first(
             await until(run.sink.has(36, "acc"))
     starts = [each for each in asked if each.startswith(("write 5c81 0200", "write 5c81 0300"))]
     assert [each[11:15] for each in starts[:3]] == ["0200", "0300", "0200"]
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 async def test_the_device_is_left_still(sensor: MakeSensor) -> None:
@@ -196,7 +195,7 @@ async def test_a_device_that_demands_pairing_is_paired(
         await until(lambda: run.supervisor.connections == 2)
         await run.goes_on(73, "ecg")
         assert len(paired) <= 2
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 async def test_pairing_may_come_first(sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,7 +293,7 @@ async def test_measurements_that_went_on_are_started_again(sensor: MakeSteered) 
     h10 = sensor(Quirks(keeps_streaming=True, announces_stops=True))
     async with streaming(h10) as run:
         await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 async def test_a_measurement_that_stops_is_started_again(
@@ -310,7 +309,7 @@ async def test_a_measurement_that_stops_is_started_again(
             await run.goes_on(146, "ecg")
         assert run.supervisor.connections == 1
         lost = run.sink.lost_count("ecg")
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
     said = [entry["event"] for entry in logs]
     assert "the device stopped measuring" in said
     assert any("no data of ecg" in each and "enabling again" in each for each in said)
@@ -333,7 +332,7 @@ async def test_a_silent_device_is_connected_again(
         h10.clear(FaultKind.STALL)
         await run.goes_on(73, "ecg")
         assert run.supervisor.connections >= 2
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
@@ -350,7 +349,7 @@ async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
         await until(lambda: run.supervisor.last_error is None)
         assert run.supervisor.connections == 1
         assert run.sink.lost_count("ecg") == 0
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 # A sensor that refuses to measure still has a heart rate, and is asked again.
@@ -393,7 +392,7 @@ async def test_what_was_refused_comes_as_soon_as_the_sensor_measures(sensor: Mak
         await until(lambda: run.supervisor.last_error is None)
         assert run.supervisor.connections == 2
         assert State.BACKOFF not in run.states
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 @ON_BUMBLE

@@ -17,8 +17,8 @@ from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink, Notification
 from tests.rigs.bluetooth import ON_BLUEZ
 from tests.rigs.driver_run import streaming
-from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
+from tests.rigs.truth import assert_only_gaps
 
 if TYPE_CHECKING:
     from tests.rigs.bluez import FakeBluez
@@ -46,7 +46,7 @@ async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
         bluez.rise()
         await run.goes_on(FRAME, "ecg")
         assert run.supervisor.connections == 2
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 async def test_a_daemon_that_is_back_before_anybody_noticed_costs_one_connection(
@@ -61,7 +61,7 @@ async def test_a_daemon_that_is_back_before_anybody_noticed_costs_one_connection
         await until(lambda: run.supervisor.connections == 2)
         assert State.BACKOFF not in run.states
         await run.goes_on(FRAME, "ecg")
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
 
 
 @pytest.mark.parametrize(
@@ -109,6 +109,6 @@ async def test_a_value_that_is_read_is_no_answer_and_no_sample(
     kinds = [each.data[0] for each in heard if each.uuid == CONTROL_POINT]
     # Settings and start of two measurements; each time the value first, then the reply.
     assert kinds[:8] == [0x0F, 0xF0] * 4
-    assert_only_gaps(h10, run.sink)
+    assert_only_gaps(h10, run.sink, "ecg", "acc")
     assert run.sink.rows["bat"] == [[87]]
     assert run.sink.dropped_bytes == 0

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.system.clock import LSL_CLOCK
+from tests.rigs.driver_run import NotedSink
+
 Floats = NDArray[np.float64]
 
 
@@ -20,6 +24,39 @@ def assert_once_and_in_order(part: list[list[float]], whole: Floats) -> list[int
         count = _same(rest, whole[begin:])
         places += range(begin, begin + count)
         begin += count
+    return places
+
+
+def assert_only_gaps(
+    device: VirtualDevice,
+    sink: NotedSink,
+    *data_names: str,
+    near_s: float = 0.5,
+    latest_s: float = 3.0,
+) -> list[int]:
+    """Assert that what arrived was sent, came once and in order, and is stamped about right.
+
+    Parameters
+    ----------
+    latest_s
+        The limit in real time, where whatever else the machine does may hold up a packet that
+        begins a connection.
+
+    Returns
+    -------
+    list of int
+        Which samples of the last stream arrived.
+    """
+    places: list[int] = []
+    is_real = device.world.clock is LSL_CLOCK
+    for name in data_names:
+        truth = device.truth.samples(name)
+        places = assert_once_and_in_order(sink.rows[name], truth.values)
+        times = np.array(sink.times[name])
+        assert np.all(np.diff(times) > 0)
+        errors = times - truth.times[places]
+        assert np.min(errors, initial=0.0) > -near_s
+        assert np.max(errors, initial=0.0) < (latest_s if is_real else near_s)
     return places
 
 
