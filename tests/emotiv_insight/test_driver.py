@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
 from biosensor_gateway.devices.emotiv_insight.simulator import (
@@ -74,6 +75,8 @@ async def test_other_insights(
                 await eventually(run.sink.has(20, "gyro"))
         assert_true(run, cortex, "eeg", "mot", *(("gyro",) if run.sink.rows["gyro"] else ()))
         assert run.sink.rates["mot"] == rate
+        # What never has a value is told, so that a recording is not said to lack it.
+        assert run.sink.lacking["mot"] == _empty(run, "mot")
         # What never comes has no nominal rate.
         assert run.sink.rates["gyro"] == (rate if run.sink.rows["gyro"] else 0.0)
         assert not run.sink.losses
@@ -92,6 +95,16 @@ async def test_other_versions(
         async with kept(cortex) as run:
             await eventually(run.sink.has(2, "eeg", "met", "dev"))
         assert_true(run, cortex, "eeg", "met", "dev")
+        assert len(run.sink.lacking["met"]) == 1
+        for name in ("met", "dev"):
+            assert set(run.sink.lacking[name]) <= set(_empty(run, name))
+
+
+def _empty(run: InsightRun, data_name: str) -> list[str]:
+    """Labels of the channels without any value."""
+    (labels,) = (each.labels for each in SPEC.streams if each.data_name == data_name)
+    rows = run.sink.rows[data_name]
+    return [label for at, label in enumerate(labels) if all(np.isnan(row[at]) for row in rows)]
 
 
 @pytest.mark.parametrize("seconds", [-3.0, 3.0, 3600.0, -3600.0])

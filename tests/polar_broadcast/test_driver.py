@@ -331,6 +331,7 @@ def test_what_an_optical_sensor_says_of_the_skin_means_nothing(ether: Ether) -> 
     [[contact, battery_ok]] = ether.sink.emitted["quality"]
     assert math.isnan(contact)
     assert battery_ok == 1
+    assert ether.sink.lacking == {"quality": ["contact"]}
 
 
 def test_no_reading_is_no_sample(ether: Ether) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tracemalloc
 from collections.abc import Collection, Mapping, Sequence
 from itertools import accumulate
@@ -287,14 +288,16 @@ def _counted(
     counted: list[Mapping[str, Counters]] | None,
     off: Collection[str] = (),
     late_s: float = 0.0,
+    lacking: Mapping[str, Sequence[str]] | None = None,
+    value: float = 1.0,
 ) -> bytes:
     parts = [
         own_header(1, STRAP, "ecg"),
-        made.samples(1, "float32", [[1.0]] * len(stamps), [*stamps]) if stamps else b"",
+        made.samples(1, "float32", [[value]] * len(stamps), [*stamps]) if stamps else b"",
         _end(1, len(stamps)),
     ]
     if counted is not None:
-        texts = [[counters_text(counters, off=off)] for counters in counted]
+        texts = [[counters_text(counters, off=off, lacking=lacking)] for counters in counted]
         times = [
             1001.0 + k + (late_s if k == 10 or (k > 10 and late_s > 1) else 0)
             for k in range(len(texts))
@@ -371,6 +374,25 @@ def test_what_the_settings_switch_off_is_not_missing() -> None:
     assert codes(check(_counted([], [*counted])), Level.ERROR) == {
         ("no-samples", lsl_name(STRAP, "ecg"))
     }
+
+
+@pytest.mark.parametrize(
+    ("lacking", "code", "is_good"),
+    [
+        ({ECG: ["ECG"]}, "off", True),
+        ({ECG: ["Other"]}, "no-values", False),
+        ({}, "no-values", False),
+    ],
+)
+def test_a_channel_that_the_model_does_not_have_is_not_missing(
+    lacking: Mapping[str, Sequence[str]], code: str, *, is_good: bool
+) -> None:
+    content = _counted(STAMPS, [*_counted_each_second()], lacking=lacking, value=math.nan)
+    report = check(content)
+    name = lsl_name(STRAP, "ecg")
+    level = Level.NOTE if is_good else Level.WARNING
+    assert codes(report, level) == codes(report) == {(code, name)}
+    assert text_of(report, code, name).endswith(" ECG")
 
 
 def test_what_was_pushed_is_missing_also_where_it_was_switched_off() -> None:

@@ -18,7 +18,7 @@ from pylsl import local_clock
 from biosensor_common.device_clock import ClockState
 from biosensor_common.errors import cannot_write
 from biosensor_common.lsl.network import configure_lsl
-from biosensor_common.naming import AGENT
+from biosensor_common.naming import AGENT, source_id
 from biosensor_common.process_limits import limit_arenas
 from biosensor_common.refusal import LATELY_S, Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
@@ -361,6 +361,7 @@ class Agent:
                 self._off(),
                 self._away(),
                 self._refused_of_devices(),
+                self._lacking(),
             )
             outlet.push_text(text, pylsl.local_clock())
             own = (announcer.refusals, self._markers.refusals)
@@ -385,6 +386,14 @@ class Agent:
 
     def _off(self) -> set[str]:
         return {source for device in self.devices for source in device.sink.off}
+
+    def _lacking(self) -> dict[str, Sequence[str]]:
+        """Return the channels that models of devices do not have, by source_id."""
+        return {
+            source_id(device.sink.identity, data_name): labels
+            for device in self.devices
+            for data_name, labels in device.sink.lacking.items()
+        }
 
     def _away(self) -> dict[str, str]:
         """Return the states of devices that do not send, by the source_ids of their streams."""

@@ -33,10 +33,14 @@ class Sink(Protocol):
         Bytes without a valid message; drivers add to it.
     own_delay
         Returns how long packets may recently have waited for this computer, in seconds.
+    lacking
+        Labels of channels that this model of the device does not have, by data name: their values
+        are NaN, and nothing of them is missing.
     """
 
     dropped_bytes: int
     own_delay: Callable[[], float]
+    lacking: dict[str, Sequence[str]]
 
     @property
     def identity(self) -> DeviceIdentity:

@@ -64,6 +64,7 @@ def counters_text(
     off: Collection[str] = (),
     away: Mapping[str, str] | None = None,
     of_devices: Mapping[str, Sequence[str]] | None = None,
+    lacking: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
@@ -71,6 +72,7 @@ def counters_text(
     is left out of no single stream. Those of what is not passed on as it came are in the entries of
     those streams of which there is any now. Streams that are *off*,
     because the settings or the model of the device have none, say so: nothing of them is missing.
+    So does a stream of which the model is *lacking* some channels, by their labels.
     While a device is *away*, each of its streams has its state, as in heartbeats: what came last
     is of the past then.
 
@@ -86,6 +88,7 @@ def counters_text(
                 **_clock_entry((clocks or {}).get(source_id)),
                 **_refused_entry((refused or {}).get(source_id, ())),
                 **({"off": True} if source_id in off else {}),
+                **_refused_entry((lacking or {}).get(source_id, ()), "lacking"),
                 **_refused_entry((of_devices or {}).get(source_id, ()), "of_device"),
                 **({"away": away[source_id]} if away and source_id in away else {}),
             }

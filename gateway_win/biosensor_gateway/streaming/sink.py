@@ -65,6 +65,8 @@ class DeviceSink:
         What of the device's bytes is no sample.
     own_delay
         Tells for how many seconds a packet may have had to wait for this computer lately.
+    lacking
+        Labels of channels that this model of the device does not have, by data name.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class DeviceSink:
         self.silent: frozenset[str] = frozenset()
         self.charge = Charge(spec)
         self.own_delay: Callable[[], float] = lambda: 0.0
+        self.lacking: dict[str, Sequence[str]] = {}
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
         self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)

@@ -48,6 +48,7 @@ class Reading(NamedTuple):
     told_at: float = math.nan
     refused: tuple[str, ...] = ()
     run: int = 0
+    lacking: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,8 @@ class RecordedCounters:
     strange_since
         Time on the stream's clock from which its samples are not those that the agent counted;
         None if they are.
+    lacking
+        Labels of channels that the device's model does not have.
     """
 
     pushed: int
@@ -77,6 +80,7 @@ class RecordedCounters:
     restarts: int = 0
     is_off: bool = False
     strange_since: float | None = None
+    lacking: tuple[str, ...] = ()
 
 
 def parse_readings(
@@ -128,6 +132,7 @@ def _entries(text: str) -> dict[str, Reading]:
             float(entry["last_stamp"]),
             entry.get("off") is True,
             refused=tuple(str(each) for each in entry.get("refused", ())),
+            lacking=tuple(str(each) for each in entry.get("lacking", ())),
         )
         for source_id, entry in content.items()
     }
@@ -173,6 +178,7 @@ def compare(
         restarts=len(runs) - 1,
         is_off=readings[-1].is_off,
         strange_since=strangers.since,
+        lacking=readings[-1].lacking,
     )
 
 

@@ -326,7 +326,8 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "off": Explanation(
         "Switched off",
-        "The stream is switched off in the settings, or the device's model does not have it.",
+        "The stream is switched off in the settings, or the device's model does not have it, or "
+        "has it without these channels.",
         "Nothing, if you do not need it; otherwise switch it on in the settings.",
     ),
     "counters": Explanation(

@@ -286,6 +286,10 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         for (label, share), unit in zip(shares, header.units, strict=True)
         if share == 1
     ]
+    lacking = measured.counters.lacking if measured.counters is not None else ()
+    if off := ", ".join(label for label, _ in empty if label in lacking):
+        yield Level.NOTE, "off", f"this model of the device has no {off}"
+        empty = [each for each in empty if each[0] not in lacking]
     window_s = header.window_s
     if window_s is not None:
         # In a feature, these channels tell the quality of others, if anything is known about it.

@@ -229,6 +229,7 @@ class EmotivInsightDriver:
         self._decoder.subscribed(
             subscription.session_id or session.session_id, subscription.layouts
         )
+        self._emitter.offered({name: each.labels for name, each in subscription.layouts.items()})
 
     def _forget_endings(self) -> None:
         """Discard warnings from before the headset was connected."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import structlog
 
@@ -37,6 +37,8 @@ _METRICS = {
     "focus": "foc",
     "attention": "attention",
 }
+_OF_SOME_MODELS = frozenset({"dev", "met", "mot"})
+"""Streams whose columns depend on the model and on the version of Cortex."""
 # Cortex sends -1 for unknown values.
 _NEVER_NEGATIVE = frozenset({"Battery", "BatteryPercent"})
 
@@ -189,6 +191,15 @@ class EmotivEmitter:
                 count.forget()
         self._not_yet_heard = set(self._counts)
         self._clock_leads = False
+
+    def offered(self, columns: Mapping[str, Collection[str]]) -> None:
+        """Note what headset and Cortex do not have: a focus or attention, orientation, grades."""
+        for data_name in columns.keys() & _OF_SOME_MODELS:
+            self._sink.lacking[data_name] = [
+                label
+                for label in self._labels[data_name]
+                if _METRICS.get(label, label) not in columns[data_name]
+            ]
 
     def take(self, sample: Sample, arrival_s: float) -> None:
         """Emit a sample."""

@@ -224,6 +224,7 @@ class BroadcastEmitter:
             # The advertised rate is an old one.
             self._sink.excuse("hr")
         rates = {"hr": broadcast.bpm, "hr_fast": broadcast.fast_bpm} if is_worn else {}
+        self._sink.lacking["quality"] = [] if self.feels_skin else ["contact"]
         contact = float(broadcast.contact) if self.feels_skin else math.nan
         # nothing is dropped: 0 is no heart rate
         samples = {name: [float(bpm)] for name, bpm in rates.items() if bpm}
