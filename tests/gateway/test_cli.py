@@ -160,6 +160,11 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
     assert "zephyr:recording" in sentence
 
 
+def test_each_use_of_an_option_for_virtual_devices_counts(run: Run) -> None:
+    sentence = one_sentence(run("run", "--simulate", "toaster", "--simulate", "zephyr"), 2)
+    assert "toaster'" in sentence
+
+
 ALL = [name for name in sensor_names() if sensor(name).virtual]
 
 

@@ -27,7 +27,7 @@ _END_AFTER_MIN = "1"
 
 def run(
     settings: SettingsOption = None,
-    simulate: SimulateOption = "",
+    simulate: SimulateOption = None,
     fault: FaultOption = None,
     ask: Annotated[
         bool | None,
@@ -52,10 +52,11 @@ def run(
     ] = False,
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
+    virtual = ",".join(simulate or ())
     if is_standby():
         from biosensor_gateway.cli.agent_process import stand_by  # takes a second
 
-        stand_by(simulate)
+        stand_by(virtual)
     if ask and restart_facts(os.environ):
         # After a restart the person who answered may have left. None still asks if the settings
         # name no device, because there is nothing to stream then.
@@ -71,7 +72,7 @@ def run(
         open_page_beside(settings)
     from biosensor_gateway.cli.agent_process import stream  # takes a second
 
-    stream(settings, simulate, fault or (), ask=ask, features=features, verbose=verbose)
+    stream(settings, virtual, fault or (), ask=ask, features=features, verbose=verbose)
 
 
 def open_page_beside(settings: Path | None) -> None:

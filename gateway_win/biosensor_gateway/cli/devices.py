@@ -92,12 +92,12 @@ def _short(values: tuple[float | str, ...], units: Sequence[str]) -> str:
 def scan(
     settings: SettingsOption = None,
     seconds: Annotated[float, typer.Option(min=1, help="How long to listen to Bluetooth.")] = 6.0,
-    simulate: SimulateOption = "",
+    simulate: SimulateOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the devices in reach, each with the lines that add it to the settings."""
     configure_logs(LogSettings(level="error"), None)
-    with chosen_devices(settings, simulate) as configured:
+    with chosen_devices(settings, ",".join(simulate or ())) as configured:
         sections = asyncio.run(search.scan(seconds, configured))
     if as_json:
         content = [each.model_dump() for each in search.described(sections, configured)]

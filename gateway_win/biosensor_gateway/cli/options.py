@@ -20,7 +20,7 @@ SettingsOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 SimulateOption = Annotated[
-    str,
+    list[str] | None,
     typer.Option(
         help="Use these virtual devices instead (comma-separated, or all); with @P01, worn by P01."
     ),
