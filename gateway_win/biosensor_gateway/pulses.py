@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import accumulate
 from statistics import median
 from typing import Literal, NamedTuple
 
@@ -36,9 +37,11 @@ SKEWNESS = 0.3
 """[2]_: a good pulse is skewed to the right; with this skewness to the left, it is upside down."""
 SKEWNESS_PIECE_S, SKEWNESS_PIECES = 2.0, 8
 """Length of the pieces whose skewness is computed, and number of pieces for the median."""
-LEAST_SHARE, RISE_S = 0.15, 0.4
+LEAST_SHARE, RISE_S = 0.25, 0.4
 """Smallest rise of a pulse, as a share of the usual rise, within this time before its top; the
 filter makes smaller waves between slow pulses."""
+FALL_COUNTS, SMOOTH_S = 2.0, 0.16
+"""How much the fall behind a top counts, and over how long levels are averaged."""
 EARLY_S, EARLY_SHARE = 0.27, 0.4
 """Shortest interval to an early pulse, and its least share of the usual height."""
 VALLEY_SHARE = 0.25
@@ -135,6 +138,7 @@ class Pulses:
         # nothing is dropped: what a maximum slides over
         self._peaks: deque[float] = deque(maxlen=self._wait + 1)
         self._around = round(_APEX_S * rate)
+        self._smooth = round(SMOOTH_S * rate / 2)
         # nothing is dropped: no pulse lasts longer
         self._kept: deque[_Kept] = deque(maxlen=round(_KEPT_S * rate))
         # nothing is dropped: a memory of heights
@@ -200,16 +204,31 @@ class Pulses:
             if not is_top or upright[place] < limit or place - last < near:
                 continue  # nothing is dropped: it is no top of a pulse
             valley = max(min(upright[last:place]), min(upright[place:top]))
-            if valley < VALLEY_SHARE * upright[place]:
+            least = LEAST_SHARE * median(self._rises)
+            if valley < VALLEY_SHARE * upright[place] and self._rise(kept, place) >= least:
                 found.append(place)
                 last = place
         return found
 
     def _rise(self, kept: Sequence[_Kept], top: int) -> float:
-        """Return the rise of the unfiltered signal to a top."""
-        before = range(max(0, top - round(RISE_S * self._rate)), top + 1)
-        levels = [self._polarity.sign * kept[place][1] for place in before]
-        return levels[-1] - min(levels)
+        """Return by how much a top stands out of the unfiltered signal on both sides.
+
+        Noise is averaged away, and what only rises, as a wandering level does, stands out of
+        nothing. A fall counts more, because little of it is known yet.
+        """
+        sign, near = self._polarity.sign, self._smooth
+        begin = max(0, top - round(RISE_S * self._rate) - self._around)
+        sums = [0.0, *accumulate(sign * each[1] for each in kept[begin:])]
+        width = 2 * near + 1
+        levels = [(sums[n + width] - sums[n]) / width for n in range(len(sums) - width)]
+        centre = top - begin - near
+        around = range(max(0, centre - self._around), min(len(levels), centre + near + 1))
+        apex = max(around, key=levels.__getitem__, default=None)
+        if apex is None:
+            return 0.0
+        before = levels[max(0, apex - round(RISE_S * self._rate)) : apex + 1]
+        rise, fall = levels[apex] - min(before), levels[apex] - min(levels[apex:])
+        return min(rise, FALL_COUNTS * fall)
 
     def _beat(self, kept: Sequence[_Kept], top: int) -> Beat:
         sign = self._polarity.sign
