@@ -110,8 +110,8 @@ def test_of_a_slow_pulse_no_wave_is_counted_twice(bpm: float) -> None:
 def test_between_slow_pulses_neither_noise_nor_a_wandering_level_is_one(
     bpm: float, rate: float
 ) -> None:
-    beats = hearts.regular(bpm, 60, seed=6)
-    pulse = hearts.pulse_of(beats, rate, 60, seed=4)
+    beats = signals.regular(bpm, 60, seed=6)
+    pulse = signals.pulse_of(beats, rate, 60, seed=4)
     t = 2 * np.pi * np.arange(len(pulse)) / rate
     noise = 0.1 * np.random.default_rng(13).standard_normal(len(pulse))
     for beside in (noise, np.sin(0.15 * t), 0.5 * np.sin(0.3 * t)):
