@@ -134,25 +134,28 @@ def _in_parts(recorded: Sequence[Stream], rated: Sequence[Stream]) -> list[_Part
     """Put together streams that go on with each other; what has the same time stays apart."""
     ends = [each.ends() or (-math.inf, -math.inf) for each in recorded]
     found: list[list[int]] = []
+    by_id: dict[str, list[list[int]]] = {}
     for at in sorted(range(len(recorded)), key=lambda each: ends[each]):
         begin_s, _ = ends[at]
-        for parts in found:
+        twins = by_id.setdefault(recorded[at].header.source_id, [])
+        for parts in twins:
             before = parts[-1]
             if ends[before][1] <= begin_s and _is_twin(recorded[before], recorded[at]):
                 parts.append(at)
                 break
         else:
-            found.append([at])
+            twins.append([at])
+            found.append(twins[-1])
     found.sort(key=min)
     return [tuple(rated[at] for at in parts) for parts in found]
 
 
 def _is_twin(one: Stream, other: Stream) -> bool:
     """Whether two streams have one source_id, and also else the same header."""
-    ids = {one.header.source_id, other.header.source_id}
+    if not one.header.source_id or one.header.source_id != other.header.source_id:
+        return False
     # Rates may be those of the samples, which differ a little.
-    rate = other.meaning.rate
-    return len(ids) == 1 and "" not in ids and replace(one.meaning, rate=rate) == other.meaning
+    return replace(one.meaning, rate=other.meaning.rate) == other.meaning
 
 
 def _sources(streams: Sequence[_Parts]) -> tuple[_Pairs, list[str], list[str]]:
