@@ -7,8 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,20 +21,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
+from tests.rigs.polling import wait_until
+
 DEADLINE_S = 30.0
-
-
-def until(condition: Callable[[], object], what: str, deadline_s: float = DEADLINE_S) -> None:
-    end = time.monotonic() + deadline_s
-    while not condition():
-        if time.monotonic() > end:
-            pytest.fail(f"waited {deadline_s:.0f} s in vain: {what}")
-        time.sleep(0.05)
-
-
-@pytest.fixture
-def wait_until() -> Callable[..., None]:
-    return until
 
 
 class Programs:
@@ -145,7 +133,7 @@ class Listener:
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
         ]
         future = client.call_async(SetParameters.Request(parameters=parameters))
-        until(future.done, f"parameters {values}")
+        wait_until(future.done, f"parameters {values}")
         return future.result().results
 
     def stop(self) -> None:

@@ -24,6 +24,7 @@ from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.wall_clock import find_wall_clock
 from tests.bags import made
 from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.polling import wait_until
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly
@@ -68,7 +69,7 @@ def _stamps_ns(messages: list[Any]) -> NDArray[np.int64]:
 
 
 def test_the_bag_of_a_recording_is_what_was_published(
-    programs: Any, listener: Any, wait_until: Callable[..., None], tmp_path: Path
+    programs: Any, listener: Any, tmp_path: Path
 ) -> None:
     live = {topic: listener.listen(kind, topic) for topic, kind in TOPICS.items()}
     with SteeredBioHarness() as device:
@@ -135,7 +136,6 @@ def _record(path: Path, count: int) -> dict[str, dict[str, Any]]:
 @pytest.mark.seam
 def test_labrecorder_records_what_the_agent_declares(
     programs: Any,
-    wait_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
     declared = {stream.data_name: stream for stream in declaration("zephyr").streams}
@@ -186,7 +186,7 @@ AXIS_STREAMS = len([*declaration("emotiv_insight").streams, *declaration(AGENT).
 
 @pytest.mark.seam
 def test_wall_time_of_the_recording_is_the_stamp_of_the_topic(
-    programs: Any, listener: Any, wait_until: Callable[..., None], tmp_path: Path
+    programs: Any, listener: Any, tmp_path: Path
 ) -> None:
     path = tmp_path / "study.xdf"
     programs.node()

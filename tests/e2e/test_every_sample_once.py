@@ -27,6 +27,7 @@ from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from biosensor_gateway.settings.places import state_folder
 from tests.rigs.chromium import chromium
 from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.polling import wait_until
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly
@@ -106,7 +107,6 @@ def _chunks(messages: list[Any]) -> list[Values]:
 def test_every_sample_arrives_once(
     programs: Any,
     listener: Any,
-    wait_until: Callable[..., None],
 ) -> None:
     topics = {
         "ecg": Float32,
@@ -233,7 +233,7 @@ def _use(page: Page, address: str, folder: Path) -> None:
 
 
 def test_the_file_and_the_topics_hold_the_same(
-    programs: Any, listener: Any, wait_until: Callable[..., None], tmp_path: Path
+    programs: Any, listener: Any, tmp_path: Path
 ) -> None:
     heard = {
         name: listener.listen(kind, f"/biosensors/zephyr/{name}") for name, kind in TYPES.items()
@@ -277,9 +277,7 @@ def test_the_file_and_the_topics_hold_the_same(
 # The agent's events reach ROS as a topic, with nothing said of them on the ROS side.
 
 
-def test_events_are_a_topic_of_strings(
-    programs: Any, listener: Any, wait_until: Callable[..., None]
-) -> None:
+def test_events_are_a_topic_of_strings(programs: Any, listener: Any) -> None:
     messages = listener.listen(String, "/biosensors/gateway/events")
     programs.node()
     with SteeredBioHarness() as device:
@@ -306,9 +304,7 @@ def test_events_are_a_topic_of_strings(
 
 # A marker of the experimenter reaches ROS, with nothing said of it on the ROS side.
 @pytest.mark.seam
-def test_a_marker_is_a_string_with_its_text(
-    programs: Any, listener: Any, wait_until: Callable[..., None]
-) -> None:
+def test_a_marker_is_a_string_with_its_text(programs: Any, listener: Any) -> None:
     messages = listener.listen(String, "/biosensors/gateway/markers")
     programs.node()
     programs.agent("")
@@ -351,7 +347,7 @@ def _by_data(path: Path) -> dict[str, Any]:
 
 
 def test_a_virtual_strap_gives_beats_in_ros_and_the_same_from_its_recording(
-    programs: Any, listener: Any, wait_until: Callable[..., None], tmp_path: Path
+    programs: Any, listener: Any, tmp_path: Path
 ) -> None:
     path, again = tmp_path / "study.xdf", tmp_path / "again.xdf"
     programs.node()

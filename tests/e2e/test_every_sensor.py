@@ -36,6 +36,7 @@ from tests.faults.expectations import (
     regular_streams,
 )
 from tests.rigs.lab_client import LabProcess, Samples, settings_toml
+from tests.rigs.polling import wait_until
 from tests.rigs.turns import turns
 
 JITTER_S = 0.03
@@ -209,7 +210,6 @@ def test_every_sensor_from_device_to_ros(
     lab: LabProcess,
     programs: Any,
     listener: Any,
-    wait_until: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
     record_property: Callable[[str, object], None],
 ) -> None:

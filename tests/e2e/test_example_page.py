@@ -25,6 +25,8 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from std_msgs.msg import Float32, Float32MultiArray
 
+from tests.rigs.polling import wait_until
+
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "example.md"
 PANDAS = ROOT / ".venv-peers" / "bin" / "python"
@@ -134,7 +136,6 @@ def _are_there(*names: str) -> bool:
 def test_the_page_is_true(
     terminals: Terminals,
     listener: Any,
-    wait_until: Callable[..., None],
 ) -> None:
     folder, lines = terminals.folder, _lines()
     _save_programs(folder)
@@ -274,7 +275,7 @@ def strap(listener: Any) -> Strap:
 
 @pytest.mark.nightly
 def test_a_score_is_how_far_a_person_is_from_their_rest(
-    start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
+    start: Start, strap: Strap, listener: Any
 ) -> None:
     scores: list[Float32] = listener.listen(Float32, "/P01/hr_above_rest")
     start("score.py")
@@ -295,7 +296,7 @@ def test_a_score_is_how_far_a_person_is_from_their_rest(
 
 @pytest.mark.nightly
 def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
-    start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
+    start: Start, strap: Strap, listener: Any
 ) -> None:
     speeds: list[Float32] = listener.listen(Float32, "/speed_scale")
 
@@ -321,9 +322,7 @@ def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
 
 
 @pytest.mark.nightly
-def test_a_namespace_puts_a_person_where_ros4hri_looks(
-    programs: Any, listener: Any, wait_until: Callable[..., None]
-) -> None:
+def test_a_namespace_puts_a_person_where_ros4hri_looks(programs: Any, listener: Any) -> None:
     (arguments,) = _COMMAND.findall(ACTING_PAGE.read_text(encoding="utf-8"))
     programs.start("lsl_to_ros.node", *arguments.split())
     programs.start("biosensor_gateway.cli", "run", "--simulate", "polar_h10@P01", "--features")

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from rcl_interfaces.srv import GetParameters
 
+from tests.rigs.polling import wait_until
+
 pytestmark = pytest.mark.nightly
 
 # The fields of a ParameterValue by its type's number.
@@ -61,9 +63,7 @@ def _plain(value: Any) -> Any:
 
 
 @pytest.fixture
-def read_parameters(
-    programs: Any, listener: Any, wait_until: Callable[..., None]
-) -> ReadParameters:
+def read_parameters(programs: Any, listener: Any) -> ReadParameters:
     """Start the node with these options; ask it for parameters by its full name."""
 
     def read(names: list[str], *options: str, node_name: str = "/lsl_to_ros") -> dict[str, Any]:

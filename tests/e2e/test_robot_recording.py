@@ -20,6 +20,7 @@ from biosensor_common.ros_clock import NS_PER_S, read_clock_pair
 from tests.faults.scenarios.length import is_long
 from tests.rigs.lab_client import LabProcess, settings_toml
 from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.polling import wait_until
 from tests.rigs.robot import (
     JOINTS,
     MAY_LOSE,
@@ -61,7 +62,6 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
     lab: LabProcess,
     programs: Any,
     listener: Any,
-    wait_until: Callable[..., None],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

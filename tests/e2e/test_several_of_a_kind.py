@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Float32
 
 from tests.rigs.lab_client import LabProcess
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -215,7 +216,6 @@ def test_no_strap_is_ever_heard_under_the_topic_of_the_other(
     lab: LabProcess,
     programs: Any,
     listener: Any,
-    wait_until: Callable[..., None],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

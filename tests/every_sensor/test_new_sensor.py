@@ -18,6 +18,7 @@ import biosensor_gateway
 from biosensor_gateway.devices.registry import ENTRY_POINT_GROUP
 from biosensor_gateway.settings.places import state_folder
 from tests.faults.agent import fresh_status
+from tests.rigs.polling import wait_until
 
 SENSOR = "acme_band"
 TOPICS = ("force", "force_chunk", "bat", "quality")
@@ -116,7 +117,7 @@ def test_it_is_known_to_demo_fault_matrix_settings_and_search(
 
 
 def test_it_streams_to_ros_and_what_a_fault_costs_is_counted(
-    added: object, programs: Any, listener: Any, wait_until: Callable[..., None]
+    added: object, programs: Any, listener: Any
 ) -> None:
     del added
     received = {

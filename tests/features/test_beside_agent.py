@@ -9,8 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,8 @@ from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.features.test_senders_in_bursts import Noted
-from tests.rigs.lsl_streams import note_askers, wait_until
+from tests.rigs.lsl_streams import note_askers
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -33,13 +33,6 @@ pytestmark = pytest.mark.nightly
 
 DEADLINE_S = 60.0
 ECG_PERIOD_S = 1 / 130
-
-
-def _until(condition: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.05)
 
 
 @contextmanager
@@ -89,7 +82,7 @@ def _logged(folder: Path) -> list[str]:
 
 def _inlet(data_name: str) -> pylsl.StreamInlet:
     found: list[pylsl.StreamInfo] = []
-    _until(
+    wait_until(
         lambda: found.extend(pylsl.resolve_byprop("type", data_name, 1, 1.0)) or found, data_name
     )
     (info,) = (each for each in found if "polar_h10" in each.source_id())
@@ -99,16 +92,16 @@ def _inlet(data_name: str) -> pylsl.StreamInlet:
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 def test_who_dies_comes_back_costs_no_sample_and_ends_with_the_agent(tmp_path: Path) -> None:
     with _agent(tmp_path) as agent:
-        _until(lambda: _features_of(agent), "features")
+        wait_until(lambda: _features_of(agent), "features")
         ecg = _inlet("ECG")
         stamps: list[float] = []
-        _until(lambda: stamps.extend(ecg.pull_chunk(0.0)[1]) or stamps, "samples")
+        wait_until(lambda: stamps.extend(ecg.pull_chunk(0.0)[1]) or stamps, "samples")
         (first,) = _features_of(agent)
         first.kill()
-        _until(lambda: any(each.pid != first.pid for each in _features_of(agent)), "another")
+        wait_until(lambda: any(each.pid != first.pid for each in _features_of(agent)), "another")
         (second,) = (each for each in _features_of(agent) if each.pid != first.pid)
-        _until(lambda: any("polar_h10" in each for each in _logged(tmp_path)), "the log")
-        _until(
+        wait_until(lambda: any("polar_h10" in each for each in _logged(tmp_path)), "the log")
+        wait_until(
             lambda: any(
                 "live features of" in each and "beats" in each for each in _logged(tmp_path)
             ),
@@ -119,7 +112,7 @@ def test_who_dies_comes_back_costs_no_sample_and_ends_with_the_agent(tmp_path: P
         ecg.close_stream()
         agent.send_signal(signal.SIGTERM)
         assert agent.wait(DEADLINE_S) == 0
-        _until(lambda: _has_ended(second), "its end")
+        wait_until(lambda: _has_ended(second), "its end")
     assert np.abs(np.diff(stamps)).max() < 1.5 * ECG_PERIOD_S
     said = "live features have ended (killed by SIGKILL) and are started again now"
     assert _logged(tmp_path).count(said) == 1
@@ -129,7 +122,7 @@ def test_heartbeats_tell_what_has_no_features(tmp_path: Path) -> None:
     _outlet = pylsl.StreamOutlet(pylsl.StreamInfo("Skin", "GSR", 1, 16.0, "float32", "skin"))
     with _agent(tmp_path):
         found: list[pylsl.StreamInfo] = []
-        _until(
+        wait_until(
             lambda: (
                 found.extend(pylsl.resolve_bypred("contains(source_id, '-events')", 1, 1.0))
                 or found
@@ -143,7 +136,7 @@ def test_heartbeats_tell_what_has_no_features(tmp_path: Path) -> None:
             heard.extend(json.loads(each) for (each,) in events.pull_chunk(0.2)[0])
             return any(_of_gateway(each) for each in heard)
 
-        _until(has_told, "a heartbeat with it")
+        wait_until(has_told, "a heartbeat with it")
         events.close_stream()
     (told,) = next(each for each in map(_of_gateway, heard) if each)
     assert str(told["what"]).startswith("live features of Skin: ")
@@ -157,11 +150,11 @@ def _of_gateway(event: Mapping[str, Any]) -> list[dict[str, object]]:
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 def test_it_ends_with_an_agent_that_is_killed(tmp_path: Path) -> None:
     with _agent(tmp_path) as agent:
-        _until(lambda: _features_of(agent), "features")
+        wait_until(lambda: _features_of(agent), "features")
         (features,) = _features_of(agent)
         agent.kill()
         agent.wait(DEADLINE_S)
-        _until(lambda: _has_ended(features), "its end")
+        wait_until(lambda: _has_ended(features), "its end")
 
 
 # The clocks of other computers are measured by inlets that bring no data.

@@ -7,7 +7,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -291,30 +291,6 @@ def test_what_the_agent_says_of_a_pause_is_known_before_it_begins(tmp_path: Path
 LOCAL = "127.0.0.1"
 DEADLINE_S = 30.0
 
-Serve = Callable[[Callable[[socket.socket], None]], int]
-
-
-@pytest.fixture
-def serve() -> Generator[Serve]:
-    """Have one client served; returns the port."""
-    threads: list[threading.Thread] = []
-
-    def begin(conversation: Callable[[socket.socket], None]) -> int:
-        server = socket.create_server((LOCAL, 0))
-
-        def run() -> None:
-            with server, server.accept()[0] as client:
-                conversation(client)
-
-        threads.append(threading.Thread(target=run))
-        threads[0].start()
-        return server.getsockname()[1]
-
-    yield begin
-    for thread in threads:
-        thread.join(DEADLINE_S)
-        assert not thread.is_alive()
-
 
 def reason_of(port: int, line: str = "update", limit_s: float = DEADLINE_S) -> RecorderError:
     with RemoteControl(LOCAL, port) as remote, pytest.raises(RecorderError) as caught:
@@ -359,25 +335,33 @@ def test_a_message_box_is_suspected_behind_silence(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_another_answer_is_no_labrecorder(serve: Serve) -> None:
-    def greet(client: socket.socket) -> None:
-        client.recv(100)
-        client.sendall(b"220 mail.example ESMTP\r\n")
-        client.recv(100)
+@pytest.mark.parametrize(
+    ("answer", "reason", "said"),
+    [
+        (b"220 mail.example ESMTP\r\n", RecorderReason.REFUSED, "220 mail"),
+        # It hangs up.
+        (b"", RecorderReason.UNREACHABLE, "went away at 'update'"),
+    ],
+)
+def test_who_answers_otherwise_is_no_labrecorder(
+    answer: bytes, reason: RecorderReason, said: str
+) -> None:
+    with socket.create_server((LOCAL, 0)) as server:
 
-    error = reason_of(serve(greet))
-    assert error.reason is RecorderReason.REFUSED
-    assert "220 mail" in str(error)
+        def serve() -> None:
+            with server.accept()[0] as client:
+                client.recv(100)
+                client.sendall(answer)
+                if answer:
+                    client.recv(100)
 
-
-@pytest.mark.nightly
-def test_an_end_of_the_connection_is_no_answer(serve: Serve) -> None:
-    def hang_up(client: socket.socket) -> None:
-        client.recv(100)
-
-    error = reason_of(serve(hang_up))
-    assert error.reason is RecorderReason.UNREACHABLE
-    assert "went away at 'update'" in str(error)
+        serving = threading.Thread(target=serve)
+        serving.start()
+        error = reason_of(server.getsockname()[1])
+        serving.join(DEADLINE_S)
+        assert not serving.is_alive()
+    assert error.reason is reason
+    assert said in str(error)
 
 
 # When a recording counts as growing, and when as closed.

@@ -101,6 +101,17 @@ class Answer(NamedTuple):
     body: bytes
 
 
+def assert_listens_on_loopback_alone(process: subprocess.Popen[bytes], port: int) -> None:
+    """At this port, by what the system says of the process."""
+    listening = [
+        line.split()[1]
+        for name in ("tcp", "tcp6")
+        for line in Path(f"/proc/{process.pid}/net/{name}").read_text().splitlines()[1:]
+        if line.split()[3] == "0A" and line.split()[1].endswith(f":{port:04X}")
+    ]
+    assert listening == [f"0100007F:{port:04X}"]
+
+
 class Server:
     """The page's server: where it is, and the way in; options for its command can be given."""
 

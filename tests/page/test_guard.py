@@ -7,14 +7,13 @@ import socket
 import struct
 from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from tests.page.conftest import STARTED, Answer, Programs, Server
+from tests.page.conftest import STARTED, Answer, Programs, Server, assert_listens_on_loopback_alone
 
 pytestmark = pytest.mark.nightly
 
@@ -228,10 +227,4 @@ def test_no_file_beside_the_page_is_given_away(server: Server, cookie: str, path
 
 
 def test_it_listens_on_loopback_alone(server: Server) -> None:
-    listening = [
-        line.split()[1]
-        for name in ("tcp", "tcp6")
-        for line in Path(f"/proc/{server.process.pid}/net/{name}").read_text().splitlines()[1:]
-        if line.split()[3] == "0A" and line.split()[1].endswith(f":{server.port:04X}")
-    ]
-    assert listening == [f"0100007F:{server.port:04X}"]
+    assert_listens_on_loopback_alone(server.process, server.port)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from tests.page.conftest import DEADLINE_S, Server
 from tests.page.test_whose import BELT, Page
 from tests.page.test_window import OpenWindow
 from tests.replay import files
+from tests.rigs.polling import wait_until
 
 
 @pytest.fixture
@@ -303,17 +303,10 @@ def test_a_replay_ends_with_the_page(server: Server, tmp_path: Path) -> None:
     again = server.tell("POST", "replay/start", cookie, wanted)
     assert (again.status, b"being played already" in again.body) == (409, True)
     resolver = pylsl.ContinuousResolver(prop="name", value="alone", forget_after=1.0)
-    until(lambda: bool(resolver.results()))
+    wait_until(lambda: bool(resolver.results()))
     server.process.terminate()
     server.process.wait(DEADLINE_S)
-    until(lambda: not resolver.results())
-
-
-def until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    wait_until(lambda: not resolver.results())
 
 
 def test_recordings_are_listed_the_newest_first(tmp_path: Path) -> None:

@@ -6,8 +6,7 @@ import asyncio
 import json
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
@@ -31,6 +30,7 @@ from biosensor_gateway.page.network.stream_list import MAX_INLETS, StreamList
 from biosensor_gateway.page.network.view import Viewer, entry_of, readable
 from biosensor_gateway.page.pages import network_interface
 from biosensor_gateway.streaming.counters import Counters, counters_text
+from tests.rigs.polling import wait_until
 from tests.ros.test_aliases import Info
 
 # What the page of the network reads of real outlets in another process, without a browser.
@@ -78,7 +78,7 @@ class Reading:
             device = self.device(title)
             return device if device and (not states or device.seen in states) else None
 
-        return until(found)
+        return wait_until(found)
 
     def values(self, key: str) -> np.ndarray[Any, Any]:
         return np.concatenate([each.values for each in list(self.samples) if each.source_id == key])
@@ -88,15 +88,6 @@ class Reading:
 
     def count(self, key: str) -> int:
         return sum(len(each.stamps) for each in list(self.samples) if each.source_id == key)
-
-
-def until(holds: Callable[[], Any]) -> Any:
-    """Return what becomes true."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not (found := holds()):
-        assert time.monotonic() < deadline, "what was waited for never happened"
-        time.sleep(0.02)
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +108,7 @@ def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(reading: Readin
     assert (stream.channel_count, stream.channels[-1], stream.units[0]) == (128, "C8", "microvolts")
     first, last = stream.source_id, key_of(int(stream.source_id), 120)
     reading.reader.wanted = frozenset({first, last})
-    until(lambda: reading.count(first) > 500 and reading.count(last) > 500)
+    wait_until(lambda: reading.count(first) > 500 and reading.count(last) > 500)
     numbers = reading.values(first)[:, 0]
     assert (np.diff(numbers) == 1).all()
     for key, begin in ((first, 0), (last, 120)):
@@ -131,7 +122,7 @@ def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(reading: Readin
     # An inlet of its own on the same stream: both clocks are this machine's.
     (info,) = pylsl.resolve_byprop("name", "amplifier", timeout=DEADLINE_S)
     rows, stamps = pylsl.StreamInlet(info).pull_chunk(DEADLINE_S, max_samples=1)
-    until(lambda: reading.values(first)[-1, 0] > rows[0][0])
+    wait_until(lambda: reading.values(first)[-1, 0] > rows[0][0])
     place = np.flatnonzero(reading.values(first)[:, 0] == rows[0][0])[0]
     assert reading.stamps(first)[place] == pytest.approx(stamps[0], abs=0.05)
     (stream,) = reading.wait("amplifier", SeenState.STREAMING).streams
@@ -160,7 +151,7 @@ def test_streams_of_strangers_do_no_harm(reading: Reading) -> None:
 def test_text_is_read_as_text(reading: Reading) -> None:
     (stream,) = reading.wait("experiment").streams
     reading.reader.wanted = frozenset({stream.source_id})
-    (stream,) = until(lambda: [s for s in reading.wait("experiment").streams if s.texts])
+    (stream,) = wait_until(lambda: [s for s in reading.wait("experiment").streams if s.texts])
     assert stream.texts[0].text.startswith("trial ")
     assert stream.texts[0].text.endswith("\\x07")
     assert stream.channels == []
@@ -176,13 +167,13 @@ def test_of_very_many_streams_few_are_received(reading: Reading) -> None:
 
     with other_streams([{"name": f"many-{number}", "rate": 1.0} for number in range(MANY)]):
         reading.reader.wanted = frozenset()
-        until(lambda: reading.reader.view.inlets == 0)
-        keys = until(lambda: found if len(found := many()) == MANY else None)
+        wait_until(lambda: reading.reader.view.inlets == 0)
+        keys = wait_until(lambda: found if len(found := many()) == MANY else None)
         reading.reader.wanted = frozenset(keys)
-        until(lambda: reading.reader.view.inlets == MAX_INLETS)
+        wait_until(lambda: reading.reader.view.inlets == MAX_INLETS)
         assert reading.reader.view.not_received == MANY - MAX_INLETS
         reading.reader.wanted = frozenset()
-        until(lambda: reading.reader.view.inlets == 0)
+        wait_until(lambda: reading.reader.view.inlets == 0)
 
 
 def test_a_fast_stream_keeps_its_smallest_and_largest_values() -> None:

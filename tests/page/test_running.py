@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -19,6 +18,7 @@ from playwright.sync_api import Browser, Page, expect
 from biosensor_gateway.page.instance import ADDRESS, ask_for_window, page_folder
 from tests.page.conftest import DEADLINE_S, STARTED, Programs, Server
 from tests.rigs.chromium import OPTIONS
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -27,13 +27,6 @@ OpenWindow = Callable[..., Page]
 NO_SENSOR = "No sensor is set up yet"
 # Minutes.
 SOON = "0.05"
-
-
-def until(holds: Callable[[], object], expected: str) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not holds():
-        assert time.monotonic() < deadline, f"never happened: {expected}"
-        time.sleep(0.05)
 
 
 @pytest.mark.seam
@@ -68,7 +61,9 @@ def test_of_two_that_start_at_once_one_serves_and_the_other_opens_it(programs: P
         assert found is not None
         ports.add(found[1])
     assert len(ports) == 1
-    until(lambda: [each.poll() for each in both].count(0) == 1, "one that has opened the other's")
+    wait_until(
+        lambda: [each.poll() for each in both].count(0) == 1, "one that has opened the other's"
+    )
     assert [each.poll() for each in both].count(None) == 1
 
 
@@ -94,7 +89,7 @@ def test_it_serves_where_nothing_can_be_written_and_says_what_that_means(
     assert Server(programs).request("GET", "/", "").status == 401
     said = programs.folder / "stderr-0.txt"
     expected = "a second page would be a second server"
-    until(lambda: expected in said.read_text(), expected)
+    wait_until(lambda: expected in said.read_text(), expected)
 
 
 def test_a_time_that_is_none_is_refused_in_one_sentence(programs: Programs) -> None:
@@ -194,7 +189,7 @@ def test_it_opens_a_window_of_its_own_and_ends_after_it(
 ) -> None:
     server = programs.start("page", "--window", "--end-after", SOON)
     port = profile / "DevToolsActivePort"
-    until(lambda: port.exists() and port.read_text(), "a browser")
+    wait_until(lambda: port.exists() and port.read_text(), "a browser")
     # Any user of the computer sees what stands on a command line.
     asked = (tmp_path / "asked").read_text()
     assert asked.startswith("--app=file:///")
@@ -204,7 +199,7 @@ def test_it_opens_a_window_of_its_own_and_ends_after_it(
     assert seen.split()[-2:] == ["600", "700"]
     address = f"http://127.0.0.1:{port.read_text().split()[0]}"
     # Who connects while the window is being made may wait for ever.
-    until(lambda: "Biosensor Gateway" in page_titles(address), "the page in a window")
+    wait_until(lambda: "Biosensor Gateway" in page_titles(address), "the page in a window")
     opened = chromium.browser_type.connect_over_cdp(address)
     (page,) = opened.contexts[0].pages
     expect(page.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
@@ -224,7 +219,7 @@ def test_what_a_browser_has_not_opened_is_removed_with_the_page(
     programs.variables["BROWSER"] = f"{browser} %s"
     server = programs.start("page")
     asked = tmp_path / "asked"
-    until(lambda: asked.exists() and asked.read_text(), "a browser")
+    wait_until(lambda: asked.exists() and asked.read_text(), "a browser")
     file = Path(asked.read_text().strip().removeprefix("file://"))
     assert STARTED.search((tmp_path / "file").read_text())
     assert file.exists()
@@ -264,7 +259,7 @@ def test_the_windowed_program_says_that_its_page_was_killed(programs: Programs) 
         WINDOWED, env=programs.environment, stderr=subprocess.PIPE, text=True
     )
     control = page_folder(programs.folder) / "control.json"
-    until(control.exists, "a server")
+    wait_until(control.exists, "a server")
     (server,) = psutil.Process(launcher.pid).children()
     server.kill()
     _, said = launcher.communicate(timeout=DEADLINE_S)
@@ -275,7 +270,7 @@ def test_the_windowed_program_says_that_its_page_was_killed(programs: Programs) 
 def test_run_opens_the_page_beside_it(programs: Programs, window: OpenWindow) -> None:
     programs.environment_more["BROWSER"] = "true"
     running = programs.start("run", "--page", "--simulate", "zephyr")
-    until(lambda: ask_for_window(programs.folder), "a page")
+    wait_until(lambda: ask_for_window(programs.folder), "a page")
     opened = ask_for_window(programs.folder)
     assert opened is not None
     page = window()

@@ -16,7 +16,8 @@ from playwright.sync_api import Page, expect
 
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S
-from tests.page.web_lab import MarkerReader, WebLab, until
+from tests.page.web_lab import MarkerReader, WebLab
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -113,7 +114,7 @@ def test_a_clock_that_is_set_meanwhile_is_measured_again(
     # Back again: only the next questions show it, so markers are of half an hour ago until then.
     page.evaluate("window.ahead = 0")
     marks = [page.evaluate(BUSY, ["set back", 0])]
-    until(
+    wait_until(
         lambda: (
             marks.append(page.evaluate(BUSY, ["set back", 0]))
             or abs(marks[-1][1]["lsl_time"] - zero - marks[-1][0] / 1000) < 1000
@@ -228,7 +229,9 @@ def test_the_example_is_run_by_a_participant(
         expect(page.get_by_role("img", name="circle")).to_be_hidden()
     expect(page.get_by_text("Done. Thank you.")).to_be_visible()
     assert violations(page) == []
-    until(lambda: bool(reader.find("experiment end")) and len(reader.named("key")) == count + 5)
+    wait_until(
+        lambda: bool(reader.find("experiment end")) and len(reader.named("key")) == count + 5
+    )
     shown, pressed = reader.named("circle on")[-5:], reader.named("key")[-5:]
     assert [each["note"] for each in pressed] == [f"trial {number}" for number in range(1, 6)]
     for on, key in zip(shown, pressed, strict=True):

@@ -9,7 +9,6 @@ import time
 from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,8 +19,9 @@ from websockets.typing import Origin
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.page.auth import MAX_EXPERIMENT_SOCKETS
 from biosensor_gateway.page.experiments.server import SOCKET
-from tests.page.conftest import DEADLINE_S
-from tests.page.web_lab import Answer, MarkerReader, WebLab, until
+from tests.page.conftest import DEADLINE_S, assert_listens_on_loopback_alone
+from tests.page.web_lab import Answer, MarkerReader, WebLab
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -198,13 +198,7 @@ def test_the_token_opens_nothing_but_markers(lab: WebLab) -> None:
 
 
 def test_it_listens_on_loopback_alone(lab: WebLab) -> None:
-    listening = [
-        line.split()[1]
-        for name in ("tcp", "tcp6")
-        for line in Path(f"/proc/{lab.server.process.pid}/net/{name}").read_text().splitlines()[1:]
-        if line.split()[3] == "0A" and line.split()[1].endswith(f":{lab.port:04X}")
-    ]
-    assert listening == [f"0100007F:{lab.port:04X}"]
+    assert_listens_on_loopback_alone(lab.server.process, lab.port)
 
 
 @pytest.mark.parametrize("origin", [None, FOREIGN, "http://127.0.0.1:1"])
@@ -301,7 +295,7 @@ def test_a_flood_of_messages_ends_its_socket_and_the_page_goes_on(lab: WebLab) -
         with pytest.raises(InvalidStatus):
             opened(lab).close()
         assert lab.server.request("GET", "/api/v1/status", lab.cookie).status == 200
-    until(lambda: lab.request("POST", {"marker": "after the flood"}).code == 200)
+    wait_until(lambda: lab.request("POST", {"marker": "after the flood"}).code == 200)
 
 
 def test_settings_hold_at_once(lab: WebLab) -> None:
@@ -310,18 +304,18 @@ def test_settings_hold_at_once(lab: WebLab) -> None:
         lab.allow(FOREIGN)
         # Whoever was let in by the settings before is let in again, or not.
         assert closing(page)[0] == 1012
-    until(lambda: lab.listens() and lab.request("POST", {"marker": "x"}).code == 403)
+    wait_until(lambda: lab.listens() and lab.request("POST", {"marker": "x"}).code == 403)
     lab.allow()
-    until(lambda: not lab.listens())
+    wait_until(lambda: not lab.listens())
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port, lab.port = lab.port, taken.getsockname()[1]
         lab.allow(lab.origin)
-        until(lambda: f"port {lab.port} cannot be used" in _view(lab)["problem"])
+        wait_until(lambda: f"port {lab.port} cannot be used" in _view(lab)["problem"])
     lab.port = port
     lab.allow(lab.origin)
-    until(lab.listens)
+    wait_until(lab.listens)
     lab.programs.call("mark", "--web", "--new-token")
-    until(lambda: lab.listens() and lab.request("POST", {"marker": "x"}).code == 200)
+    wait_until(lambda: lab.listens() and lab.request("POST", {"marker": "x"}).code == 200)
 
 
 def _view(lab: WebLab) -> dict[str, Any]:
@@ -362,7 +356,7 @@ def test_a_flood_of_markers_is_refused(lab: WebLab) -> None:
 
     answers: list[Answer] = []
     with ThreadPoolExecutor(8) as threads:
-        until(
+        wait_until(
             lambda: (
                 answers.extend(threads.map(post, range(50)))
                 or any(each.code == 429 for each in answers)
@@ -373,4 +367,4 @@ def test_a_flood_of_markers_is_refused(lab: WebLab) -> None:
     assert refused.headers["Retry-After"] == "1"
     assert refused.said["problem"] == "more than 50 markers a second; send fewer, or later"
     assert refused.headers["Access-Control-Allow-Origin"] == lab.origin
-    until(lambda: post(0).code == 503)
+    wait_until(lambda: post(0).code == 503)

@@ -6,7 +6,6 @@ import functools
 import json
 import socket
 import threading
-import time
 from collections.abc import Callable
 from http.client import HTTPConnection
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -19,17 +18,9 @@ from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.page.experiments.server import MARKERS, experiment_token
 from tests.page.conftest import DEADLINE_S, Programs, Server
+from tests.rigs.polling import wait_until
 
-_POLL_S = 0.02
 _SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "markers")
-
-
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for a condition, for as long as it may take on a busy machine."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(_POLL_S)
 
 
 def free_port() -> int:
@@ -101,7 +92,7 @@ class WebLab:
         """Start the page's program, and let the experimenter in."""
         self.server = Server(self.programs)
         self.cookie = self.server.enter()
-        until(self.listens)
+        wait_until(self.listens)
 
     def allow(self, *origins: str) -> None:
         """Write into the settings who may mark."""
@@ -160,16 +151,18 @@ class MarkerReader:
         self._inlet = pylsl.StreamInlet(found, recover=False)
         self._inlet.open_stream(DEADLINE_S)
         self.markers: list[dict[str, Any]] = []
-        until(lambda: self._has(lambda each: True))
+        wait_until(lambda: self._has(lambda each: True))
 
     def find(self, marker: str) -> dict[str, Any]:
         """Wait for a marker of this name; the first one."""
-        until(lambda: self._has(lambda each: each["marker"] == marker))
+        wait_until(lambda: self._has(lambda each: each["marker"] == marker))
         return self.named(marker)[0]
 
     def wait_for(self, marker: str, note: str) -> None:
         """Wait for a marker with a note."""
-        until(lambda: self._has(lambda each: (each["marker"], each.get("note")) == (marker, note)))
+        wait_until(
+            lambda: self._has(lambda each: (each["marker"], each.get("note")) == (marker, note))
+        )
 
     def named(self, marker: str) -> list[dict[str, Any]]:
         """Return those of this name that have come."""

@@ -699,19 +699,16 @@ def test_files_of_another_recording_are_not_overwritten(tmp_path: Path, root: Pa
     assert _files(root) == before
 
 
-def test_two_people_of_one_label_are_not_mixed(tmp_path: Path, root: Path) -> None:
-    _add(root, _recording(tmp_path, "P-01", "one_task-walk.xdf"))
-    with pytest.raises(RecordingError, match=r"'P-01' in the data set and 'P01' in this"):
-        _add(root, _recording(tmp_path, "P01", "two_task-talk.xdf"))
-
-
-def test_people_whose_names_differ_in_case_are_not_mixed_on_a_disk_that_ignores_it(
-    tmp_path: Path, root: Path
+# Where only the case differs, it is one folder on a disk that ignores it.
+@pytest.mark.parametrize(("first", "second"), [("P-01", "P01"), ("P01", "p01")])
+def test_two_people_of_one_label_are_not_mixed(
+    first: str, second: str, tmp_path: Path, root: Path
 ) -> None:
-    _add(root, _recording(tmp_path, "P01", "one_task-walk.xdf"))
+    _add(root, _recording(tmp_path, first, "one_task-walk.xdf"))
     before = _files(root)
-    with pytest.raises(RecordingError, match=r"sub-P01 is 'P01' in the data set and 'p01' in this"):
-        _add(root, _recording(tmp_path, "p01", "two_task-talk.xdf"))
+    said = f"sub-P01 is '{first}' in the data set and '{second}' in this"
+    with pytest.raises(RecordingError, match=said):
+        _add(root, _recording(tmp_path, second, "two_task-talk.xdf"))
     assert _files(root) == before
 
 

@@ -40,7 +40,8 @@ from biosensor_gateway.recording.xdf.samples import decode
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.recording_here.conftest import Sources, only
 from tests.rigs.lab_recorder import LabRecorder
-from tests.rigs.lsl_streams import note_askers, wait_until
+from tests.rigs.lsl_streams import note_askers
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 

@@ -35,7 +35,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
 from tests.recording_here.conftest import Sources, only
-from tests.rigs.lsl_streams import wait_until
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 

@@ -17,19 +17,12 @@ import pytest
 from biosensor_common.lsl.inlet import Block
 from biosensor_common.refusal import Refusals
 from lsl_to_ros.lsl.inlets import Inlet, InletState
+from tests.rigs.polling import wait_until
 
 DEADLINE_S = 30.0
 
 Open = Callable[[pylsl.StreamInfo], Inlet]
 """Opens an inlet and waits until it is ready."""
-
-
-def wait_until(holds: Callable[[], object], expected: str) -> None:
-    """Return once it holds; the test fails if it never does."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not holds():
-        assert time.monotonic() < deadline, f"never happened: {expected}"
-        time.sleep(0.002)
 
 
 class Source:

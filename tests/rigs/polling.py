@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
+from typing import TypeVar
+
+_T = TypeVar("_T")
 
 _DEADLINE_S = 20.0
 _STEP_S = 0.005
+
+
+def wait_until(
+    holds: Callable[[], _T | None], expected: str = "what was waited for", deadline_s: float = 60.0
+) -> _T:
+    """Return what it is once it is true; the test fails if it never is.
+
+    It may take long on a busy machine.
+    """
+    deadline = time.monotonic() + deadline_s
+    while not (found := holds()):
+        assert time.monotonic() < deadline, f"never happened: {expected}"
+        time.sleep(_STEP_S)
+    return found
 
 
 async def until(condition: Callable[[], object]) -> None:

@@ -24,8 +24,8 @@ from tests.rigs.lsl_streams import (
     inlets,
     keep_lsl_inlets,
     thread_count,
-    wait_until,
 )
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 

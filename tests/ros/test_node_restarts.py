@@ -17,7 +17,7 @@ from std_msgs.msg import Float32MultiArray, Int32
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
-from tests.rigs.lsl_streams import wait_until
+from tests.rigs.polling import wait_until
 from tests.rigs.processes import stands_still, waiting_bytes
 from tests.rigs.stopwatch import Stopwatch
 

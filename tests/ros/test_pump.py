@@ -9,7 +9,8 @@ from typing import NamedTuple
 import pytest
 
 from lsl_to_ros.lsl.inlets import MOST_FOLLOWERS, Inlet, InletState, Pump
-from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
+from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count
+from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 

@@ -24,15 +24,8 @@ from lsl_to_ros.lsl import discovery
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.faults.agent import AgentProcess
-from tests.rigs.lsl_streams import (
-    DEADLINE_S,
-    Collector,
-    Open,
-    Source,
-    inlets,
-    thread_count,
-    wait_until,
-)
+from tests.rigs.lsl_streams import DEADLINE_S, Collector, Open, Source, inlets, thread_count
+from tests.rigs.polling import wait_until
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
