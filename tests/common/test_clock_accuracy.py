@@ -7,7 +7,7 @@ import gzip
 import random
 from collections.abc import Sequence
 from importlib.resources import files
-from itertools import groupby, pairwise
+from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
@@ -58,39 +58,11 @@ def test_bursts_of_ten_seconds_are_overcome_after_three(seed: int, drift_ppm: in
     assert late.stamp_rms_ms < 10.0
 
 
-def test_overtaking_or_not_makes_no_difference_to_rare_packets() -> None:
-    ready = [packet / 10 for packet in range(600)]
-    free = simulation.uniform_100_ms(random.Random(1), ready)
-
-    assert simulation.uniform_100_ms_in_order(random.Random(1), ready) == free
-
-
 def test_on_a_link_that_keeps_the_order_stamps_of_fifty_a_second_stay_within_5_ms() -> None:
     row = run(50, simulation.uniform_100_ms_in_order, SEEDS)
 
     assert row.worst_stamp_rms_ms < 5.0
     assert row.worst_sample_spacing_rms_ms < SPACING_LIMIT_MS
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_bursts_hold_ten_packets_until_the_last_is_ready(seed: int) -> None:
-    ready = [packet / 4 for packet in range(200)]
-    arrivals = simulation.in_bursts(random.Random(seed), ready)
-
-    released = sorted(set(arrivals))
-    sizes = [arrivals.count(time) for time in released]
-    assert set(sizes[1:-1]) == {simulation.BURST_PACKETS}
-    assert all(later - earlier == 2.5 for earlier, later in pairwise(released[:-1]))
-    assert all(arrival >= time for arrival, time in zip(arrivals, ready, strict=True))
-
-
-def test_one_packet_in_a_hundred_is_a_second_late() -> None:
-    ready = [packet / 50 for packet in range(10_000)]
-    arrivals = simulation.outliers_1_s(random.Random(3), ready)
-
-    delays = [arrival - time for arrival, time in zip(arrivals, ready, strict=True)]
-    assert {round(delay, 6) for delay in delays} == {0.0, 1.0}
-    assert 70 < sum(delay > 0.5 for delay in delays) < 130
 
 
 # A device clock on fifteen minutes of real Bluetooth LE: a Muse S Athena, one minute at a time.
@@ -248,7 +220,7 @@ def test_over_a_real_radio_a_clock_that_was_set_back_is_found_within_seconds(
 
 # How well a device clock recovers sample times from simulated radio delays.
 DRIFTS_PPM = (-200, -50, 0, 50, 200)
-DEVICE_SEEDS = range(4)
+DEVICE_SEEDS = range(2)
 
 
 @pytest.mark.parametrize("way", [uniform_100_ms, exponential_20_ms])

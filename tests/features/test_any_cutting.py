@@ -251,7 +251,7 @@ def test_what_is_kept_once_all_windows_are_full_grows_no_more(kind: str) -> None
     columns = values.reshape(len(values), -1)
     sizes: list[int] = []
     block = max(1, round(rate))
-    for repeat in range(4):
+    for repeat in range(3):
         for begin in range(0, len(values), block):
             here = slice(begin, begin + block)
             runs.take(stamps[here] + repeat * 60 * _MINUTES, columns[here])
