@@ -113,7 +113,7 @@ function App() {
 
   useTitle(status);
   // While something is recorded, a key that marks nothing because the agent is away is answered so.
-  useMarkerKeys(status?.agent === "running" || status?.recording.is_running ? status.markers.buttons : [], act);
+  useMarkerKeys(status?.agent === "running" || status?.recording?.is_running ? status.markers.buttons : [], act);
   const session = useRef(null);
   // Then the recording has no panel on the screen, or one that is somewhere below.
   const isElsewhere = Boolean(device) || isSetup || isReplay || isFiles || isExamined || Boolean(capture);
