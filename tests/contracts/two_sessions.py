@@ -20,7 +20,8 @@ from contextlib import suppress
 import pylsl
 
 from biosensor_common.doctor import survey
-from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION
+from biosensor_common.lsl.network import Network
+from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION, begins_with
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
@@ -97,6 +98,12 @@ def _discover(query: str) -> None:
     discovery.stop()
 
 
+def _watch(predicate: str) -> None:
+    network = Network(predicate)
+    while not _done.wait(STEP_S):
+        network.streams()
+
+
 def _unbracketed() -> None:
     resolver = _Watched(pred="type='none' or type='PPG'")
     while not _done.wait(STEP_S):
@@ -139,6 +146,7 @@ CASES: dict[str, Callable[[], None]] = {
     "the node": lambda: _discover(""),
     "the node, of two types": lambda: _discover("type='none' or type='PPG'"),
     "the node, of ros_to_lsl": lambda: _discover("desc/ros or true()"),
+    "ros_to_lsl, outlets elsewhere": lambda: _watch(begins_with("source_id", "PPG")),
     "before a recording": _again(lambda: streams._search(frozenset())),
     "the recorder, all streams": _again(lambda: pylsl.resolve_bypred(EVERYTHING)),
     "the recorder, only ours": _again(_recorder_of_ours),

@@ -118,7 +118,9 @@ def sent_twice(patch: pytest.MonkeyPatch) -> Shown:
     topic = sent(patch, PoseStamped, PoseStamped())
     node = fake(get_name=lambda: "ros_to_lsl")
     node.get_subscriptions_info_by_topic = lambda _: [fake(node_name="ros_to_lsl")] * 2
-    RosToLsl._tell_sent_twice(node, fake(name="/topic", bridge=topic.bridge, is_subscribed=True))
+    RosToLsl._tell_sent_twice(
+        node, fake(name="/topic", bridge=topic.bridge, is_subscribed=True), ()
+    )
     return entry(topic)
 
 

@@ -281,6 +281,11 @@ class MemoryOutlet:
     def __init__(self, info: pylsl.StreamInfo) -> None:
         self.channel_count = info.channel_count()
         self.is_text = info.channel_format() == pylsl.cf_string
+        self._info = info
+
+    def get_info(self) -> pylsl.StreamInfo:
+        """Return the description of the stream, which has no uid here."""
+        return self._info
 
     def push_sample(
         self, x: Sequence[Any] | NDArray[Any], timestamp: float = 0.0, pushthrough: bool = True

@@ -229,13 +229,23 @@ def test_publishers_of_another_quality_are_heard_too(
     ros.until(lambda: "mixed in one stream" in said_of(ros, "/level"), "that they are mixed")
 
 
+@pytest.mark.parametrize(
+    "of_the_other",
+    [
+        pytest.param(["/level"], id="alike"),
+        pytest.param(["/level", "-r", "__node:=other"], id="with another node name"),
+        pytest.param(["/height", "-p", "/height.name:=level", "-r", "__node:=other"], id="renamed"),
+    ],
+)
 def test_a_node_that_was_started_twice_says_so(
-    ros: Ros, streams: Streams, start_node: Start
+    of_the_other: list[str], ros: Ros, streams: Streams, start_node: Start
 ) -> None:
-    ros.publish(lambda: Float64(data=1.0), "/level")
+    topic, *options = of_the_other
+    for each in {"/level", topic}:
+        ros.publish(lambda: Float64(data=1.0), each)
     start_node(*arguments("/level"), module=MODULE)
     streams.open("level").until(lambda: said_of(ros, "/level") == "sending", "one that sends")
-    start_node(*arguments("/level"), module=MODULE)
+    start_node(*arguments(topic), *options, module=MODULE)
     ros.until(lambda: "another ros_to_lsl also sends it" in said_of(ros, "/level"), "another one")
 
 

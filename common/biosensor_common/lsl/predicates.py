@@ -30,6 +30,13 @@ def equals(field: Field, value: str) -> Predicate:
     return NOTHING if "\0" in value else Predicate(f"({field}={_quoted(value)})")
 
 
+def begins_with(field: Field, beginning: str) -> Predicate:
+    """Match streams whose field begins with a text."""
+    return (
+        NOTHING if "\0" in beginning else Predicate(f"(starts-with({field},{_quoted(beginning)}))")
+    )
+
+
 def ends_with(field: Field, ending: str) -> Predicate:
     """Match streams whose field ends with a text; XPath 1.0 has no function for it."""
     if "\0" in ending:

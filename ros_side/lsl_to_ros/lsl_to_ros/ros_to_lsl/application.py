@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
 from time import monotonic, time_ns
@@ -35,6 +35,7 @@ from lsl_to_ros.reports.clock_pairs import events_outlet
 from lsl_to_ros.reports.reporter import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, Topic, are_named
+from lsl_to_ros.ros_to_lsl.outlets import OtherOutlets
 from lsl_to_ros.ros_to_lsl.parameters import TopicRequest, read_requests, stream_name
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
@@ -98,6 +99,7 @@ class RosToLsl(Node):
         self._met: Counter[str] = Counter()
         self._looks = 0
         self._offsets = SenderOffsets(self)
+        self._other_outlets = OtherOutlets()
         self._missed_s = monotonic() + FOUND_AFTER_S
         for request in self._requests.topics:
             self._open(request)
@@ -128,11 +130,12 @@ class RosToLsl(Node):
             self._open_small(graph)
         self._looks += 1
         is_to_ask_all = self._looks % LOOKS_BETWEEN == 0
+        others = self._other_outlets.source_ids() if is_to_ask_all else set[str]()
         for each in self._topics.values():
             if is_to_ask_all or each.kind is None:
                 self._follow(graph, each)
             if is_to_ask_all:
-                self._tell_sent_twice(each)
+                self._tell_sent_twice(each, others)
         if monotonic() > self._missed_s:
             self._missed_s = math.inf
             self._say_missing(graph)
@@ -172,11 +175,18 @@ class RosToLsl(Node):
             # nothing is dropped: it begins
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
 
-    def _tell_sent_twice(self, topic: Topic) -> None:
-        """Report that another node of this program sends a topic, as when it was started twice."""
+    def _tell_sent_twice(self, topic: Topic, others: Collection[str]) -> None:
+        """Report that another node of this program sends a topic, as when it was started twice.
+
+        Parameters
+        ----------
+        others
+            The source_ids of outlets elsewhere, by which a node with another name is known.
+        """
         readers = self.get_subscriptions_info_by_topic(topic.name)
         of_program = sum(each.node_name in {PROGRAM, self.get_name()} for each in readers)
-        is_twice = of_program > topic.is_subscribed and not topic.bridge.fault
+        is_read_twice = of_program > topic.is_subscribed and not topic.bridge.fault
+        is_twice = is_read_twice or not topic.bridge.source_ids.isdisjoint(others)
         topic.bridge.refusals.hold(Refusal.SENT_TWICE, is_twice)
 
     def _is_met(self, graph: Graph, topic: str, publishers: Sequence[TopicEndpointInfo]) -> bool:

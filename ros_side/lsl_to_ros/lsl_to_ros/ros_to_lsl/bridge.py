@@ -154,6 +154,13 @@ class Bridge:
         return own or any(each.is_received for each in self.parts)
 
     @property
+    def source_ids(self) -> set[str]:
+        """Of its present outlets."""
+        outlets = (each.outlet for each in self._senders)
+        own = {outlet.source_id for outlet in outlets if outlet is not None}
+        return own.union(*(each.source_ids for each in self.parts))
+
+    @property
     def replaced(self) -> int:
         """How often an outlet was replaced by one with other channels."""
         senders = (each for each in self._senders if isinstance(each, NumberSender))

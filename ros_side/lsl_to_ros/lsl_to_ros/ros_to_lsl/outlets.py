@@ -24,7 +24,9 @@ from xml.etree.ElementTree import Element, SubElement
 import pylsl
 
 from biosensor_common import naming
+from biosensor_common.lsl.network import Network
 from biosensor_common.lsl.outlet import LslOutlet
+from biosensor_common.lsl.predicates import begins_with
 from biosensor_common.lsl_header import append_children
 from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_common.ros.layout import Channel
@@ -90,7 +92,9 @@ class SampleOutlet:
     """An outlet of numbers, with the channels of a layout."""
 
     def __init__(self, name: str, origin: Origin, channels: Sequence[Channel], rate: float) -> None:
-        self._outlet = LslOutlet(sample_info(name, origin, channels, rate))
+        self._outlet = LslOutlet(info := sample_info(name, origin, channels, rate))
+        self.source_id = info.source_id()
+        _note_own(self._outlet)
         self.pushed = 0
 
     def push(self, values: Sequence[float], stamp: float) -> None:
@@ -121,6 +125,8 @@ class MarkerOutlet:
         _describe(description, origin, can_drop_samples=False)
         append_children(info.desc(), description)
         self._outlet = LslOutlet(info)
+        self.source_id = info.source_id()
+        _note_own(self._outlet)
         self._had_consumers = False
         self.pushed = 0
 
@@ -140,6 +146,29 @@ class MarkerOutlet:
     def have_consumers(self) -> bool:
         """Whether anybody receives the stream."""
         return self._outlet.have_consumers()
+
+
+# Of all outlets of this process, also of those that have ended and may still be found.
+_own_uids: set[str] = set()
+
+
+def _note_own(outlet: LslOutlet) -> None:
+    _own_uids.add(outlet.get_info().uid())
+
+
+class OtherOutlets:
+    """Finds outlets of other processes with source_ids as this process gives them.
+
+    Their nodes may be called otherwise, and may send another topic by the same name.
+    """
+
+    def __init__(self) -> None:
+        self._network = Network(begins_with("source_id", _source_id("")))
+
+    def source_ids(self) -> set[str]:
+        """Return the source_ids of those that are there now."""
+        streams = self._network.streams()
+        return {each.source_id() for each in streams if each.uid() not in _own_uids}
 
 
 def with_stamp(origin: Origin, source: StampSource, clock: ClockState, edge_s: float) -> Origin:
