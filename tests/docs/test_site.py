@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,7 +13,6 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from tests.docs import fault_picture
-from tests.docs.demo_picture import COLUMNS, drawn, printed, shown
 from tests.docs.site_hooks import ROOT, fetched, on_page_markdown, relinked
 
 # The site is built strictly, and its links lead where the files went.
@@ -137,54 +134,6 @@ def test_our_settings_refuse_a_link_that_leads_nowhere(
 # Pictures are drawn from what was printed or measured, and ask nobody for anything.
 PICTURES = sorted((Path(__file__).parents[2] / "docs" / "pictures").glob("*.svg"))
 SVG = "{http://www.w3.org/2000/svg}"
-PRINTED = f"""\
-something that was logged
-topic in /biosensors/       type     Hz
-empatica_e4/tag             Empty    0.00
-gateway/events              String   0.20
-polar_h10/bat               Float32  0.00
-polar_h10/ecg               Float32  130.14
-polar_h10/ecg_chunk         Float32[]  1.02
-zephyr/br                   Float32  1.00
-zephyr/breathing            Float32  17.86
-zephyr/hr                   UInt8    {"1.00".ljust(COLUMNS)} end
-zephyr/ibi                  Float32  1.00
-/biosensors/empatica_e4/tag: not expected, nobody presses the button
-"""
-
-
-def test_the_demo_is_shown_without_what_is_beside_it() -> None:
-    heading, ecg, *breathing, heart_rate, more, reason = shown(PRINTED)
-    assert heading.startswith("topic ")
-    assert ecg.startswith("polar_h10/ecg ")
-    assert len(breathing) == 2
-    assert heart_rate.startswith("zephyr/hr ")
-    assert "5 more topics" in more
-    assert reason.endswith("nobody presses the button")
-
-
-@pytest.mark.nightly
-def test_a_program_prints_into_a_terminal_of_the_pictures_width() -> None:
-    code = "import os, sys; print(sys.stdout.isatty(), os.get_terminal_size().columns)"
-    assert printed([sys.executable, "-c", code]).split() == ["True", str(COLUMNS)]
-
-
-@pytest.mark.nightly
-def test_a_program_that_fails_is_not_drawn() -> None:
-    with pytest.raises(subprocess.CalledProcessError):
-        printed([sys.executable, "-c", "raise SystemExit(1)"])
-
-
-def test_a_demo_that_failed_is_not_drawn() -> None:
-    with pytest.raises(ValueError, match="no table"):
-        shown("nothing received within 30 s\n")
-
-
-def test_what_is_wider_than_the_terminal_is_cut_and_shows_it() -> None:
-    texts = [element.text or "" for element in _texts(drawn(shown(PRINTED), "demo"))]
-    assert any("130.14" in text for text in texts)
-    assert not any("end" in text for text in texts)
-    assert any("…" in text for text in texts)
 
 
 def test_the_picture_of_faults_has_every_cell_of_its_table() -> None:

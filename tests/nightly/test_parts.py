@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
+import tomllib
 
 import pytest
 
-from tests.nightly.parts import ROOT, TABLE, Part, read_parts
+from tests.nightly.parts import ROOT, read_parts
+from tests.time_spent.plugin import ORDER
 
 PARTS = read_parts()
 FILES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("tests/**/test_*.py"))
@@ -48,12 +49,6 @@ def test_each_file_with_a_special_mark_belongs_to_exactly_one_part_for_it(mark: 
     assert wrongly_covered(files, mark) == {}
 
 
-def test_a_forgotten_folder_is_found() -> None:
-    assert wrongly_covered(["tests/of_tomorrow/test_it.py"], "ordinary") == {
-        "tests/of_tomorrow/test_it.py": []
-    }
-
-
 def test_parts_name_files_that_are_there() -> None:
     places = [place for part in PARTS for place in part.tests]
     assert [place for place in places if not (ROOT / place).exists()] == []
@@ -78,40 +73,7 @@ def test_what_commands_name_exists() -> None:
                 pytest.fail(f"neither make nor a module: {line}")
 
 
-def test_a_wrong_kind_of_tests_is_refused(tmp_path: Path) -> None:
-    table = tmp_path / TABLE.name
-    table.write_text('[[part]]\nname = "a"\ndoes = "b"\nonly = "some"\n')
-    with pytest.raises(ValueError, match='part a: only = "some" is none of'):
-        read_parts(table)
-
-
-def test_a_part_of_another_environment_is_run_by_its_python(tmp_path: Path) -> None:
-    part = Part("a", "b", tests=("tests/x",), only="all", environment=".venv-b")
-    command = part.test_command(tmp_path / "a.xml")
-    assert command[:5] == [".venv-b/bin/python", "-m", "pytest", "-m", "not alone"]
-
-
-def test_only_another_environment_runs_what_another_part_has() -> None:
-    assert {part.only == "all" for part in PARTS if part.environment} == {True}
-    assert {part.only == "all" for part in PARTS if not part.environment} == {False}
-
-
-def test_a_need_that_is_not_met_is_missing() -> None:
-    part = Part("a", "b", needs=("git-that-nobody-has", "python3"))
-    assert part.missing()[0] == "git-that-nobody-has"
-
-
-def test_tests_run_side_by_side_only_where_a_part_has_workers(tmp_path: Path) -> None:
-    junit = tmp_path / "a.xml"
-    alone = Part("a", "b", tests=("tests/x",), only="alone").test_command(junit)
-    assert alone[1:] == [
-        "-m",
-        "pytest",
-        "--tier",
-        "nightly",
-        "-m",
-        "alone",
-        f"--junit-xml={junit}",
-        "tests/x",
-    ]
-    assert {"-n", "3"} < set(Part("a", "b", tests=("tests/x",), workers=3).test_command(junit))
+def test_the_order_names_files_that_are_there() -> None:
+    order = tomllib.loads((ROOT / ORDER).read_text(encoding="utf-8"))
+    assert order.keys() == {"longest", "heavy"}
+    assert [file for files in order.values() for file in files if not (ROOT / file).is_file()] == []

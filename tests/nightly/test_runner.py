@@ -77,22 +77,6 @@ def test_a_part_runs_once_for_a_commit_and_a_failed_one_stops_no_other(
     assert (len(lines(project / "runs")), len(lines(project / "seeds"))) == (1, 2)
 
 
-def test_changed_files_are_another_version_and_are_named(project: Path) -> None:
-    assert main(["--part", "passes"], project) == 0
-    assert "work tree" not in page(project)
-    (project / "new.txt").touch()
-    assert main(["--part", "passes"], project) == 0
-    assert len(lines(project / "seeds")) == 2
-    assert "    ?? new.txt\n" in page(project)
-
-
-def test_joining_runs_nothing_and_counts_what_is_missing(project: Path) -> None:
-    assert main(["--part", "passes"], project) == 0
-    assert main(["--join"], project) == 1
-    assert "3 not run, 1 passed. " in page(project)
-    assert lines(project / "runs") == []
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_leaves_the_parts_that_have_ended(
     project: Path, number: signal.Signals

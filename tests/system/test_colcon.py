@@ -12,7 +12,6 @@ import re
 import shutil
 import signal
 import sys
-import sysconfig
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -27,11 +26,7 @@ from std_msgs.msg import Float32MultiArray
 from tests.system.programs import Program
 from tests.system.toolchain import (
     BUILD_TIMEOUT_S,
-    BUILD_TOOLS,
-    BuildToolMissingError,
     Toolchain,
-    fix_header_paths,
-    require_build_tools,
 )
 from tests.system.workspace import Workspace, copy_repository
 
@@ -193,47 +188,3 @@ def test_the_installed_node_publishes_a_stream_and_ends_cleanly(
     node.process.send_signal(number)
     assert node.process.wait(DEADLINE_S) == 0, node.output
     assert "Traceback" not in node.output
-
-
-def _folder_with(programs: set[str], folder: Path) -> str:
-    for name in programs:
-        (folder / name).touch(0o755)
-    return str(folder)
-
-
-@pytest.mark.parametrize("tool", BUILD_TOOLS)
-def test_a_missing_tool_is_named_with_its_package(tool: str, tmp_path: Path) -> None:
-    path = _folder_with(BUILD_TOOLS.keys() - {tool}, tmp_path)
-    with pytest.raises(BuildToolMissingError) as raised:
-        require_build_tools(path)
-    assert str(raised.value) == (
-        f"colcon cannot build the ROS packages without {tool}:"
-        f" install {BUILD_TOOLS[tool]} (Debian's names)."
-    )
-
-
-def test_missing_headers_of_python_are_named(tmp_path: Path) -> None:
-    path = _folder_with(set(BUILD_TOOLS), tmp_path)
-    with pytest.raises(BuildToolMissingError, match=r"without \S+/Python\.h: install python3-dev "):
-        require_build_tools(path, headers=tmp_path / "include")
-
-
-def test_the_wheels_name_the_headers_of_this_machine(tmp_path: Path) -> None:
-    built_at = "/opt/python/cp312-cp312"
-    headers = f"{built_at}/include/python3.12"
-    numpy_headers = f"{built_at}/lib/python3.12/site-packages/numpy/_core/include"
-    cached = tmp_path / "cached.cmake"
-    cached.write_text(f'DIRECTORIES "{headers};{numpy_headers};${{prefix}}/include"\n')
-    installed = tmp_path / "venv" / "share" / "std_msgs" / "cmake" / "targets.cmake"
-    installed.parent.mkdir(parents=True)
-    installed.hardlink_to(cached)
-    fix_header_paths(tmp_path / "venv", python="/usr/include/python3.12", numpy="/numpy/include")
-    assert installed.read_text() == (
-        'DIRECTORIES "/usr/include/python3.12;/numpy/include;${prefix}/include"\n'
-    )
-    assert built_at in cached.read_text()
-
-
-def test_this_machine_has_all_tools() -> None:
-    require_build_tools()
-    assert (Path(sysconfig.get_path("include")) / "Python.h").is_file()

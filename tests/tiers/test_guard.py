@@ -18,7 +18,6 @@ import pylsl
 import pytest
 
 from tests.tiers.guard import GUARD, NotInUnitTestError
-from tests.tiers.tier import Tier, may_hold
 
 ROOT = Path(__file__).parents[2]
 INFO = pylsl.StreamInfo("guarded", "Test", 1, 0.0, "float32", "guarded")
@@ -95,26 +94,6 @@ def test_what_a_unit_test_may_use_is_not_refused() -> None:
     done.start()
     done.join()
     asyncio.SelectorEventLoop().close()
-
-
-async def test_loops_go_by_virtual_time() -> None:
-    begun_s = time.monotonic()
-    await asyncio.sleep(3600)
-    assert time.monotonic() - begun_s < 1800
-
-
-@pytest.mark.parametrize(
-    ("text", "tiers"),
-    [
-        ("def test_a() -> None: ...", {Tier.UNIT}),
-        ("pytestmark = pytest.mark.nightly", set[Tier]()),
-        ("pytestmark = [\n    pytest.mark.skipif(1),\n    pytest.mark.nightly,\n]", set[Tier]()),
-        ("@pytest.mark.seam\ndef test_a() -> None: ...", {Tier.UNIT, Tier.SEAMS}),
-        ("pytestmark = pytest.mark.nightly\n@pytest.mark.seam\n", {Tier.SEAMS}),
-    ],
-)
-def test_files_without_tests_of_a_tier_are_not_imported(text: str, tiers: set[Tier]) -> None:
-    assert {tier for tier in Tier if may_hold(text, tier)} == tiers | {Tier.NIGHTLY}
 
 
 BREAKS_THE_RULE = """
