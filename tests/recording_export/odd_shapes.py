@@ -539,6 +539,11 @@ SHAPES: dict[str, Made] = {
         clock_s=_YEARS_S
     ),
     "odd values": _odd_values,
+    "volts without a unit": lambda: [
+        _signal(_even(), values=[[2e-7 * value] for (value,) in _wave(COUNT)], fmt="double64"),
+        _signal(_even(), 3, "nearly nothing", values=[[5e-324]] * COUNT, fmt="double64"),
+        _events(),
+    ],
     "a header twice": _same_header_twice,
     "samples before their header": _samples_first,
     "no rate": _no_rate,

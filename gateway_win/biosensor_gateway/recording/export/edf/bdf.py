@@ -31,6 +31,7 @@ RATES_HZ = (1e-3, 1e6)
 _FIELD = 8
 _ROOM_BELOW = 1e-3
 """Part of a channel's range."""
+_ANY_RANGE = 0.0, 1.0
 # With a rate from a damaged header, one record could exceed the memory.
 _SHORT = 10_000
 """Width of a number in the header, in characters."""
@@ -312,11 +313,11 @@ def header(
     """Return the bytes before the data records."""
     signals = [
         BdfSignal(
-            np.full(layout.samples, each.least),
+            np.zeros(layout.samples),
             layout.rate_hz,
             label=each.label,
             physical_dimension=each.dimension,
-            physical_range=(each.least, each.greatest),
+            physical_range=_ANY_RANGE,
             digital_range=(LEAST, GREATEST),
         )
         for each in channels
@@ -340,7 +341,7 @@ def header(
     count = len(channels) + 1
     place = _FIXED + count * _BEFORE_SAMPLES + (count - 1) * _FIELD
     _put(content, place, annotation_bytes // BYTES_PER_SAMPLE)
-    # edfio rounds these ranges again, so they are overwritten.
+    # edfio would round these ranges again, and cannot write small ones.
     place = _FIXED + count * _BEFORE_RANGES
     for number, each in enumerate(channels):
         _put(content, place + number * _FIELD, each.least)
