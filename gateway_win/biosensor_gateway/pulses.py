@@ -37,7 +37,7 @@ SKEWNESS = 0.3
 """[2]_: a good pulse is skewed to the right; with this skewness to the left, it is upside down."""
 SKEWNESS_PIECE_S, SKEWNESS_PIECES = 2.0, 8
 """Length of the pieces whose skewness is computed, and number of pieces for the median."""
-LEAST_SHARE, RISE_S = 0.25, 0.4
+LEAST_SHARE, RISE_S = 0.23, 0.4
 """Smallest rise of a pulse, as a share of the usual rise, within this time before its top; the
 filter makes smaller waves between slow pulses."""
 FALL_COUNTS, SMOOTH_S = 2.0, 0.16

@@ -113,7 +113,7 @@ def test_between_slow_pulses_neither_noise_nor_a_wandering_level_is_one(
     beats = signals.regular(bpm, 60, seed=6)
     pulse = signals.pulse_of(beats, rate, 60, seed=4)
     t = 2 * np.pi * np.arange(len(pulse)) / rate
-    noise = 0.1 * np.random.default_rng(13).standard_normal(len(pulse))
+    noise = 0.08 * np.random.default_rng(13).standard_normal(len(pulse))
     for beside in (noise, np.sin(0.15 * t), 0.5 * np.sin(0.3 * t)):
         events = signals.events_of("PPG", pulse + beside, rate)
         assert told_of(events, beats).wrong == 0
