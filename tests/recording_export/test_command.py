@@ -5,8 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
@@ -79,3 +83,22 @@ def test_it_fits_a_terminal_of_80_columns(tmp_path: Path) -> None:
     # A path that is longer than a line stays whole.
     assert all(len(each) <= 80 or " " not in each.strip() for each in lines)
     assert " ".join(shown.split()).count("wrote ") == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("format_name", ["csv", "bids", "edf", "mcap"])
+def test_what_is_ended_leaves_nothing_half_done(
+    tmp_path: Path, format_name: str, number: signal.Signals
+) -> None:
+    stamps = [100 + k / 1000 for k in range(300_000)]
+    header, samples, _ = made.regular(1, "P01-polar_h10-A-ecg", stamps, 1000.0)
+    (tmp_path / "study.xdf").write_bytes(made.xdf(header, samples))
+    line = [sys.executable, "-m", "biosensor_gateway.cli", "xdf", "export", "study.xdf"]
+    with subprocess.Popen([*line, "--to", format_name], cwd=tmp_path, stderr=PIPE) as running:
+        while running.poll() is None and not list(tmp_path.rglob("*.part/**/*")):
+            time.sleep(0.001)
+        running.send_signal(number)
+        _, said = running.communicate()
+    assert running.returncode not in {0, -number}
+    assert b"Traceback" not in said
+    assert [each.name for each in tmp_path.iterdir()] == ["study.xdf"]

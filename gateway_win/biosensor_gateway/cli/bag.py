@@ -11,6 +11,7 @@ import typer
 from biosensor_gateway.cli.options import JsonOption, wrong_recording
 from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.xdf.printing import printable
+from biosensor_gateway.system.shutdown import requests_interrupt
 
 _MOST_SENTENCES = 10
 
@@ -18,8 +19,9 @@ app = typer.Typer(no_args_is_help=True)
 
 
 @app.callback()
-def _group() -> None:
+def _group(context: typer.Context) -> None:
     """Bags of ROS (MCAP or SQLite); no ROS is needed."""
+    context.with_resource(requests_interrupt())
 
 
 @app.command("import")

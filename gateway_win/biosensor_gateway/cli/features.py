@@ -52,13 +52,14 @@ def features(
     their unit. The node publishes the features alongside the device's own
     topics. For a recording, the same code computes them and writes a file.
     """
+    from biosensor_gateway.system.shutdown import requests_interrupt, until_signalled
+
     if file is not None:
-        compute_recording(file, output, print_json=print_json)
+        with requests_interrupt():
+            compute_recording(file, output, print_json=print_json)
         return
     if output is not None or print_json:
         raise typer.BadParameter("--output and --json are for a recording; name one")
-    from biosensor_gateway.system.shutdown import until_signalled
-
     lsl = settings_or_defaults(settings).lsl
     asyncio.run(until_signalled(lambda: watch_live(lsl)))
 

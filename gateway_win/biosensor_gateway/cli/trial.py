@@ -29,7 +29,6 @@ from biosensor_gateway.demo.demonstration import (
     fitting_devices,
     has_ros,
     node_command,
-    requests_interrupt,
     show_topics,
     state_of,
     unfilled_streams,
@@ -47,6 +46,7 @@ from biosensor_gateway.recording.xdf.verdict import Colour, ExpectedStream, Verd
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.browser import open_page
 from biosensor_gateway.system.child import own_command
+from biosensor_gateway.system.shutdown import requests_interrupt
 
 RECORDED_S, _LEAST_RECORDED_S = 10.0, 3.0
 _READY_S, _PAGE_S = 90.0, 90.0

@@ -14,6 +14,7 @@ from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.printing import printable
+from biosensor_gateway.system.shutdown import requests_interrupt
 
 if TYPE_CHECKING:
     from biosensor_gateway.recording.withdrawal.work import Plan, Report
@@ -66,21 +67,26 @@ def withdraw(
         typer.confirm("Do it? What is deleted is gone", abort=True)
     if report is not None:
         _require_place(report)
-    result = carry_out(found)
+    with requests_interrupt():
+        result = carry_out(found)
     content = json.dumps({"plan": _as_json(found), "report": asdict(result)}, indent=2, default=str)
     if print_json:
         typer.echo(content)
     else:
         _say_report(result)
     if report is not None:
-        try:
-            report.write_text(content + "\n", "utf-8")
-        except OSError as error:
-            # What was done is said above.
-            report.unlink(missing_ok=True)
-            raise _unwritable(report, error) from error
+        _write(report, content)
     if not result.is_clean:
         raise typer.Exit(1)
+
+
+def _write(report: Path, content: str) -> None:
+    """Write a report after what was done was said."""
+    try:
+        report.write_text(content + "\n", "utf-8")
+    except OSError as error:
+        report.unlink(missing_ok=True)
+        raise _unwritable(report, error) from error
 
 
 def _require_place(report: Path) -> None:

@@ -55,6 +55,7 @@ from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_pa
 from biosensor_gateway.recording.xdf.verdict import ExpectedStream, by_devices, by_name, judge
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
+from biosensor_gateway.system.shutdown import requests_interrupt
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -258,8 +259,9 @@ def _bars() -> Generator[Watch]:
 
 
 @app.callback()
-def _group() -> None:
+def _group(context: typer.Context) -> None:
     """Recordings of LabRecorder (XDF files)."""  # noqa: D401 - as the list has it
+    context.with_resource(requests_interrupt())
 
 
 @app.command("check")

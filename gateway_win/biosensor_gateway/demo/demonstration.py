@@ -26,8 +26,6 @@ from collections.abc import (
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
 
 from biosensor_common.child import wait_or_kill
 from biosensor_common.errors import TransportError, TransportReason
@@ -39,6 +37,7 @@ from biosensor_gateway.settings.places import STATE_VARIABLE, settings_path
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.child import own_command
+from biosensor_gateway.system.shutdown import requests_interrupt
 
 # From the first sample of any device until every other one is found and connected.
 CONNECT_S = 9.0
@@ -235,26 +234,6 @@ def interrupt(process: subprocess.Popen[bytes]) -> None:
         process.terminate()
     else:
         process.send_signal(signal.SIGINT)
-
-
-@contextmanager
-def requests_interrupt() -> Generator[None]:
-    """Treat the end of the terminal or of the session like Ctrl-C while the context lasts."""
-
-    def raise_interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-        raise KeyboardInterrupt
-
-    numbers = [signal.SIGTERM, signal.SIGBREAK if sys.platform == "win32" else signal.SIGHUP]
-    before = {each: signal.getsignal(each) for each in numbers}
-    for number, handler in before.items():
-        # A signal that is ignored, as under nohup, stays ignored.
-        if handler != signal.SIG_IGN:
-            signal.signal(number, raise_interrupt)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.

@@ -26,6 +26,30 @@ def end_quietly_until_running() -> None:
         signal.signal(number, end)
 
 
+@contextlib.contextmanager
+def requests_interrupt() -> Generator[None]:
+    """Treat the end of the terminal or of the session like Ctrl-C while the context lasts.
+
+    What a command has half done, such as files of a person, is cleaned up as after Ctrl-C. Must be
+    called from the main thread.
+    """
+
+    def raise_interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    numbers = [signal.SIGTERM, signal.SIGBREAK if sys.platform == "win32" else signal.SIGHUP]
+    before = {each: signal.getsignal(each) for each in numbers}
+    for number, handler in before.items():
+        # A signal that is ignored, as under nohup, stays ignored.
+        if handler != signal.SIG_IGN:
+            signal.signal(number, raise_interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 async def until_signalled(
     main_task: Callable[[], Coroutine[Any, Any, None]], *, ends_within_s: float = END_S
 ) -> None:
