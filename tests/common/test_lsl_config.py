@@ -388,3 +388,21 @@ def test_only_the_builder_makes_predicates() -> None:
         if (lines := [*_xpath_in(module), *_wrong_calls_in(module)]) or _makes_predicates(module)
     }
     assert found == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "f\"type='{x}'\"",
+        "\"starts-with(name, 'p01-')\"",
+        "'desc/ros and not(desc/replay)'",
+        "'true()'",
+        'pylsl.resolve_byprop("source_id", x)',
+        'pylsl.ContinuousResolver(pred="kind")',
+        "pylsl.resolve_bypred(f'{x}')",
+    ],
+)
+def test_a_predicate_elsewhere_would_be_found(line: str) -> None:
+    assert WORTH_PARSING.search(line)
+    module = ast.parse(f"x = {line}")
+    assert [*_xpath_in(module), *_wrong_calls_in(module)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable
+from itertools import permutations, product
 from random import Random
 
 import pytest
@@ -207,6 +208,14 @@ class TestResolveTopics:
             "biosensors/zephyr_B1_C2/ecg",
         ]
 
+    def test_every_order_of_coming_and_going_gives_the_same_names(self) -> None:
+        devices = [ONE, TWO, LEFT, OTHER_PERSON, DeviceIdentity("zephyr", "B9", "", "B1")]
+        streams = {device.unit: (device, "ecg") for device in devices}
+        expected = naming.resolve_topics(streams)
+        for order in permutations(streams):
+            present = {unit: streams[unit] for unit in order}
+            assert naming.resolve_topics(present) == expected
+
     @given(st.lists(st.tuples(close_identities, tight), max_size=12), st.randoms())
     def test_order_never_matters(self, streams: list[Claim], random: Random) -> None:
         items = list(keyed(*streams).items())
@@ -314,6 +323,15 @@ class TestSanitise:
         token = naming.sanitise(text)
         if "_x68" not in token:
             assert unsanitise(token) == text
+
+    @given(names_of_people, names_of_people)
+    def test_keeps_different_texts_apart(self, one: str, other: str) -> None:
+        assert (naming.sanitise(one) == naming.sanitise(other)) == (one == other)
+
+    def test_keeps_every_short_text_apart(self) -> None:
+        alphabet = ("a", "_", "x", "0", "5", "F", "-")
+        texts_ = ["".join(chars) for size in range(7) for chars in product(alphabet, repeat=size)]
+        assert len({naming.sanitise(text) for text in texts_}) == len(texts_)
 
     @given(st.from_regex(ORDINARY, fullmatch=True).filter(lambda text: len(text) <= 64))
     @example("polar_h10")

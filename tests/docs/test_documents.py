@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+import shutil
 import textwrap
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from typer.core import TyperGroup
 from biosensor_gateway.cli.app import Deferred, app
 from biosensor_gateway.devices.registry import declaration, declaration_names, settings_models
 from biosensor_gateway.settings import file as settings_file
-from tests.docs.generate import PARTS, ROOT, updated
+from tests.docs.generate import PARTS, ROOT, Part, main, updated
 
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*/*.md"))
 DOCUMENTS = [
@@ -135,6 +136,23 @@ def test_commands_are_found_at_all() -> None:
     assert {"make", "biosensor-gateway", "ros2", "pip"} <= found
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "make no-such-target",
+        "biosensor-gateway scan-everything",
+        "biosensor-gateway config nothing",
+        "biosensor-gateway run --no-such-option",
+        "ros2 run lsl_to_ros other",
+        "ros2 launch lsl_to_ros other.launch.py",
+        "ros2 launch lsl_to_ros lsl_to_ros.launch.py colour:=red",
+        "pip install -r requirements/none.txt",
+    ],
+)
+def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
+    assert _fault(shlex.split(command))
+
+
 @each_document
 def test_every_relative_link_resolves(document: Path) -> None:
     broken: list[str] = []
@@ -152,6 +170,12 @@ def test_every_relative_link_resolves(document: Path) -> None:
 def test_no_line_names_a_path_of_one_machine(document: Path) -> None:
     lines = document.read_text(encoding="utf-8").splitlines()
     assert not [line for line in lines if _MACHINE_PATH.search(line)]
+
+
+@pytest.mark.parametrize("folder", ["work", "root", "home", "tmp", "Users"])
+def test_a_path_of_one_machine_is_noticed(folder: str) -> None:
+    assert _MACHINE_PATH.search(f"see `/{folder}/me/file` for more")
+    assert not _MACHINE_PATH.search(f"see `~/{folder}/file`, `docs/{folder}/file` for more")
 
 
 def test_migration_has_a_row_for_every_topic_of_the_original() -> None:
@@ -318,6 +342,24 @@ def test_pages_quote_something() -> None:
     assert sum(len(quotations(page)) for page in PAGES) > 60
 
 
+@pytest.mark.parametrize(
+    ("quoted", "template", "fits"),
+    [
+        ("no port; open it", "no port; open it", True),
+        ("no port", "there is no port; open it", True),
+        ("several Polar H10 are in range (…)", "several … are in range (…): …", True),
+        ("no data of … for … s; enabling again", "no data of … for … s; enabling again", True),
+        ("it refuses … and more", "it refuses everything and more", True),
+        ("no port; close it", "no port; open it", False),
+        ("the dongle is full", "the dongle is empty", False),
+        ("the dongle is full", "…", False),
+    ],
+)
+def test_how_quotations_are_compared(quoted: str, template: str, fits: bool) -> None:
+    needed = _OWN * len(quoted.replace(HOLE, ""))
+    assert (own(quoted, template) >= needed) is fits
+
+
 README = ROOT / "README.md"
 REFERENCE = ROOT / "docs" / "ros-reference.md"
 MAX_README_LINES = 150
@@ -330,6 +372,26 @@ def test_everything_that_is_generated_is_up_to_date() -> None:
         if updated(text := (ROOT / part.document).read_text(encoding="utf-8"), part) != text
     ]
     assert not stale, f"run: make docs ({stale})"
+
+
+def test_a_table_that_was_edited_is_found_and_fixed(tmp_path: Path) -> None:
+    for part in PARTS:
+        (tmp_path / part.document).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / part.document, tmp_path / part.document)
+    edited = tmp_path / "docs" / "topics.md"
+    right = edited.read_text(encoding="utf-8")
+    edited.write_text(right.replace("| `zephyr/hr` | UInt8", "| `zephyr/hr` | UInt16"), "utf-8")
+
+    with pytest.raises(SystemExit, match=r"out of date: docs/topics.md; run: make docs"):
+        main(["--check", "--root", str(tmp_path)])
+    main(["--root", str(tmp_path)])
+    assert edited.read_text(encoding="utf-8") == right
+
+
+@pytest.mark.parametrize("part", [part for part in PARTS if part.name], ids=lambda part: part.name)
+def test_a_document_without_markers_is_refused(part: Part) -> None:
+    with pytest.raises(ValueError, match="must be there once each"):
+        updated("no markers\n", part)
 
 
 def test_the_readme_is_a_page() -> None:

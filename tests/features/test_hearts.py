@@ -133,7 +133,7 @@ def test_a_large_second_wave_is_no_pulse_and_does_not_turn_it_over(bpm: float) -
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["upright", "reflected"])
 @pytest.mark.parametrize("width_s", [0.05, 0.15, 0.4])
-@pytest.mark.parametrize("height", [10, -30])
+@pytest.mark.parametrize("height", [10, 30, -10, -30])
 def test_an_artefact_moves_no_stamp_fifteen_seconds_later(
     height: float, width_s: float, sign: float
 ) -> None:

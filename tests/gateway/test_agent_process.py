@@ -11,7 +11,8 @@ import socket
 import subprocess
 import sys
 import termios
-from collections.abc import Callable, Generator
+import time
+from collections.abc import Awaitable, Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,12 @@ pytestmark = pytest.mark.nightly
 # The agent as a process: it ends on request in every situation, and leaves nothing behind.
 
 ENDED_WITHIN_S = 15.0
+OPENING_TAKES_A_MINUTE = """
+import time, serial
+serial.Serial.__init__ = lambda *arguments, **options: time.sleep(60)
+"""
 Until = Callable[[Callable[[], bool]], None]
+Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 Visible = Callable[[str], bool]
 OpenInlet = Callable[[str], pylsl.StreamInlet]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
@@ -109,6 +115,26 @@ def test_it_ends_while_the_device_is_absent(
         end(process, number, tmp_path)
 
 
+@BOTH_SIGNALS
+def test_it_ends_while_the_device_does_not_answer(
+    cli_process: StartCli, until: Until, tmp_path: Path, pty: Any, unit: str, number: signal.Signals
+) -> None:
+    with cli_process(tmp_path, *write_settings(tmp_path, pty.port, unit)) as process:
+        until(lambda: pty.heard() != b"")
+        until(lambda: device_of(tmp_path).get("state") == "connecting")
+        end(process, number, tmp_path)
+
+
+@BOTH_SIGNALS
+def test_it_ends_while_a_port_is_opening(
+    cli_process: StartCli, until: Until, tmp_path: Path, unit: str, number: signal.Signals
+) -> None:
+    arguments = write_settings(tmp_path, "COM7", unit)
+    with cli_process(tmp_path, *arguments, before=OPENING_TAKES_A_MINUTE) as process:
+        until(lambda: device_of(tmp_path).get("state") == "connecting")
+        end(process, number, tmp_path)
+
+
 @contextmanager
 def writing_blocked(port: str) -> Generator[None]:
     """Take nothing more from whoever has the port open."""
@@ -130,6 +156,22 @@ def test_it_ends_while_the_device_is_out_of_reach(
         with writing_blocked(device.port):
             device.stall()
             end(process, number, tmp_path)
+
+
+def test_an_impatient_second_signal_cuts_nothing_short(
+    cli_process: StartCli, until: Until, tmp_path: Path, unit: str
+) -> None:
+    with (
+        SteeredBioHarness() as device,
+        cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
+    ):
+        until(lambda: is_streaming(tmp_path))
+        with writing_blocked(device.port):
+            device.stall()
+            process.send_signal(signal.SIGINT)
+            # Closing takes a second now, because a write is blocked.
+            time.sleep(0.2)
+            end(process, signal.SIGINT, tmp_path)
 
 
 def status(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
@@ -333,6 +375,23 @@ def test_without_an_agent_stop_says_so_and_makes_no_folder(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
+def test_several_may_ask_at_once(cli_process: StartCli, until: Until, tmp_path: Path) -> None:
+    program = [sys.executable, "-m", "biosensor_gateway.cli", "stop", "--timeout", "60"]
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        environment = os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)}
+        askers = [
+            subprocess.Popen(program, env=environment, stdout=subprocess.PIPE, text=True)
+            for _ in range(2)
+        ]
+        told = [asker.communicate()[0] for asker in askers]
+        assert agent.wait(DEADLINE_S) == 0
+    # The slower one may find that there is none any more.
+    assert "the agent has ended\n" in told
+    assert {asker.returncode for asker in askers} <= {0, 1}
+    assert "Traceback" not in said(tmp_path)
+
+
 def test_an_agent_that_is_still_starting_is_stopped_as_well(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:
@@ -408,6 +467,20 @@ def test_an_agent_without_a_control_file_runs_and_says_so(
         agent.send_signal(signal.SIGINT)
         assert agent.wait(DEADLINE_S) == 0
     assert said(tmp_path).count("`stop` will not work") == 1
+
+
+def test_an_agent_that_hangs_is_said_not_to_answer(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, *RUN) as agent:
+        until(lambda: pushed(tmp_path) > 0)
+        agent.send_signal(signal.SIGSTOP)
+        code, out, err = stop(tmp_path, "--timeout", "1")
+        agent.send_signal(signal.SIGCONT)
+        assert (code, out) == (1, "")
+        assert err.count("\n") == 1
+        assert str(tmp_path) in err
+        assert "does not answer" in err
 
 
 def test_an_agent_that_does_not_end_in_time_is_named(

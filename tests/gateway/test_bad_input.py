@@ -140,3 +140,28 @@ def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab, un
     with SteeredBioHarness() as repaired:
         Path(lab.ports["absent"]).symlink_to(repaired.port)
         until(lambda: lab.device("absent").get("state") == "streaming")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[lsl\n", ["line 1", "not valid TOML"]),
+        ('[lsl]\nsesion_id = "a"\n', ["line 2", "lsl.sesion_id", "unknown"]),
+        ('[lsl]\nport_range = "many"\n', ["line 2", "lsl.port_range", "whole number"]),
+        (
+            '[[device]]\nsensor = "zephyr"\nunit = 7\nport = "COM7"\n',
+            ["line 3", "device.unit", "text in quotes"],
+        ),
+    ],
+)
+def test_bad_settings_are_a_usage_error_that_says_what_and_where(
+    cli_process: StartCli, tmp_path: Path, text: str, words: list[str]
+) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    with cli_process(tmp_path, "run", "--settings", str(path)) as process:
+        assert process.wait(30.0) == 2
+    told = (tmp_path / "stderr.txt").read_text()
+    assert told.count("\n") == 1
+    assert told.startswith(f"biosensor-gateway: {path}")
+    assert [word for word in words if word not in told] == []

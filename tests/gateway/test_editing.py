@@ -212,6 +212,17 @@ def test_the_first_time_the_settings_are_written(run: Run, settings: Path, progr
 
 
 @pytest.mark.nightly
+def test_other_settings_can_be_named(
+    run: Run, settings: Path, programs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(programs.parent)
+    notes = install(programs, "xdg-open")
+    assert run("config", "edit", "--settings", "other settings.toml").code == 0
+    assert lines(notes) == [str(programs.parent / "other settings.toml")]
+    assert not settings.exists()
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("variables", "arguments"),
     [

@@ -149,6 +149,18 @@ def test_on_request_a_terminal_gets_all_facts_too(
     assert "a command came (command='stop', way='pipe')" in captured(capsys).err
 
 
+def test_a_secret_does_not_reach_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_a_terminal(monkeypatch)
+    configure_logs(LogSettings(), None)
+    LOG.warning("told", text="password='hidden' for visible", token="hidden")
+    LOG.warning("told", for_people="token: hidden and visible")
+    shown = captured(capsys).err
+    assert "hidden" not in shown
+    assert shown.count("visible") == 2
+
+
 def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     configure_logs(LogSettings(), tmp_path)
     structlog.contextvars.bind_contextvars(device="strap")

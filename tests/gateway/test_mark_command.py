@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 DEADLINE_S = 30.0
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "markers")
+NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 
 OpenInlet = Callable[[str], pylsl.StreamInlet]
 Until = Callable[[Callable[[], bool]], None]
@@ -172,6 +173,11 @@ def test_two_long_texts_fit_into_a_request_and_a_list(tmp_path: Path) -> None:
 def test_a_wrong_command_is_a_usage_error(run: Run, wrong: tuple[str, ...]) -> None:
     outcome = run("mark", *wrong)
     assert (outcome.code, outcome.out) == (2, "")
+
+
+def test_without_an_agent_it_says_so(run: Run) -> None:
+    for arguments in (("text",), ("--undo",), ("--list",)):
+        assert run("mark", *arguments) == (1, "", NO_AGENT)
 
 
 def test_marked_is_when_the_command_was_given(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

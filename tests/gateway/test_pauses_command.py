@@ -43,6 +43,7 @@ from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly
 
+NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 DEADLINE_S = 30.0
 # More than can wait in an inlet while the commands run.
 ALL_SAMPLES = 1 << 16
@@ -207,6 +208,12 @@ def test_names_that_are_none_or_several_are_refused_in_one_sentence(
         until(lambda: status_file.read_status(tmp_path)["devices"][1]["paused"])
         agent.send_signal(signal.SIGINT)
         assert agent.wait(DEADLINE_S) == 0
+
+
+def test_without_an_agent_it_says_so(tmp_path: Path) -> None:
+    for name in ("pause", "resume"):
+        assert command(tmp_path / "state", name, "zephyr") == (1, "", NO_AGENT)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_pause_that_cannot_be_kept_holds_and_is_said(

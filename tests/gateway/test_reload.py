@@ -239,6 +239,14 @@ def test_virtual_devices_have_no_file_to_read(
         assert "virtual devices, which have no settings file" in answer.err
 
 
+def test_without_an_agent_it_says_so(reload: Callable[[], Outcome]) -> None:
+    answer = reload()
+    assert answer.code == 1
+    assert answer.err == (
+        "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
+    )
+
+
 # ``run`` at a terminal: a table below the log, and plain lines where none can be drawn.
 
 PROGRAM = [sys.executable, "-m", "biosensor_gateway.cli"]

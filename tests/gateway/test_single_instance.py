@@ -101,6 +101,20 @@ def test_the_folder_is_made_and_nothing_is_left_in_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
+def test_a_second_one_is_told_which_runs_and_what_to_do(tmp_path: Path) -> None:
+    with program(HOLDER, str(tmp_path)) as holder:
+        error = refusal(tmp_path)
+        assert error.reason is ConfigReason.IN_USE
+        for words in (str(tmp_path), "biosensor-gateway status", "biosensor-gateway stop"):
+            assert words in str(error)
+        assert is_held(tmp_path)
+        assert not wait_until_free(tmp_path, 0.1)
+        holder.communicate("end\n")
+    with single_instance(tmp_path):
+        pass
+
+
+@pytest.mark.nightly
 def test_each_folder_has_an_agent_of_its_own(tmp_path: Path) -> None:
     with program(HOLDER, str(tmp_path / "one")), single_instance(tmp_path / "other"):
         assert is_held(tmp_path / "one")

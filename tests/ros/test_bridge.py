@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -154,6 +155,20 @@ def test_an_irregular_stream_has_no_gaps(make: Make) -> None:
     it.send(1, 2, 3, step=60.0)
     assert it.raw.values == [1, 2, 3]
     assert (it.counters.received, it.counters.missing) == (3, 0)
+
+
+@pytest.mark.parametrize("stamp", [math.inf, -math.inf, math.nan, 1e308, 0.0, -5.0])
+@pytest.mark.parametrize("as_block", [False, True])
+def test_no_stamp_stops_a_stream(make: Make, stamp: float, as_block: bool) -> None:
+    it = make(replace(HEADER, rate=1e300))
+    it.send(1)
+    if as_block:
+        it.send_block([2.0, 3.0], [stamp, 1000.01])
+    else:
+        it.send_block([2.0], [stamp])
+        it.send(3, start=1000.01)
+    assert it.raw.values == [1, 2, 3]
+    assert it.counters.received == 3
 
 
 def test_a_sample_that_does_not_fit_is_counted_and_said_once(make: Make) -> None:

@@ -214,6 +214,15 @@ def test_a_truthful_description_is_taken_at_its_word(ros: Ros, node: RunningNode
     assert status["unit_of_measurement"] == "mmHg"
 
 
+def test_a_description_of_just_the_permitted_size_is_read(ros: Ros) -> None:
+    def pad_less(desc: ET.Element) -> None:
+        ET.SubElement(desc, "padding").text = "x" * (MAX_XML_CHARACTERS - 10_000)
+
+    outlet = lying("large", pad_less, sensor_name="large_sensor")
+    ros.attached("/biosensors/large_sensor/ecg")
+    del outlet
+
+
 def test_an_announcement_that_cannot_be_used_is_ignored(ros: Ros, node: RunningNode) -> None:
     outlets = [
         pylsl.StreamOutlet(pylsl.StreamInfo("no_channels", "EEG", 0, 0.0, "float32", "zero")),

@@ -32,6 +32,7 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.STALE,
 )
 STALE_S = 5.0
+LOG_LINES, LOG_WINDOW_S = 200, 10.0
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CHEST = DeviceIdentity("polar_h10", "H1", participant="p02", label="chest")
 BASE = "/p02/biosensors/polar_h10_chest"
@@ -133,6 +134,29 @@ MEASURED = (
 )
 
 
+def test_the_status_of_a_device_tells_of_battery_and_contact(ros: Ros) -> None:
+    outlets = {data: unchecked(declared(CHEST, data)) for data in ("bat", "quality", "rssi")}
+    ros.attached(*(f"{BASE}/{data}" for data in outlets))
+    device = "device p02/polar_h10_chest"
+    for sent, level, message in (
+        ({"bat": 80.0, "quality": 1.0, "rssi": -60.0}, OK, "as its streams tell"),
+        ({"bat": 10.0}, WARN, "battery at 10 %"),
+        ({"bat": 55.0, "quality": 0.0}, WARN, "not worn"),
+        ({"quality": 1.0}, OK, "as its streams tell"),
+    ):
+        for data, value in sent.items():
+            outlets[data].push_sample([value], pylsl.local_clock())
+
+        def is_so(level: bytes = level, message: str = message) -> bool:
+            status = ros.status(device)
+            return status is not None and (status.level, status.message) == (level, message)
+
+        ros.until(is_so, message)
+    status = status_of(ros, device)
+    assert status.unit == "H1"
+    assert status.values == {"bat/level": "55", "quality/contact": "1", "rssi/signal": "-60"}
+
+
 def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
     ros: Ros, node: RunningNode
 ) -> None:
@@ -218,6 +242,21 @@ def test_levels_follow_what_happens_to_a_stream(ros: Ros, flow: Begin, kept: lis
     wait("clock_ends", STALE, "no samples")
 
 
+def test_streams_that_claim_one_name_are_an_error(ros: Ros) -> None:
+    # Without a source_id, they differ in nothing at all.
+    same = [foreign("same", source_id="") for _ in range(2)]
+    units = [foreign("units", source_id=f"unit {number}") for number in (1, 2)]
+    topics = [f"/biosensors/units_unit_x20{number}/EEG" for number in (1, 2)]
+    ros.until(lambda: {"/biosensors/same/EEG", *topics} <= ros.present(), "all of them")
+    for topic, part in (
+        ("/biosensors/same/EEG", "two streams"),
+        *((one, "label") for one in topics),
+    ):
+        ros.until(lambda topic=topic: status_of(ros, topic).level == ERROR, f"{topic}: an error")
+        assert part in status_of(ros, topic).message
+    del same, units
+
+
 @pytest.mark.seam
 def test_the_list_of_streams_says_where_each_comes_from_and_goes_to(ros: Ros) -> None:
     identity = DeviceIdentity("polar_h10", "H9", participant="p03", label="belt")
@@ -258,3 +297,24 @@ def test_the_list_of_streams_says_where_each_comes_from_and_goes_to(ros: Ros) ->
     del other
     ros.until(lambda: topics[1] not in entries(), "its end")
     assert topics[0] in entries()
+
+
+def test_the_log_says_a_thing_once_and_how_much_was_held_back(ros: Ros, node: RunningNode) -> None:
+    outlets = [foreign(f"logged_{number}") for number in range(6)]
+    ros.attached(*(f"/biosensors/logged_{number}/EEG" for number in range(6)))
+    # Two lines a stream in turn, ten times.
+    for _ in range(10):
+        for prefix in ("log_a", "log_b"):
+            assert ros.set("topic_prefix", prefix) == ""
+    for number in range(6):
+        for prefix in ("log_a", "log_b"):
+            assert node.count(f"{prefix}/logged_{number}/EEG") == 1
+    # And more of different lines than anybody could read.
+    begun = time.monotonic()
+    for number in range(80):
+        assert ros.set("topic_prefix", f"flood_{number}") == ""
+    windows = (time.monotonic() - begun) / LOG_WINDOW_S
+    assert node.count("flood_") <= LOG_LINES * (windows + 1)
+    assert node.count("lines were held back)") >= 1
+    assert ros.set("topic_prefix", "biosensors") == ""
+    del outlets

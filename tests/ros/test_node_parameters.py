@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pylsl
 import pytest
@@ -161,6 +161,29 @@ def test_the_chunk_of_the_breathing_waveform_belongs_to_the_rate(ros: Ros) -> No
     ros.report()
     assert len(chunks) == 2
     assert f"{base}/breathing_chunk" not in ros.topics()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("Chunk_Length", 0, "Chunk_Length out of range"),
+        ("Chunk_Length", 100_001, "Chunk_Length out of range"),
+        ("Chunk_Length", 12.5, "type"),
+        ("Chunk_Enable", 1, "type"),
+        ("polar_h10.Sensor_Enable", "true", "polar_h10.Sensor_Enable must be true or false"),
+        ("polar_h10.ecg.Chunk_Length", -1, "polar_h10.ecg.Chunk_Length must be"),
+        ("polar_h10.ecg.Chunk_Lenght", 12, "polar_h10.ecg.Chunk_Lenght is no parameter"),
+        ("Sensor_Enabled", True, "Sensor_Enabled is no parameter"),
+        ("processes", 4, "processes is not a parameter any more: the node runs in one process"),
+        ("session_id", "elsewhere", "read-only parameter: session_id"),
+        ("known_peers", "10.0.0.1", "read-only parameter: known_peers"),
+        ("qos_overrides./a/b.publisher.depth", 0, "qos_overrides./a/b.publisher.depth must be"),
+        ("qos_overrides./a/b.publisher.reliability", "some", "reliability must be one of reliable"),
+        ("qos_overrides./a/b.publisher.lifespan", 1, "publisher.lifespan: only depth, history"),
+    ],
+)
+def test_a_refusal_comes_back_with_its_reason(ros: Ros, name: str, value: Any, reason: str) -> None:
+    assert reason in ros.set(name, value)
 
 
 def test_what_every_parameter_means_can_be_asked(ros: Ros) -> None:

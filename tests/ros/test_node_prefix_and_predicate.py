@@ -112,6 +112,15 @@ def test_a_change_of_prefix_moves_every_topic_while_samples_go_on(ros: Ros, flow
     assert ros.present() >= {topic}
 
 
+@pytest.mark.parametrize(
+    "prefix", ["/abs", "a b", "1a", "a//b", "a/", "a__b", "under_", "x" * 200, "~a", "{node}", "é"]
+)
+def test_a_bad_prefix_is_refused_with_its_name(ros: Ros, prefix: str) -> None:
+    reason = ros.set("topic_prefix", prefix)
+    assert reason.startswith("topic_prefix must be")
+    assert repr(prefix) in reason
+
+
 def test_what_no_longer_fits_is_detached_and_the_rest_loses_nothing(ros: Ros, flow: Begin) -> None:
     kinds = ("EEG", "ECG", "PPG")
     topics = {kind: f"/biosensors/chosen/{kind}" for kind in kinds}
@@ -144,6 +153,16 @@ def test_what_no_longer_fits_is_detached_and_the_rest_loses_nothing(ros: Ros, fl
     status = ros.status(topics["EEG"])
     assert status is not None
     assert (status["received"], status["lost"]) == (str(total), "about 0")
+
+
+@pytest.mark.parametrize(
+    "predicate",
+    ["type=", "type='EEG", "[[", "starts-with(name)", "type='EEG') or (type='ECG'", "EEG)"],
+)
+def test_what_is_no_query_is_refused_with_the_name_and_an_example(ros: Ros, predicate: str) -> None:
+    reason = ros.set("stream_predicate", predicate)
+    assert reason.startswith("stream_predicate must be an LSL query such as type='EEG'")
+    assert repr(predicate) in reason
 
 
 @pytest.fixture

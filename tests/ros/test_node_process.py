@@ -135,6 +135,20 @@ def test_a_signal_ends_the_node_cleanly_while_samples_flow(
     assert "rror" not in node.log
 
 
+def test_a_signal_ends_the_node_cleanly_while_streams_come_and_go(
+    ros: Ros, start_node: Start
+) -> None:
+    node = start_node()
+    outlets = [open_stream(f"gone {n}", f"gone {n}") for n in range(8)]
+    ros.attached(*(f"/biosensors/gone_x20{n}/EEG" for n in range(8)))
+    outlets.clear()
+    coming = [open_stream(f"come {n}", f"come {n}") for n in range(8)]
+    ros.until(lambda: node.count("is gone") > 0, "a stream that is gone")
+    assert node.signal(signal.SIGTERM) == 0
+    assert "Traceback" not in node.log
+    del coming
+
+
 # A node whose computer gives it little: arenas of malloc, a console, open files.
 
 # Node and agent keep to few arenas of malloc, however many threads they have.

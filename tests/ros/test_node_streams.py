@@ -22,7 +22,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros
+    from tests.ros.conftest import Ros, RunningNode
 
 pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
@@ -70,6 +70,33 @@ def test_chunks_hold_what_the_raw_topic_holds_whatever_their_length(ros: Ros) ->
     for chunk, size in zip(chunks, sizes, strict=True):
         assert layout(chunk) == [("samples", size, size * 2), ("channels", 2, 2)]
         assert len(chunk.data) == size * 2
+
+
+def test_a_chunk_never_spans_a_gap(ros: Ros) -> None:
+    outlet = declared("polar_h10", "ecg", "gap")
+    topic = "/gap/biosensors/polar_h10/ecg"
+    assert ros.set("gap.polar_h10.ecg.Chunk_Length", 10) == ""
+    raw = ros.listen(Float32, topic)
+    chunks = ros.listen(Float32MultiArray, f"{topic}_chunk")
+    ros.attached(topic, readers=2)
+    now = pylsl.local_clock()
+    before = [now - 5.0 + number / 130 for number in range(25)]
+    after = [now - 2.0 + number / 130 for number in range(10)]
+    assert outlet.push(range(35), before + after) is None
+    ros.until(lambda: len(chunks) >= 3, "three chunks")
+    assert [list(chunk.data) for chunk in chunks] == [
+        list(range(10)),
+        list(range(10, 20)),
+        list(range(25, 35)),
+    ]
+    assert layout(chunks[0]) == [("samples", 10, 10), ("channels", 1, 1)]
+    ros.until(lambda: len(raw) >= 35, "all samples raw")
+    assert [message.data for message in raw] == list(range(35))
+    ros.report()
+    status = ros.status(topic)
+    assert status is not None
+    assert status["chunk_discarded"] == "5"
+    assert status["received"] == "35"
 
 
 def test_text_that_is_not_utf_8_neither_stops_nor_loses_anything(ros: Ros) -> None:
@@ -121,3 +148,23 @@ def test_declared_streams_have_their_declared_types(ros: Ros) -> None:
     assert status["rate_nominal"] == "50.00"
     tag.push_text("pressed", pylsl.local_clock())
     ros.until(lambda: bool(presses), "a press of the button")
+
+
+def test_a_value_that_does_not_fit_is_counted_and_said_once(ros: Ros, node: RunningNode) -> None:
+    # The agent's check would refuse it, so this is an outlet that does not check.
+    stream = declaration("zephyr").stream("hr")
+    identity = DeviceIdentity("zephyr", "U1", participant="unfit")
+    good = Outlet(stream, identity, DeviceInfo())
+    topic = "/unfit/biosensors/zephyr/hr"
+    heard = ros.listen(UInt8, topic)
+    ros.attached(topic, readers=1)
+    unchecked: pylsl.StreamOutlet = vars(good)["_outlet"]
+    for value in (60, 300, -1, 61):
+        unchecked.push_sample([value], pylsl.local_clock())
+    ros.until(lambda: len(heard) >= 2, "the samples that fit")
+    ros.report()
+    assert [message.data for message in heard] == [60, 61]
+    status = ros.status(topic)
+    assert status is not None
+    assert status["unfit"] == "2"
+    assert node.count("zephyr hr", "not published") == 1

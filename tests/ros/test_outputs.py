@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pylsl
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import BatteryState
 from std_msgs.msg import (
     Float32,
     Float32MultiArray,
@@ -251,6 +254,16 @@ def test_a_late_subscriber_gets_the_last_value(
     assert data == [last]
 
 
+def test_a_late_subscriber_gets_the_last_state_of_the_battery(ros: Ros) -> None:
+    _outlet, topic = push(ros, "polar_h10", "bat", [99.0], [55.0])
+    late = ros.listen(BatteryState, f"{topic}_state", LATCHED)
+    ros.until(lambda: bool(late), "the last state")
+    ros.attached(topic, readers=1)
+    ros.report()
+    assert [message.percentage for message in late] == [pytest.approx(0.55)]
+    assert math.isnan(late[0].voltage)
+
+
 def test_a_state_of_a_sensor_that_nobody_has_heard_of_is_kept(ros: Ros) -> None:
     mode = hardware("mode", ContentType.STATUS, channels("mmHg", "limit"), is_state=True)
     _outlet, topic = push_on(ros, mode, "never_heard_of", [99.0], [55.0])
@@ -266,3 +279,13 @@ def test_what_changes_often_is_not_kept(ros: Ros) -> None:
     assert outlet.push([12.0], [pylsl.local_clock()]) is None
     ros.until(lambda: bool(late), "what came after the subscription")
     assert [message.data for message in late] == [12.0]
+
+
+def test_a_late_subscriber_gets_the_list_of_streams(ros: Ros) -> None:
+    _outlet, topic = push(ros, "empatica_e4", "bat", [55.0])
+    late = ros.listen(DiagnosticArray, "/lsl_to_ros/streams", LATCHED)
+
+    def is_listed() -> bool:
+        return any(status.name == topic for message in late for status in message.status)
+
+    ros.until(is_listed, "the list, with this stream")

@@ -343,6 +343,8 @@ if TYPE_CHECKING:
 
 
 HEADSET = DeviceIdentity("emotiv_insight", "INSIGHT-1")
+WRISTBAND = DeviceIdentity("empatica_e4", "A01234", participant="p01", label="left")
+WRIST = "/p01/biosensors/empatica_e4_left"
 STAMP_TOLERANCE_S = 1e-3
 GRAVITY = 9.80665
 NO_ANGLE = [-1.0, *[0.0] * 8]
@@ -412,3 +414,60 @@ def test_motion_is_an_imu_and_a_magnetic_field(ros: Ros) -> None:
         check_header(message, "emotiv_insight", measured)
         assert vector(message.magnetic_field) == pytest.approx([24e-6, -40e-6, 8e-6])
         assert list(message.magnetic_field_covariance) == UNKNOWN
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("node")
+def test_a_battery_is_a_battery_state_with_the_fraction(ros: Ros) -> None:
+    wrist, headset = outlet_of(WRISTBAND, "bat"), outlet_of(HEADSET, "dev")
+    labels = [channel.label for channel in headset.stream.channels]
+    of_wrist = ros.listen(BatteryState, f"{WRIST}/bat_state")
+    of_headset = ros.listen(BatteryState, "/biosensors/emotiv_insight/bat_state")
+    ros.attached(f"{WRIST}/bat", "/biosensors/emotiv_insight/dev", readers=1)
+    wrist_time = push(wrist, [42.5])
+    headset_time = push(headset, [61.0 if label == "BatteryPercent" else 4.0 for label in labels])
+    ros.until(lambda: bool(of_wrist and of_headset), "a state of each")
+    check_header(of_wrist[0], "p01/empatica_e4_left", wrist_time)
+    check_header(of_headset[0], "emotiv_insight", headset_time)
+    for message, percentage in ((of_wrist[0], 0.425), (of_headset[0], 0.61)):
+        assert message.percentage == pytest.approx(percentage)
+        assert message.present
+        unmeasured = (
+            message.voltage,
+            message.temperature,
+            message.current,
+            message.charge,
+            message.capacity,
+            message.design_capacity,
+        )
+        assert all(math.isnan(value) for value in unmeasured)
+        assert message.power_supply_status == BatteryState.POWER_SUPPLY_STATUS_UNKNOWN
+        assert message.power_supply_health == BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN
+        assert message.power_supply_technology == BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN
+    assert (of_wrist[0].location, of_wrist[0].serial_number) == ("left", "A01234")
+    assert (of_headset[0].location, of_headset[0].serial_number) == ("", "INSIGHT-1")
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("node")
+def test_skin_temperature_is_a_temperature_also_where_there_is_none(ros: Ros) -> None:
+    outlet = outlet_of(WRISTBAND, "st")
+    heard = ros.listen(Temperature, f"{WRIST}/st_temperature")
+    ros.attached(f"{WRIST}/st", readers=1)
+    measured = [push(outlet, [value]) for value in (33.25, math.nan)]
+    ros.until(lambda: len(heard) == 2, "two samples")
+    for message, moment in zip(heard, measured, strict=True):
+        check_header(message, "p01/empatica_e4_left", moment)
+        assert message.variance == 0.0
+    assert heard[0].temperature == 33.25
+    assert math.isnan(heard[1].temperature)
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("node")
+def test_what_other_programs_call_a_battery_has_no_standard_message(ros: Ros) -> None:
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo("gadget", "Battery", 1, 0.0, "float32", "gadget"))
+    ros.attached("/biosensors/gadget/Battery")
+    ros.until(lambda: "/biosensors/gadget/Battery" in ros.topics(), "its topic")
+    assert not [topic for topic in ros.topics() if topic.startswith("/biosensors/gadget/Battery_")]
+    del outlet

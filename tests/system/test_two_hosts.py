@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import time
 import uuid
 from collections.abc import Callable
@@ -162,6 +164,31 @@ def test_the_node_kept_every_inlet_and_lost_nothing_with_the_cut(crossing: Cross
 
 
 @pytest.mark.timeout(400)
+def test_one_missing_message_would_be_noticed(crossing: Crossing) -> None:
+    """The proof is no stronger than what it would have found."""
+    observation, minute = crossing.observation, crossing.minute
+    spoilt = {
+        topic: _without_one(recording, minute) for topic, recording in observation.topics.items()
+    }
+    faults = observation._replace(topics=spoilt).faults(crossing.expected, minute, [minute])
+    several = {
+        topic
+        for place in crossing.expected.values()
+        for topic in place.topics
+        if len(np.unique(observation.topics[topic].between(*minute).arrivals)) > 2
+    }
+    assert len(several) > len(crossing.expected) / 2
+    assert set(faults) >= several
+
+
+def _without_one(recording: Recording, span: Span) -> Recording:
+    """Leave out the message in the middle of a time."""
+    came = np.unique(recording.between(*span).arrivals)
+    left = recording.arrivals != (came[len(came) // 2] if len(came) else 0.0)
+    return Recording(recording.arrivals[left], recording.stamps[left], recording.rows[left])
+
+
+@pytest.mark.timeout(400)
 def test_nothing_is_lost_to_a_reliable_subscriber_on_a_lossy_network(
     environment: dict[str, str], tmp_path: Path, record_property: Report
 ) -> None:
@@ -249,6 +276,23 @@ def _recorded(subscriber: SteeredProgram, folder: Path) -> Recording:
     path = folder / "topics.npz"
     subscriber.ask("save", path=str(path))
     return completeness.load(path)[STAMPED]
+
+
+@pytest.mark.timeout(400)
+def test_where_no_computers_can_be_made_it_is_said_and_not_passed_over() -> None:
+    # Without capabilities root is nobody.
+    powerless = ["setpriv", "--inh-caps", "-all", "--bounding-set", "-all"]
+    enter = "from tests.rigs.hosts.lan import Lan; Lan({'here': 0}).__enter__()"
+    tried = subprocess.run(
+        [*powerless, sys.executable, "-c", enter],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert tried.returncode != 0
+    assert "computers cannot be made of namespaces here" in tried.stderr
+    assert "run this test as root" in tried.stderr
 
 
 # A robot and ``ros_to_lsl`` on one computer, LabRecorder on another one.
