@@ -33,6 +33,7 @@ END_S = 60.0
 """LabRecorder's program waits up to five seconds for each of its threads."""
 # Limit if the file is discarded anyway.
 _GIVEN_UP_S = 5.0
+_LARGEST_EXIT_CODE = 255
 _POLL_S = 0.1
 _ALREADY, _NOT_RUN = 3, 4
 
@@ -122,11 +123,11 @@ class _Supervisor:
         return ""
 
     def _why_it_ended(self, process: subprocess.Popen[bytes], recording: SavedRecording) -> str:
-        is_own = recording.recorder == OWN
-        words = ProgramOutput(self._folder.printed()).end if is_own else ""
-        return (
-            f"{recording.recorder} ended by itself: {words or ending_in_words(process.returncode)}"
-        )
+        code = process.returncode
+        # Ours says why it ends, unless it is killed or crashes.
+        has_said_why = recording.recorder == OWN and 0 <= code <= _LARGEST_EXIT_CODE
+        why = ProgramOutput(self._folder.printed()).end if has_said_why else ending_in_words(code)
+        return f"{recording.recorder} ended by itself: {why}"
 
     def _request_end(self) -> None:
         self._is_told_to_end = True
