@@ -156,7 +156,7 @@ def test_the_page_is_true(
     for line in last:
         terminals.type(line)
     with (folder / "study_csv" / "P01-polar_h10-virtual-ecg.csv").open() as file:
-        recorded = [float(np.float32(row[1])) for row in list(csv.reader(file))[1:]]
+        recorded = [float(np.float32(row[-1])) for row in list(csv.reader(file))[1:]]
 
     def heard() -> list[float]:
         return [message.data for message in list(played)]

@@ -259,9 +259,8 @@ def _topic(ros: Ros, of: Sender, ending: str) -> str:
 
 
 def test_heart_rates_of_bursts_and_overlaps_reach_a_robot(
-    ros: Ros, start_node: Callable[..., RunningNode], tmp_path: Path
+    ros: Ros, node: RunningNode, tmp_path: Path
 ) -> None:
-    node = start_node()
     with ExitStack() as stack:
         stack.enter_context(features_program(tmp_path / "said.txt"))
         senders = [Sender(kind, 130.0, bpm, overlaps=kind == "PPG") for kind, bpm in RATES.items()]

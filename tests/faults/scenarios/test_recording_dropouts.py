@@ -167,4 +167,4 @@ def test_stamps_are_right_and_the_verdict_is_amber_with_what_happened(tmp_path: 
     found = {each.code: each.text for each in judged.findings}
     assert {"away", "silent"} <= found.keys()
     assert "not connected" in found["away"]
-    assert "waited" in found["silent"]
+    assert "data that came afterwards was delayed" in found["silent"]
