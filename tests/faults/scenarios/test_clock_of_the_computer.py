@@ -180,7 +180,7 @@ def test_the_lsl_stamps_go_on_evenly(stepped: Stepped, figures: Record) -> None:
 
 
 # A system clock that is stepped for some processes only; see ``stepped_clock.c``.
-SOURCE = Path(__file__).with_suffix(".c")
+SOURCE = Path(__file__).with_name("stepped_clock.c")
 _OFFSET = struct.Struct("=q")
 
 
