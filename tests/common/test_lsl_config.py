@@ -115,6 +115,20 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     assert raised.value.reason is ConfigReason.UNREADABLE
 
 
+@pytest.mark.parametrize("session", ["Lab's 1", "x' or '1'='1", "'"])
+def test_a_session_that_no_query_can_name_is_refused(session: str, tmp_path: Path) -> None:
+    # Of the first liblsl finds no stream, of the second those of all sessions.
+    path = tmp_path / "lsl_api.cfg"
+    path.write_text(f"[lab]\nSessionID = {session}\n")
+    with pytest.raises(ConfigError, match=str(path)) as raised:
+        effective_config(path, LslOverrides())
+    assert raised.value.reason is ConfigReason.WRONG_VALUE
+    with pytest.raises(ConfigError, match="session_id") as raised:
+        effective_config(None, LslOverrides(session))
+    assert raised.value.reason is ConfigReason.WRONG_VALUE
+    assert overlaid(path.read_text(), LslOverrides("ours"), tmp_path)["lab"]["SessionID"] == "ours"
+
+
 def test_a_place_that_may_not_be_looked_into_has_no_file(tmp_path: Path) -> None:
     own = tmp_path / "lsl_api.cfg"
     own.touch()

@@ -330,6 +330,15 @@ def test_another_session_than_labrecorder_s(
     assert "biosensor-gateway config lsl --force" in found.fix
 
 
+def test_a_session_that_no_query_can_name(
+    examine: Examine, context: Context, lsl_file: Write
+) -> None:
+    path = lsl_file("[lab]\nSessionID = Lab's 1\n")
+    found = only(examine(context, "lsl_config"), "apostrophe")
+    assert found.level is Level.ERROR
+    assert str(path) in found.what
+
+
 def test_a_variable_that_names_nothing(
     examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -24,6 +24,7 @@ from biosensor_common.lsl.api_file import (
     LSL_SESSION,
     PEERS,
     LslApiFile,
+    check_session,
     config_places,
     is_there,
 )
@@ -105,6 +106,15 @@ def _damaged(file: Path, problem: Exception) -> Finding:
 
 def _session(context: Context, own: LslApiFile) -> Iterator[Finding]:
     chosen, guide = context.overrides.session_id, context.guide
+    try:
+        check_session(own.session_id, context.lsl_file)
+    except ConfigError as problem:
+        yield error(
+            str(problem),
+            "LSL programs that are started here find no stream, or also those of other sessions.",
+            f"correct SessionID in {context.lsl_file} and restart all LSL programs",
+        )
+        return
     if chosen and chosen != own.session_id:
         yield warning(
             f"{guide.program} is in the LSL session {chosen}, LSL programs of this computer in "

@@ -96,7 +96,8 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
     Raises
     ------
     ConfigError
-        ``UNREADABLE`` or ``MALFORMED``, for the user's own file.
+        ``UNREADABLE``, ``MALFORMED`` or ``WRONG_VALUE``, for the user's own file; ``WRONG_VALUE``
+        for a session of ours that no LSL query can name.
     """
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     parser.optionxform = str  # type: ignore[assignment,method-assign]  # liblsl's keys have case
@@ -104,7 +105,8 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
         _read(parser, user_file)
     _set(parser, "ports", "PortRange", str(overrides.port_range or _own_port_range(parser)))
     if overrides.session_id:
-        _set(parser, "lab", "SessionID", overrides.session_id)
+        _set(parser, *SESSION, overrides.session_id)
+    check_session(parser.get(*SESSION, fallback=""), None if overrides.session_id else user_file)
     if overrides.known_peers:
         _set(parser, "lab", "KnownPeers", "{" + ", ".join(overrides.known_peers) + "}")
     if overrides.search_pause_s is not None:
@@ -114,6 +116,30 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
     text = io.StringIO()
     parser.write(text)
     return text.getvalue()
+
+
+def check_session(session: str, file: Path | None) -> None:
+    """Check that liblsl can ask for a session, which it puts between apostrophes.
+
+    With another apostrophe in it, programs find no stream, or those of all sessions.
+
+    Parameters
+    ----------
+    file
+        Where it stands; nothing for our own setting.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, if it cannot.
+    """
+    if "'" in session:
+        where = f"{file}: SessionID" if file else "session_id"
+        message = (
+            f"{where} is {session!r}, and LSL cannot look for a session with an apostrophe in its "
+            "name; give it another name, the same in all programs"
+        )
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
 def _read(parser: configparser.ConfigParser, path: Path) -> None:

@@ -41,7 +41,7 @@ def configure_lsl(overrides: LslOverrides) -> Path | None:
     Raises
     ------
     ConfigError
-        ``UNREADABLE`` or ``MALFORMED``, for that file.
+        As of `effective_config`.
     """
     path = user_config_file(os.environ, Path.home(), Path.cwd())
     pylsl.set_config_content(effective_config(path, overrides))

@@ -35,6 +35,7 @@ from biosensor_common.lsl.api_file import (
     Line,
     LslApiFile,
     Ports,
+    check_session,
     config_places,
     home_config_file,
     user_config_file,
@@ -208,7 +209,9 @@ def write_lsl_file(
 def _session_of_own_file() -> str:
     """Return the session of the LSL file that the agent uses when its settings name none."""
     own = user_config_file(os.environ, Path.home(), Path.cwd())
-    return LslFile((own and _read(own)) or "", str(own)).session_id
+    session_id = LslFile((own and _read(own)) or "", str(own)).session_id
+    check_session(session_id, own)
+    return session_id
 
 
 def _read(path: Path) -> str | None:
