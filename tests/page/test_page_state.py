@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,10 @@ from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.selection import chosen, described
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.page import interface
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.auth import ViewKeys
+from biosensor_gateway.page.interface import Features
 from biosensor_gateway.page.live import HOLDS_S, History, is_of_now
 from biosensor_gateway.page.models import AgentState, DeviceView, StreamView
 from biosensor_gateway.page.routes import devices
@@ -43,6 +46,7 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
 )
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.rigs.polling import until
 
 # What the page's server keeps between requests.
 
@@ -285,6 +289,44 @@ def test_a_recording_looks_where_the_settings_say(
     with pytest.raises(RecorderError, match="not in this test"):
         asyncio.run(recording.start(wanted))
     assert told == [LslOverrides("lab7", ("192.168.1.20",))]
+
+
+class SeenFeatures:
+    """In place of the reader of the network: a heart rate of somebody's strap is there."""
+
+    wanted = frozenset[str]()
+
+    def __init__(self, *_: object) -> None:
+        stream = SimpleNamespace(derived_from="P01@polar_h10-ecg")
+        self.view = SimpleNamespace(devices=[SimpleNamespace(streams=[stream])])
+
+    def stop(self) -> None:
+        pass
+
+
+@pytest.mark.nightly
+def test_features_are_of_the_agent_s_session_whatever_the_settings_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another group's strap may have the same source_id."""
+    told: list[LslOverrides] = []
+    monkeypatch.setattr(interface, "configure_lsl", told.append)
+    monkeypatch.setattr(interface, "Reader", SeenFeatures)
+    settings = tmp_path / "settings.toml"
+    settings.write_text(SETTINGS)
+    session = Session(tmp_path, settings)
+
+    async def run() -> None:
+        session.take_status(AgentStatus(session="before"))
+        reading = asyncio.create_task(Features(session).run())
+        await until(lambda: session.features)
+        session.take_status(AgentStatus(session="lab7"))
+        await until(lambda: not session.features)
+        reading.cancel()
+        await asyncio.wait([reading])
+
+    asyncio.run(run())
+    assert [each.session_id for each in told] == ["before"]
 
 
 @pytest.mark.parametrize("virtual", [True, False])

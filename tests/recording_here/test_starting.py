@@ -10,7 +10,10 @@ from typing import Any
 
 import pytest
 
+from biosensor_common.lsl import api_file
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.recording_file import FileSummary, summarize
@@ -20,9 +23,14 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
-from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.streams import (
+    Presence,
+    VisibleStream,
+    expected_devices,
+)
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
+from biosensor_gateway.settings.models import GatewaySettings
 from tests.recording_here.test_growth import HEAD, TWO, data
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
@@ -49,6 +57,20 @@ def test_the_next_try_begins_with_an_empty_file(
         )
     assert refused.value.reason is RecorderReason.UNWRITABLE
     assert sizes == [0, 0]
+
+
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_an_agent_in_another_session_is_not_recorded(tmp_path: Path, is_ours: bool) -> None:
+    """There, streams of the same source_ids are another group's."""
+    own = api_file.session(api_file.config_here(LslOverrides()))
+    session = own if is_ours else "before-the-change"
+    write_status(tmp_path, {"written": time.time(), "devices": [], "session": session})
+    if is_ours:
+        assert expected_devices(GatewaySettings(), tmp_path) == ()
+        return
+    with pytest.raises(RecorderError, match="the LSL session before-the-change, and") as refused:
+        expected_devices(GatewaySettings(), tmp_path)
+    assert refused.value.reason is RecorderReason.OTHER_SESSION
 
 
 AWAY = "polar_h10/A1 of P01 was paused the whole time, and "

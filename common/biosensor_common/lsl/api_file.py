@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import configparser
 import io
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,6 +117,11 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
     text = io.StringIO()
     parser.write(text)
     return text.getvalue()
+
+
+def config_here(overrides: LslOverrides) -> str:
+    """Return `effective_config` for a program that is started here, with its errors."""
+    return effective_config(user_config_file(os.environ, Path.home(), Path.cwd()), overrides)
 
 
 def check_session(session: str, file: Path | None) -> None:

@@ -17,6 +17,7 @@ from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.errors import cannot_write
+from biosensor_common.lsl import api_file
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.naming import AGENT, source_id
 from biosensor_common.process_limits import limit_arenas
@@ -64,6 +65,7 @@ def snapshot(
     own: Iterable[Refusals] = (),
     features: Sequence[RefusedStatus] = (),
     started_s: float | None = None,
+    session: str = "",
 ) -> AgentStatus:
     """Return the status of the agent and its devices.
 
@@ -73,6 +75,8 @@ def snapshot(
         Refusals that programs with live features report.
     started_s
         When the agent began, as LSL time.
+    session
+        LSL session in which it sends.
     """
     restarts = restart_facts(os.environ)
     status = AgentStatus(
@@ -83,6 +87,7 @@ def snapshot(
         virtual=virtual,
         restarts=int(restarts.get("restarts", 0)),
         last_end=str(restarts.get("last_end", "")),
+        session=session,
         refusals=[refused for each in own for refused in RefusedStatus.of(each)],
         devices=[device.status() for device in devices],
     )
@@ -257,6 +262,7 @@ class Agent:
         self._folder = folder
         limit_arenas(os.environ)
         taken_over = configure_lsl(settings.lsl.overrides)
+        self._lsl_session = api_file.session(api_file.config_here(settings.lsl.overrides))
         if taken_over is not None:
             people = f"LSL's own settings are heeded: {taken_over}"
             _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
@@ -373,6 +379,7 @@ class Agent:
                 own=own,
                 features=features,
                 started_s=announcer.started_s,
+                session=self._lsl_session,
             ).model_dump()
             self.on_status(status)
             self._status.write(status)

@@ -224,6 +224,8 @@ class AgentFacts(BaseModel):
         How often the agent was restarted after a crash, and how it ended last.
     started_s
         When the agent began, as LSL time, as in the heartbeats of its events.
+    session
+        LSL session in which it sends; empty if unknown.
     refusals
         What of the agent's own streams was not sent, or not received.
     """
@@ -235,6 +237,7 @@ class AgentFacts(BaseModel):
     virtual: bool = False
     restarts: int = 0
     last_end: str = ""
+    session: str = ""
     refusals: list[RefusedStatus] = Field(default_factory=list[RefusedStatus])
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
+from dataclasses import replace
 from functools import partial
 
 from fastapi import APIRouter
 
 from biosensor_common.errors import ConfigError
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_gateway.features.outputs import feature_streams
 from biosensor_gateway.page.experiments.server import ExperimentServer
@@ -84,15 +85,24 @@ class Features:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._wanted: frozenset[str] = frozenset()
+        self._lsl_session = ""
 
     async def run(self) -> None:
         """Receive until cancelled."""
         # Not before an agent has come: liblsl reads its settings at its first call, and they must
         # be those with which the agent was started.
         await self._session.came.wait()
-        with contextlib.suppress(ConfigError):
-            lsl = self._session.loaded().lsl
-            configure_lsl(lsl.overrides)
+        # The settings may have changed since.
+        self._lsl_session = self._session.lsl_session
+        try:
+            overrides = self._session.loaded().lsl.overrides
+        except ConfigError:
+            overrides = LslOverrides()
+        try:
+            configure_lsl(replace(overrides, session_id=self._lsl_session))
+        except ConfigError:
+            # Unconfigured, LSL would find those of its default session.
+            return
         reader = await asyncio.to_thread(Reader, into(self._session.traces), feature_streams())
         try:
             while True:
@@ -102,9 +112,9 @@ class Features:
             await asyncio.to_thread(reader.stop)
 
     def _look(self, reader: Reader) -> None:
-        features = [
-            each for device in reader.view.devices for each in device.streams if each.derived_from
-        ]
+        # An agent that was started again may be in another session, where this program is not.
+        devices = reader.view.devices if self._session.lsl_session == self._lsl_session else ()
+        features = [each for device in devices for each in device.streams if each.derived_from]
         self._session.features = features
         wanted = self._of_the_agent(features) if self._session.traces.screens else frozenset[str]()
         self._session.traces.history.forget(self._wanted - wanted)

@@ -147,6 +147,11 @@ class Session:
         """When the agent began, as LSL time; None if there is none."""
         return None if self._status is None else self._status.started_s
 
+    @property
+    def lsl_session(self) -> str:
+        """The LSL session of the agent; empty if there is none, or it is unknown."""
+        return "" if self._status is None else self._status.session
+
     def _devices(self) -> Sequence[DeviceStatus]:
         return () if self._status is None else self._status.devices
 

@@ -7,7 +7,6 @@ full disk), so a recording is checked by reading its file.
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from biosensor_common.lsl.api_file import LslOverrides, effective_config, user_config_file
+from biosensor_common.lsl.api_file import LslOverrides, config_here
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.program import (
@@ -282,7 +281,7 @@ class _Starter:
     ) -> None:
         self._state, self._recording, self._growth_s = state, recording, growth_s
         self._folder = RecorderFolder(state)
-        self._config = effective_config(user_config_file(os.environ, Path.home(), Path.cwd()), lsl)
+        self._config = config_here(lsl)
 
     def start(
         self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]

@@ -302,6 +302,8 @@ class RecorderReason(Enum):
     """The file exists."""
     UNWRITABLE = "unwritable"
     """The file or the state folder cannot be written."""
+    OTHER_SESSION = "other_session"
+    """The agent sends in another LSL session than the one to be recorded."""
     STREAMS_MISSING = "streams_missing"
     FOREIGN_STREAMS = "foreign_streams"
     NOT_BEGUN = "not_begun"
