@@ -31,22 +31,22 @@ GATEWAY = SensorSpec(
 
 @dataclass(slots=True)
 class Counters:
-    """What happened to one stream's samples on their way into LSL.
+    """Counts of one stream's samples on their way into LSL.
 
     Attributes
     ----------
     pushed
         Samples handed to LSL.
     lost
-        Samples that the device measured and that never reached the agent.
+        Samples that the device measured but that never reached the agent.
     refused
         Samples that failed the check of range, shape or stamp.
     last_stamp
         LSL time of the newest sample, 0 before the first.
     withheld
-        Samples that reached the agent and were not sent, because of a pause.
+        Samples that reached the agent but were not sent, because of a pause.
     waited
-        Samples that came before the first receiver; the newest of them are pushed to it.
+        Samples that arrived before the first receiver; the newest of them are pushed to it.
     """
 
     pushed: int = 0
@@ -68,16 +68,15 @@ def counters_text(
 ) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
-    A device's clock is in the entry of one of its streams, if it has one. So are sentences of what
-    is left out of no single stream. Those of what is not passed on as it came are in the entries of
-    those streams of which there is any now. Streams that are *off*,
-    because the settings or the model of the device have none, say so: nothing of them is missing.
-    So does a stream of which the model is *lacking* some channels, by their labels.
-    While a device is *away*, each of its streams has its state, as in heartbeats: what came last
-    is of the past then.
+    The state of a device's clock is in the entry of one of its streams, together with sentences
+    about data that were left out but belong to no single stream. Sentences about data of a stream
+    that are currently left out or changed are in its own entry. Streams that are *off*, because
+    the settings or the device's model do not have them, are marked: nothing of them is missing.
+    Channels that the model is *lacking* are listed by label. While a device is *away*, each of its
+    streams has the device's state, as in heartbeats, because its last data are old.
 
-    The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
-    withholds is not told: the number of beats in a second is a heart rate.
+    The node compares ``pushed`` with what it pulled up to ``last_stamp``. Samples suppressed by a
+    pause are not counted here: the number of beats in a second is a heart rate.
     """
     return json.dumps(
         {

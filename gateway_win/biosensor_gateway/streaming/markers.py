@@ -3,12 +3,12 @@
 Each is one JSON object in a string, without blanks and in ASCII. Every one has
 
 marker
-    Its name; ``note`` for a note, ``undo`` for one that takes another back, ``ready`` for
-    the agent's own.
+    Its name; ``note`` for a note, ``undo`` for one that undoes another, ``ready`` for the
+    agent's own.
 kind
     One of :class:`MarkerKind`.
 id
-    They count from 1 at each start of the agent: where one is missing, a marker is missing.
+    Counts from 1 at each start of the agent: a missing number is a missing marker.
 lsl_time
     LSL time in seconds at which it happened. The stamp is the same time, but never before
     the stamp of an earlier marker.
@@ -18,13 +18,13 @@ and some
 note
     Free text.
 source
-    Who sent it.
+    The sender.
 timed_by
-    Of one from a web experiment, what its ``lsl_time`` comes from; one of :class:`TimedBy`.
+    For a marker from a web experiment, the origin of its ``lsl_time``: one of :class:`TimedBy`.
 uncertainty_s
-    By how many seconds that may be wrong at most, either way, where it was measured.
+    Largest error of that time in seconds, either way, if it was measured.
 of
-    Of an undo, the ``id`` of the marker that it takes back. Nothing is deleted.
+    For an undo, the ``id`` of the undone marker. Nothing is deleted.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ KEPT = 1000
 
 @unique
 class MarkerKind(StrEnum):
-    """Where a marker comes from."""
+    """Origin of a marker."""
 
     BUTTON = "button"
     """Somebody pressed one of the buttons of the settings."""
@@ -74,7 +74,7 @@ class MarkerKind(StrEnum):
 
 @unique
 class TimedBy(StrEnum):
-    """How it is known when a web experiment's marker happened."""
+    """How the time of a web experiment's marker was determined."""
 
     CLOCK = "clock"
     """The browser said when, on its own clock, which was measured."""
@@ -85,12 +85,12 @@ class TimedBy(StrEnum):
 
 
 class Timing(NamedTuple):
-    """How well the time of a marker is known.
+    """Accuracy of a marker's time.
 
     Attributes
     ----------
     uncertainty_s
-        In seconds, either way; None if it was not measured.
+        Largest error in seconds, either way; None if it was not measured.
     """
 
     timed_by: TimedBy
@@ -115,16 +115,16 @@ class Marker:
 class MarkerStream:
     """Sends markers and remembers the newest ones.
 
-    The outlet is there from the agent's beginning, so that LabRecorder finds it. Who begins
-    to receive where nobody did gets a marker ``ready`` soon, unless another one comes first:
-    a stream of markers without any cannot be loaded by some versions of the loader for MATLAB.
+    The outlet exists from the agent's start, so that LabRecorder finds it. The first receiver soon
+    gets a marker ``ready``, unless another marker is sent before: some versions of the loader for
+    MATLAB cannot load a marker stream without markers.
 
     Attributes
     ----------
     clock
-        Tells when something happens.
+        The LSL clock.
     refusals
-        Markers that nobody receives, or that cannot be sent.
+        Counts markers that nobody receives, or that cannot be sent.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
@@ -143,16 +143,16 @@ class MarkerStream:
 
     @property
     def is_received(self) -> bool:
-        """Whether anybody receives the stream now."""
+        """Whether the stream has a receiver now."""
         return self._outlet is not None and self._outlet.have_consumers()
 
     def open(self) -> None:
-        """Create the outlet; an error is logged, and markers are refused then."""
+        """Create the outlet; on an error, it is logged and all markers are refused."""
         self._outlet = spare_outlet("markers", self.refusals, self.clock)
 
     @log_errors
     def tick(self, now: float) -> None:
-        """Tell whoever has begun to receive that the stream is there; at an LSL time."""
+        """Send ``ready`` to a new receiver; *now* is an LSL time."""
         had_consumers, self._had_consumers = self._had_consumers, self.is_received
         if self._had_consumers and not had_consumers:
             self._send(MarkerKind.READY.value, MarkerKind.READY, now, {})
@@ -171,11 +171,11 @@ class MarkerStream:
         Parameters
         ----------
         marker, note, kind, source
-            What it says; note and source may be empty.
+            Contents of the marker; note and source may be empty.
         at
-            LSL time in seconds at which it happened; now if it is not said.
+            LSL time of the event in seconds; now if omitted.
         timing
-            How well that is known, where somebody measured it.
+            Accuracy of that time, if it was measured.
 
         Raises
         ------
@@ -199,17 +199,17 @@ class MarkerStream:
         return sent
 
     def undo(self, number: int | None = None) -> tuple[int, int]:
-        """Say of a marker that it does not hold.
+        """Send a marker that undoes another one.
 
         Parameters
         ----------
         number
-            Its id; None for the last one that holds.
+            Its id; None for the last one that is not undone.
 
         Returns
         -------
         tuple of int
-            The id of the undo, and that of what it takes back.
+            The id of the undo, and the id of the undone marker.
 
         Raises
         ------
@@ -229,7 +229,7 @@ class MarkerStream:
         return list(self._kept.values())[-count:]
 
     async def end(self) -> None:
-        """Destroy the outlet, when what was marked has been sent."""
+        """Destroy the outlet after the markers have been sent."""
         if self._outlet is None:
             # nothing is dropped: there was none, which `spare_outlet` has reported
             return

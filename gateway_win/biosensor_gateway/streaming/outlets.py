@@ -1,4 +1,4 @@
-"""LSL outlets: each checks, counts and pushes its stream; and those of the agent itself."""
+"""LSL outlets that check, count and push a stream's samples."""
 
 from __future__ import annotations
 
@@ -57,34 +57,33 @@ def _fault(what: Refusal, **facts: object) -> _Fault:
 
 
 class Sending(Protocol):
-    """What an outlet needs of LSL's; see pylsl."""
+    """The used part of pylsl's outlet."""
 
     def push_sample(self, x: Sequence[str], timestamp: float = 0.0) -> None:
-        """Send a text."""
+        """Send a text sample."""
         ...
 
     def push_chunk(self, x: NDArray[Any], timestamp: list[float]) -> None:
-        """Send samples, each with its stamp."""
+        """Send samples with their stamps."""
         ...
 
     def have_consumers(self) -> bool:
-        """Whether anybody receives them."""
+        """Whether there is a receiver."""
         ...
 
 
 class Outlet:
     """One LSL outlet of a declared stream.
 
-    LSL drops what nobody receives yet, and a device tells its battery or signal
-    strength right after the outlet was made. So the first samples of a stream that
-    shows a state wait, with their own stamps, until there was time to attach and
-    somebody did; see `release`. So do those of any stream whose receivers have lost it a moment
-    ago; see `await_return`.
+    LSL drops samples without a receiver, and a device sends its battery or signal strength right
+    after the outlet was created. So the first samples of a stream of states wait, with their own
+    stamps, until a receiver had time to connect and did; see `release`. So do the samples of any
+    stream that has just lost its receivers; see `await_return`.
 
     Attributes
     ----------
     counters, refusals
-        What became of its samples, and what was not passed on as it came.
+        Counts of its samples, and of those that were left out or changed.
     """
 
     def __init__(
@@ -125,17 +124,17 @@ class Outlet:
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 
     def _made(self, info: pylsl.StreamInfo) -> Sending:
-        """Make what sends: LSL's own outlet."""
+        """Create LSL's outlet."""
         return LslOutlet(info)
 
     @property
     def session(self) -> str:
-        """LSL session in which it sends; empty if it does not send over LSL."""
+        """The LSL session; empty if it does not send over LSL."""
         sends = self._outlet
         return sends.get_info().session_id() if isinstance(sends, pylsl.StreamOutlet) else ""
 
     def await_return(self) -> None:
-        """Let the next samples wait until those are back who received the stream before a kill."""
+        """Queue the next samples until the receivers from before a kill have reconnected."""
         if not self._waits:
             self._waits = True
             now = self._clock()
@@ -143,20 +142,20 @@ class Outlet:
             self._waiting = deque(maxlen=MAX_AWAITING_RETURN)  # nothing is dropped: as above
 
     def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
-        """Push samples that are newer than all before them.
+        """Push samples that are newer than all previous ones.
 
         Parameters
         ----------
         samples : array_like, shape (n_samples, n_channels) or (n_samples,)
-            Values in the units of the declaration; NaN is "no value", which
-            regular streams carry and irregular ones must not consist of.
+            Values in the units of the declaration; NaN is "no value", which regular streams may
+            contain, but a sample of an irregular one must not only consist of it.
         stamps : sequence of float, length n_samples
             LSL time of each sample, never decreasing.
 
         Returns
         -------
         str or None
-            Why the samples were refused, None if they were pushed.
+            Why the samples were refused; None if they were pushed.
         """
         values = np.asarray(samples, dtype=np.float64)
         if values.ndim == 1:
@@ -189,7 +188,7 @@ class Outlet:
         self.counters.waited += len(stamps)
 
     def release(self) -> None:
-        """Push the samples that wait for receivers, if they need not wait any longer."""
+        """Push the samples that wait for receivers, if the wait is over."""
         if self._waiting and self._has_audience():
             data, stamps = zip(*self._waiting, strict=True)
             self._waiting.clear()
@@ -197,13 +196,13 @@ class Outlet:
             self._count(stamps)
 
     def withhold_waiting(self) -> None:
-        """Drop the samples that wait for receivers: their device has been paused."""
+        """Discard the samples that wait for receivers, because their device was paused."""
         if self._waiting:
             self.withhold(len(self._waiting))
             self._waiting.clear()
 
     def withhold(self, count: int) -> None:
-        """Count samples that are not sent because of a pause."""
+        """Count samples that are suppressed by a pause."""
         self.counters.withheld += count
         self.refusals.refuse(Refusal.PAUSED, count)
 
@@ -218,14 +217,14 @@ class Outlet:
         return has_one
 
     def close(self) -> None:
-        """Destroy the LSL outlet now, whoever still holds this object; it is of no use then.
+        """Destroy the LSL outlet now, even if this object is still referenced.
 
-        The traceback of a task that failed would keep it visible, and be recorded.
+        The traceback of a failed task would otherwise keep it visible, and it would be recorded.
         """
         del self._outlet
 
     def have_consumers(self) -> bool:
-        """Whether anybody receives the stream now."""
+        """Whether the stream has a receiver now."""
         return self._outlet.have_consumers()
 
     def push_text(self, text: str, stamp: float) -> None:
@@ -295,11 +294,11 @@ class DeviceOutlets:
         self._expected: DeviceInfo | None = None
 
     def expect(self, info: DeviceInfo, rates: Mapping[str, float]) -> bool:
-        """Create the outlets as they were known before; return whether they can be.
+        """Create the outlets as they were before; return whether that is possible.
 
-        They are replaced at the connection if the device then says something else. What it
-        measures meanwhile waits for receivers who come back; see :meth:`Outlet.await_return`.
-        Parameters as in :meth:`open`.
+        They are replaced at the connection if the device then reports something else. Samples
+        wait for returning receivers; see :meth:`Outlet.await_return`. Parameters as in
+        :meth:`open`.
         """
         declared = self._sensor.streams
         told = [rates.get(each.data_name, each.rate) for each in declared]
@@ -319,14 +318,14 @@ class DeviceOutlets:
         Parameters
         ----------
         info
-            What the device says of itself; the declaration fills the blanks.
+            What the device reports of itself; the declaration fills in the rest.
         rates
-            Nominal rate in Hz by data name, for streams whose rate the device sets.
+            Nominal rates in Hz by data name, for streams whose rate the device sets.
 
         Returns
         -------
         dict
-            Rate before and after, by data name, of those that were rebuilt.
+            Previous and new rate of the rebuilt outlets, by data name.
         """
         changed: dict[str, tuple[float | FromDevice, float | FromDevice]] = {}
         was_wrong = self._expected not in {None, info}
@@ -356,12 +355,12 @@ class DeviceOutlets:
         self._outlets.clear()
 
     def release(self) -> None:
-        """Push what waits for a receiver; see :class:`Outlet`."""
+        """Push samples that wait for a receiver; see :class:`Outlet`."""
         for outlet in self._outlets.values():
             outlet.release()
 
     def withhold_waiting(self) -> None:
-        """Drop what waits for a receiver; see :class:`Outlet`."""
+        """Discard samples that wait for a receiver; see :class:`Outlet`."""
         for outlet in self._outlets.values():
             outlet.withhold_waiting()
 
@@ -375,7 +374,7 @@ class DeviceOutlets:
 
     @property
     def refusals(self) -> dict[str, Refusals]:
-        """What was not passed on as it came, by source_id."""
+        """Data that were left out or changed, by source_id."""
         return {outlet.source_id: outlet.refusals for outlet in self._outlets.values()}
 
     @property
@@ -386,7 +385,7 @@ class DeviceOutlets:
 
 
 def differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object, object]]:
-    """Return what a device says of itself now and did not before, where it says both."""
+    """Return changed facts that a device reports of itself, if it reported both."""
     then, now = asdict(before), asdict(after)
     return {
         name: (then[name], now[name])
@@ -396,21 +395,21 @@ def differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object
 
 
 def own_outlet(data_name: str, clock: Clock = LSL_CLOCK) -> Outlet:
-    """Make the outlet of a stream that the agent cannot do without.
+    """Create the outlet of a stream without which the agent cannot run.
 
     Raises
     ------
     RuntimeError
-        LSL has no port for it.
+        LSL has no free port.
     OSError, ValueError
-        This computer tells no name, or one that is no text.
+        This computer has no name, or one that is not valid text.
     """
     identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
     return Outlet(GATEWAY.stream(data_name), identity, DeviceInfo(model=GATEWAY.model), clock)
 
 
 def spare_outlet(data_name: str, refusals: Refusals, clock: Clock = LSL_CLOCK) -> Outlet | None:
-    """Make the outlet of a stream that devices go on without; what keeps it away is reported."""
+    """Create the outlet of an optional stream; a failure is reported."""
     try:
         return own_outlet(data_name, clock)
     except (OSError, RuntimeError, ValueError):
@@ -426,7 +425,7 @@ _log = structlog.get_logger("biosensor_gateway.events")
 
 
 def log_errors(method: Callable[_Given, None]) -> Callable[_Given, None]:
-    """Have a function raise nothing: its first failure is logged, later ones are passed over."""
+    """Decorate a function so that it never raises: only its first error is logged."""
     is_told = False
 
     @wraps(method)

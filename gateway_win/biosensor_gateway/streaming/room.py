@@ -1,4 +1,4 @@
-"""Gives the streams that fit into this process to devices, in the order of the settings."""
+"""Assigns the streams that fit into this process to devices, in the order of the settings."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ _OWN_STREAMS = 3
 
 
 class Room:
-    """Knows which devices have room for their streams.
+    """The devices that have room for their streams.
 
     Parameters
     ----------
     fits
-        How many streams fit; None where nothing limits them.
+        How many streams fit; None if there is no limit.
     """
 
     def __init__(self, fits: int | None) -> None:
@@ -24,15 +24,15 @@ class Room:
 
     @classmethod
     def here(cls, kept: int = 0) -> Room:
-        """Return the room of this process, which has opened no stream yet.
+        """Return the room of this process, which has not opened a stream yet.
 
-        Some more streams are `kept` out of it, in place of other files that will be opened.
+        Room for `kept` more streams is reserved for other files that will be opened.
         """
         fits = process_limits.room(process_limits.OUTLET)
         return cls(None if fits is None else max(0, fits - _OWN_STREAMS - kept))
 
     def take(self, device: str, streams: int) -> None:
-        """Take room for the streams of a device, unless it has it.
+        """Take room for the streams of a device, unless it already has room.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class Room:
         self._taken.pop(device, None)
 
     def share_out(self, devices: dict[str, int]) -> str:
-        """Take room for all devices, by name and number of streams, as far as there is some.
+        """Take room for all devices, by name and number of streams, until there is no more.
 
         Returns
         -------

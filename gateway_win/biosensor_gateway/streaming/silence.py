@@ -19,7 +19,7 @@ RETRY_S = 60.0
 
 @unique
 class Remedy(Enum):
-    """What to do about silent streams, in this order."""
+    """Remedy for silent streams, in the order in which they are tried."""
 
     ENABLE = "enabling again"
     RECONNECT = "connecting again"
@@ -29,18 +29,18 @@ class Remedy(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """Streams that are due and do not come.
+    """Streams that are expected and silent.
 
     Attributes
     ----------
     streams
         Data names.
     seconds
-        Since the last data of the one that is silent for longest, while the agent ran.
+        Time since the last data of the stream that is silent for longest, while the agent ran.
     attempts
         New connections that did not help.
     why
-        What the device says of it; empty if it says nothing.
+        The reason that the device reports; empty if it reports none.
     """
 
     streams: frozenset[str]
@@ -62,16 +62,16 @@ class _Stream:
 def limits(
     rates: Mapping[str, float], due: Mapping[str, float], patience_s: float
 ) -> dict[str, float]:
-    """Return how long data of each stream may be absent.
+    """Return how long each stream may be silent, in seconds.
 
     Parameters
     ----------
     rates
-        Nominal rates in Hz by data name; irregular ones (0) are passed over.
+        Nominal rates in Hz by data name; irregular streams (0) are ignored.
     due
-        Longest absences in seconds of streams that come all the time without a rate.
+        Limits in seconds of streams that send continuously but irregularly.
     patience_s
-        Least of the limits of regular streams.
+        Shortest limit of regular streams.
     """
     # nothing is dropped: these are rates
     regular = {
@@ -81,10 +81,10 @@ def limits(
 
 
 class StreamWatch:
-    """Follows the streams of one device, over all its connections.
+    """Monitors the streams of one device, over all its connections.
 
     Time passes only while the agent runs: after a sleep of the computer, or of a starved
-    agent, what waits in buffers has as long to come as it ever had.
+    agent, buffered data have their full time to arrive.
 
     Parameters
     ----------
@@ -106,43 +106,43 @@ class StreamWatch:
 
     @property
     def device_silence_s(self) -> float:
-        """Seconds since the device last said something that made sense."""
+        """Seconds since the last valid data from the device."""
         return self._now() - self._device_s
 
     @property
     def is_device_silent(self) -> bool:
-        """Whether the device has said nothing at all for too long."""
+        """Whether the device has sent no valid data at all for too long."""
         return self.device_silence_s >= self._limit_s
 
     @property
     def absent(self) -> frozenset[str]:
-        """Streams that fell silent and have not come back, whatever was done."""
+        """Streams that are silent, and did not send again after any remedy."""
         return frozenset(self._attempts)
 
     @property
     def denied(self) -> Mapping[str, str]:
-        """By data name, why the device does not give streams; none of them is due."""
+        """Reasons for which the device denies streams, by data name; these are not expected."""
         return self._denied
 
     @property
     def remarks(self) -> Mapping[str, str]:
-        """By what they are about, what is wrong with data that come; clauses."""
+        """Problems with the arriving data, as clauses, by what they are about."""
         return self._remarks
 
     def remark(self, about: str, text: str) -> None:
-        """Note what is wrong with data that come, in place of what was; empty if nothing is."""
+        """Set or replace a problem with the arriving data; an empty text clears it."""
         self._remarks.pop(about, None)
         if text:
             self._remarks[about] = text
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing is missing."""
+        """Whether no stream is missing."""
         return not self._attempts and not self._denied
 
     @property
     def is_waiting(self) -> bool:
-        """Whether a stream was enabled again and may still come."""
+        """Whether a stream was restarted and may still send."""
         return any(each.is_enabled_again for each in self._streams.values())
 
     def expect(
@@ -156,11 +156,12 @@ class StreamWatch:
         Parameters
         ----------
         limits_s
-            How long data of each stream that is due may be absent.
+            How long each expected stream may be silent.
         device_limit_s
-            How long the device may say nothing at all.
+            How long the device may send nothing at all.
         denied
-            By data name, why the device does not give streams. They are due once they are heard.
+            Reasons for which the device denies streams, by data name. They are expected as soon
+            as they send.
         """
         now = self._now()
         self._streams = {name: _Stream(limit, now, now) for name, limit in limits_s.items()}
@@ -175,9 +176,9 @@ class StreamWatch:
             self._streams.setdefault(name, _Stream(math.inf, now, now)).is_excused = True
 
     def heard(self, *names: str) -> None:
-        """Note that the device said something valid: about these streams, or in general.
+        """Note valid data from the device, about these streams or in general.
 
-        A stream counts also when what came has no value, as without contact.
+        Data without a value, as without skin contact, count too.
         """
         now = self._device_s = self._now()
         for name in names:
@@ -191,16 +192,16 @@ class StreamWatch:
                 self._came_back.add(name)
 
     def excuse(self, names: Iterable[str]) -> None:
-        """Expect nothing of these streams until they are heard again: there is a reason."""
+        """Stop monitoring these streams until data arrive again, for a known reason."""
         for name in names:
             if name in self._streams:
                 self._streams[name].is_excused = True
                 self._streams[name].is_enabled_again = False
 
     def enabled_again(self, names: Iterable[str]) -> None:
-        """Note that a driver is done with what `judge` asked for.
+        """Note that a driver has restarted the streams, as `judge` requested.
 
-        What was heard meanwhile may have come before, and have been held back.
+        Data that arrived meanwhile may be older than the restart.
         """
         now = self._now()
         for name in names:
@@ -211,29 +212,29 @@ class StreamWatch:
                 self._came_back.discard(name)
 
     def wait_again(self) -> None:
-        """Give every stream its full time again."""
+        """Restart the time limit of every stream."""
         now = self._now()
         for stream in self._streams.values():
             stream.waited_from_s = now
 
     def take_came_back(self) -> frozenset[str]:
-        """Return streams that had fallen silent and have been heard since the last call."""
+        """Return silent streams that have sent again since the last call."""
         came_back = frozenset(self._came_back)
         self._came_back.clear()
         return came_back
 
     def judge(self, *, can_enable: bool, patience_s: float = math.inf) -> Silence | None:
-        """Return what is silent and what to do now; None if there is nothing to do.
+        """Return the silent streams and the remedy to try now; None if there is nothing to do.
 
-        To be called several times a second. It is expected to be done: the next judgement
-        comes when it has not helped.
+        Call it several times per second. The remedy is expected to be tried: the next one is
+        returned if it did not help.
 
         Parameters
         ----------
         can_enable
-            Whether the driver can enable single streams again.
+            Whether the driver can restart single streams.
         patience_s
-            No stream may be absent for longer now, whatever its own limit is.
+            Upper bound of all time limits.
         """
         self._now()
         self._patience_s = patience_s
@@ -266,7 +267,7 @@ class StreamWatch:
         return silence
 
     def _may_reconnect(self, overdue: Iterable[str]) -> bool:
-        """Whether a new connection is untried, or costs nothing because nothing comes."""
+        """Whether to reconnect: not tried yet, or nothing to lose because no stream sends."""
         others = {name for name, each in self._streams.items() if not each.is_excused}
         others -= self._attempts.keys() | set(overdue)
         return not others or any(not self._attempts.get(name) for name in overdue)

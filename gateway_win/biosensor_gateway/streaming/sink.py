@@ -1,4 +1,4 @@
-"""Maps the times of a device's samples to LSL and pushes them."""
+"""Maps the times of a device's samples to LSL, and pushes them."""
 
 from __future__ import annotations
 
@@ -35,38 +35,41 @@ JUMPS_SAID, JUMPS_SAID_WITHIN_S = 3, 60.0
 
 
 class DeviceSink:
-    """One device's clock, outlets and counters; they outlive its connections.
+    """Takes the data of one device, over all its connections.
 
-    A driver reports packets with :meth:`observe`, then hands over their samples
-    with times on the device's own clock.
+    It has the device's clock, outlets and counters. A driver reports packets with
+    :meth:`observe`, then passes their samples with times on the device's own clock.
 
     Attributes
     ----------
     spec
         What the device emits.
     observer
-        Is told what happens; None for nobody.
+        Notified of the device's events, if there is one.
     tap
-        Is given what was sent: data name, samples in the units of the declaration (none of
-        text), stamps. Must neither raise nor wait. None for nobody.
+        Called with what was sent: data name, samples in the units of the declaration (none of
+        text), stamps. Must neither raise nor wait.
     silent
         Data names of the streams that the settings switch off.
     watch
-        Knows which streams are due and do not come.
+        Finds the streams that are expected and silent.
     clock
-        The LSL time that everything of the device goes by.
+        The LSL clock.
     info, told_rates
-        What the device says of itself, and nominal rates in Hz that it sets; empty at first.
+        What the device reports of itself, and nominal rates in Hz that it sets; empty at first.
     charge
-        What is known of its battery.
+        State of its battery, as far as it is known.
     plausibility
-        Keeps back what cannot be.
+        Suppresses impossible values.
+    dropped_bytes
+        Bytes without a valid message; drivers add to it.
     refusals
-        What of the device's bytes is no sample.
+        Counts the device's bytes that are not samples.
     own_delay
-        Tells for how many seconds a packet may have had to wait for this computer lately.
+        Returns how long packets may recently have waited for this computer, in seconds.
     lacking
-        Labels of channels that this model of the device does not have, by data name.
+        Labels of channels that this model of the device does not have, by data name: their values
+        are NaN, and nothing of them is missing.
     """
 
     def __init__(
@@ -100,12 +103,12 @@ class DeviceSink:
 
     @property
     def refused(self) -> dict[str, Refusals]:
-        """What of each stream was not passed on as it came, by source_id."""
+        """Data that were left out or changed, by source_id."""
         return self._outlets.refusals
 
     @property
     def off(self) -> set[str]:
-        """Return the streams that the settings or the model have none of, by source_id."""
+        """The source_ids of streams that the settings or the device's model do not have."""
         return {source_id(self.identity, data_name) for data_name in self.silent}
 
     @property
@@ -129,7 +132,7 @@ class DeviceSink:
         return bool(self._outlets.counters)
 
     def follow(self, announcer: Announcer) -> DeviceEvents:
-        """Announce what happens to the device from now on."""
+        """Announce the device's events from now on."""
         self.observer = events = DeviceEvents(
             self.identity, self.spec, self.clock, announcer, is_paused=self.is_paused
         )
@@ -155,7 +158,7 @@ class DeviceSink:
         self._outlets.close()
 
     def release(self) -> None:
-        """Push states that wait for a receiver; to be called once a second or so."""
+        """Push states that wait for a receiver; call it about once per second."""
         self._outlets.release()
         self._jumps.release()
         if garbled := self.dropped_bytes - self._told_bytes:
@@ -164,11 +167,11 @@ class DeviceSink:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the device's samples are withheld."""
+        """Whether the device's samples are suppressed."""
         return self.gate.is_on
 
     def pause(self, since: float | None = None) -> None:
-        """Send nothing from now on, also not what is still in work; the device stays connected."""
+        """Suppress all samples from now on, including queued ones; the device stays connected."""
         if not self.is_paused:
             self.gate.begin(self.clock(), since)
             self._outlets.withhold_waiting()
@@ -176,46 +179,49 @@ class DeviceSink:
                 self.observer.paused()
 
     def resume(self) -> None:
-        """Send again what is measured from now on; see :class:`PauseGate`."""
+        """Send samples measured from now on; see :class:`PauseGate`."""
         if self.is_paused:
             self.gate.end(self.clock())
             if self.observer is not None:
                 self.observer.resumed(self.gate.send_from)
 
     def heard(self, *data_names: str) -> None:
-        """Note that the device said something valid; see :meth:`StreamWatch.heard`.
+        """Note valid data from the device, about these streams or in general.
 
-        Samples are noted by themselves, so only what comes without a value has to be told.
+        Emitted samples are noted automatically; call this only for data without samples.
         """
         self.watch.heard(*data_names)
 
     def remark(self, about: str, text: str = "") -> None:
-        """Have a person see what is wrong with what comes; see :meth:`StreamWatch.remark`."""
+        """Show a problem with the data to the user; an empty text clears it.
+
+        It stays in the device's status until cleared or until the next connection.
+        """
         self.watch.remark(about, text)
 
     def excuse(self, *data_names: str) -> None:
-        """Expect nothing of these streams until they are heard again: there is a reason."""
+        """Stop monitoring these streams until data arrive again, for a known reason."""
         self.watch.excuse(data_names)
 
     @property
     def is_waiting(self) -> bool:
-        """Whether a stream was enabled again, and has not been heard since."""
+        """Whether a stream was restarted and no data has arrived since."""
         return self.watch.is_waiting
 
     def tell_silent(self, silence: Silence) -> None:
-        """Tell the observer of streams that are due and do not come."""
+        """Notify the observer of streams that are expected and silent."""
         if self.observer is not None:
             self.observer.fell_silent(silence)
 
     def tell_came_back(self, streams: frozenset[str]) -> None:
-        """Tell the observer of streams that had fallen silent."""
+        """Notify the observer of streams that send again."""
         if self.observer is not None:
             self.observer.came_back(streams)
 
     def observe(self, device_s: float, arrival_s: float, kind: str = "") -> None:
-        """Take in the device time of a packet's last sample and its LSL time of arrival.
+        """Add the device time of a packet's last sample and its LSL time of arrival.
 
-        If packets of a kind keep their order, its name helps; see :meth:`DeviceClock.observe`.
+        Give `kind` if packets of that kind keep their order; see :meth:`DeviceClock.observe`.
         """
         jump = self._clock.observe(device_s, arrival_s, kind, self.own_delay())
         if jump is not None:
@@ -224,9 +230,9 @@ class DeviceSink:
         self._arrivals.observe(arrival_s, arrival_s - measured_s)
 
     def restart_clock(self) -> None:
-        """Map device times again from the next observation on: the device counts again.
+        """Restart the mapping of device times, because the device restarted its clock.
 
-        Nothing can be emitted with device times before that observation.
+        Samples with device times can only be emitted after the next observation.
         """
         reanchors = self._clock.state.reanchors
         self._clock.restart()
@@ -246,14 +252,14 @@ class DeviceSink:
         self.emit_at(data_name, samples, self._clock.all_to_lsl(device_times))
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        """Push samples that the device does not stamp, with times on the LSL clock already.
+        """Push samples with LSL times, for data without device timestamps.
 
         Parameters
         ----------
         samples : array_like, shape (n_samples, n_channels) or (n_samples,)
             In the units of the declaration.
         lsl_times : sequence of float, length n_samples
-            LSL clock at each sample, as near as can be told, in seconds.
+            Best estimate of the LSL time of each sample, in seconds.
         """
         if len(lsl_times):
             self.watch.heard(data_name)
@@ -276,10 +282,10 @@ class DeviceSink:
             self._log.error("samples were refused", data=data_name, cause=refusal)
 
     def emit_on_arrival(self, data_name: str, value: float, arrival_s: float) -> None:
-        """Push one value of a one-channel stream that the device does not stamp and sends at once.
+        """Push one value of a one-channel stream, sent at once and without a timestamp.
 
-        Where it came with packets that had waited, it is as old as the one before it; what is
-        stamped late all the same is reported.
+        If it arrived with stored packets, it gets the time of the packet before it; samples that
+        are still stamped late are reported.
         """
         waited_s = self._arrivals.waited_s(arrival_s)
         self.emit_at(data_name, [value], [arrival_s - waited_s])
@@ -287,7 +293,7 @@ class DeviceSink:
             self.note_arrival(data_name, arrival_s)
 
     def note_arrival(self, data_name: str, arrival_s: float, count: int = 1) -> None:
-        """Have samples reported that were placed by an arrival, should it turn out late."""
+        """Note samples with times based on an arrival, which are reported if it turns out late."""
         self._arrivals.note(data_name, arrival_s, count)
 
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
@@ -296,7 +302,7 @@ class DeviceSink:
             self.emit(data_name, [value], [device_s])
 
     def emit_text(self, data_name: str, text: str, device_s: float) -> None:
-        """Push one string sample measured at a time of the device's clock."""
+        """Push one string sample with a time on the device's clock."""
         self.heard(data_name)
         _, stamps = self._sendable(data_name, [0.0], [self._clock.to_lsl(device_s)])
         for stamp in self._stamps[data_name].apply(stamps):
@@ -304,9 +310,9 @@ class DeviceSink:
             self._tell_sampled(data_name, (), [stamp])
 
     def lost(self, data_name: str, count: int) -> None:
-        """Count samples that the device measured and that never arrived.
+        """Count samples that the device measured but that never arrived.
 
-        Those that a pause would have withheld are none: of a gap that was partly paused,
+        Samples that a pause would have suppressed are not lost: of a gap that was partly paused,
         the same part is not counted.
         """
         begin, end = self._gaps.widest(data_name)
@@ -316,13 +322,13 @@ class DeviceSink:
             self.observer.lost(data_name, missed, begin)
 
     def left_out(self, count: int, why: str) -> None:
-        """Count samples that arrived and are not emitted, such as copies; *why* is a clause."""
+        """Count samples that arrived but are not emitted, such as copies; *why* is a clause."""
         self.refusals.refuse(Refusal.LEFT_OUT, count, why=why)
 
     def _sendable(
         self, data_name: str, samples: ArrayLike, times: Sequence[float]
     ) -> tuple[ArrayLike, Sequence[float]]:
-        """Take out, and count, what a pause withholds."""
+        """Remove and count samples that a pause suppresses."""
         if not len(times):
             return samples, times
         self._gaps.note(data_name, times)
@@ -360,7 +366,7 @@ class DeviceSink:
 
 
 class Charge:
-    """Follows the first channel of one device that has the role of state of charge.
+    """Monitors the first channel of one device that has the role of state of charge.
 
     Attributes
     ----------
@@ -374,7 +380,7 @@ class Charge:
         self.percent: float | None = None
 
     def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        """Take in samples of any stream of the device; NaN says nothing.
+        """Process samples of any stream of the device; NaN is ignored.
 
         Parameters
         ----------
@@ -390,12 +396,12 @@ class Charge:
 
 
 class Gaps:
-    """The newest sample of each stream of one device, and the step to it from the one before.
+    """The time of the newest sample of each stream of one device, and of the one before.
 
     Parameters
     ----------
     clock
-        The LSL time; no sample is taken for newer.
+        The LSL clock; later times are limited to it.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -411,9 +417,9 @@ class Gaps:
         self._newest[data_name] = min(max(times), self._clock())
 
     def widest(self, data_name: str) -> tuple[float, float]:
-        """Return where samples that are counted as lost now are missing.
+        """Return the period in which samples that are counted as lost now are missing.
 
-        Some drivers count them before they emit what follows the gap, some after: so it is
+        Some drivers count them before they emit the samples after the gap, some after: so it is
         the last step, or from the newest sample to now.
         """
         now = self._clock()
@@ -423,16 +429,16 @@ class Gaps:
 
 
 class Arrivals:
-    """Finds samples that are stamped by their arrival although they had waited.
+    """Finds samples that are stamped by their arrival although they had been delayed.
 
-    On a link that keeps its order, packets that the device stamps tell how late those around them
-    are. Without any, samples of one stream that arrive together are as late as they are many; one
-    that has waited alone is not found, and is late by less than the time between two.
+    On a link that keeps its order, packets with device timestamps show the delay of packets around
+    them. Without these, the delay follows from the number of samples of a stream that arrive
+    together; a single delayed sample is not found, and is late by less than one period.
 
     Parameters
     ----------
     tell
-        Is given the data name, how many there are, and by up to how many seconds they are late.
+        Called with the data name, the number of samples, and their largest delay in seconds.
     """
 
     def __init__(self, tell: Callable[[str, int, float], None]) -> None:
@@ -443,7 +449,7 @@ class Arrivals:
         self._noted: dict[str, tuple[float, int]] = {}
 
     def observe(self, arrival_s: float, late_s: float) -> None:
-        """Take in a packet that the device stamped."""
+        """Process a packet with a device timestamp."""
         self._follow(arrival_s)
         self._late_s, self._observed_s = late_s if late_s > WAITED_S else 0.0, arrival_s
         noted, self._noted = self._noted, {}
@@ -452,11 +458,11 @@ class Arrivals:
                 self._tell(data_name, count, late_s)
 
     def waited_s(self, arrival_s: float) -> float:
-        """Return for how long what arrives now has waited, 0 if it has not or nobody knows."""
+        """Return the delay of data that arrive now, in seconds; 0 if none or unknown."""
         return self._late_s if arrival_s - self._observed_s <= TOGETHER_S else 0.0
 
     def note(self, data_name: str, arrival_s: float, count: int) -> None:
-        """Note samples that an arrival has placed."""
+        """Note samples that are stamped by their arrival."""
         self._follow(arrival_s)
         if waited_s := self.waited_s(arrival_s):
             self._tell(data_name, count, waited_s)
@@ -475,16 +481,16 @@ class Arrivals:
 
 
 class Jumps(NamedTuple):
-    """One jump, or several that are said together.
+    """One jump, or several that are reported together.
 
     Attributes
     ----------
     cause
-        Of the last one.
+        Cause of the last one.
     seconds
-        By which they moved the mapping in all; None if that is not known of each.
+        Their sum; None if the size of one is unknown.
     times
-        How many they are.
+        Their number.
     """
 
     cause: str
@@ -493,12 +499,12 @@ class Jumps(NamedTuple):
 
 
 class JumpReports:
-    """Hands jumps on, three a minute at most, so that neither log nor events are flooded.
+    """Reports at most three jumps per minute, so that neither log nor events are flooded.
 
     Parameters
     ----------
     say
-        Is told of each jump, or of several at once.
+        Called with each jump, or with several together.
     """
 
     def __init__(self, clock: Clock, say: Callable[[Jumps], None]) -> None:
@@ -509,12 +515,12 @@ class JumpReports:
         self._gathered: Jumps | None = None
 
     def note(self, cause: str, seconds: float | None) -> None:
-        """Say a jump now, or gather it."""
+        """Report a jump now, or collect it."""
         self._gathered = _together(self._gathered, Jumps(cause, seconds))
         self.release()
 
     def release(self) -> None:
-        """Say what was gathered, if it may be said by now; to be called once a second or so."""
+        """Report collected jumps if enough time has passed; call it about once per second."""
         if self._gathered is None:
             return  # nothing is dropped: there is nothing to say
         now = self._clock()
@@ -523,7 +529,7 @@ class JumpReports:
             self.finish()
 
     def finish(self) -> None:
-        """Say what was gathered, whenever it was."""
+        """Report collected jumps at once."""
         gathered, self._gathered = self._gathered, None
         if gathered is not None:
             # nothing is dropped: it tells of times

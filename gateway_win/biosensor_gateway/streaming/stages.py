@@ -1,8 +1,8 @@
-"""Holds back what was measured while a device was paused.
+"""Suppresses samples that were measured during a pause, and impossible values.
 
-A pause is a participant's withdrawal. So it is decided by the time at which a
-sample was *measured*, not by the time at which it is handled: what was still in
-work when the pause ended is held back as well.
+A pause is a participant's withdrawal. So the time at which a sample was *measured* decides, not
+the time at which it is processed: samples that are still queued when the pause ends are suppressed
+as well.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _REMEMBERED_PAUSES = 64
 
 
 class PauseGate:
-    """Decides by its stamp whether a sample may be sent. All times are LSL times in seconds.
+    """Decides by its stamp whether a sample may be sent; all times are LSL times in seconds.
 
     Attributes
     ----------
     since
-        Unix time in s at which the pause began, for people; None without one.
+        Unix time of the pause's start in s, for display; None without a pause.
     """
 
     def __init__(self) -> None:
@@ -48,21 +48,21 @@ class PauseGate:
 
     @property
     def is_on(self) -> bool:
-        """Whether there is a pause now."""
+        """Whether the device is paused now."""
         return self._send_from == math.inf
 
     @property
     def send_from(self) -> float:
-        """What was measured before is not sent; infinite during a pause."""
+        """Samples measured before this time are not sent; infinite during a pause."""
         return self._send_from
 
     def begin(self, now: float, since: float | None = None) -> None:
-        """Begin a pause; nothing happens during one.
+        """Begin a pause; no effect during a pause.
 
         Parameters
         ----------
         since
-            Unix time in s at which it was asked for, if that was earlier.
+            Unix time of the request in s, if it was earlier.
         """
         if not self.is_on:
             self.since = time.time() if since is None else since
@@ -77,14 +77,14 @@ class PauseGate:
             self._pauses.append((self._began, self._send_from))
 
     def may_send(self, stamps: Sequence[float]) -> list[bool]:
-        """Tell for each stamp whether a sample that was measured then may be sent."""
+        """Return for each stamp whether a sample measured then may be sent."""
         if self._send_from == math.inf:
             return [False] * len(stamps)
         # A stamp that is no number is refused elsewhere, and said.
         return [not stamp < self._send_from for stamp in stamps]
 
     def share(self, begin: float, end: float) -> float:
-        """Return which part of a span of time was paused, 0 to 1."""
+        """Return the part of a period that was paused, 0 to 1."""
         ongoing = [(self._began, end)] if self.is_on else []
         if not end > begin:
             return float(any(since <= end <= until for since, until in (*self._pauses, *ongoing)))
@@ -113,18 +113,18 @@ _SENT_TWICE = "; {} told twice before were sent"
 
 
 class _Checked(NamedTuple):
-    """What is left of samples.
+    """Samples after the check.
 
     Attributes
     ----------
     samples, times
         To be sent.
     refused
-        Of how many samples something was kept back.
+        Number of samples of which at least one value was suppressed.
     why
-        A clause that names the value and what it breaks; empty if nothing is wrong.
+        A clause with the value and the limit that it exceeds; empty if nothing is wrong.
     what
-        The channel, where it is one.
+        The channel, if it is a single one.
     """
 
     samples: ArrayLike
@@ -135,7 +135,7 @@ class _Checked(NamedTuple):
 
 
 class Plausibility:
-    """Checks the samples of one device."""
+    """Suppresses impossible values of one device."""
 
     def __init__(self, spec: SensorSpec, log: DeviceLog) -> None:
         self._log = log
@@ -154,7 +154,7 @@ class Plausibility:
         counters: Counters,
         refusals: Refusals,
     ) -> tuple[ArrayLike, Sequence[float]]:
-        """Return what may be sent; the rest is counted and said, once in the log."""
+        """Return the samples that may be sent; the others are counted, and logged once."""
         bounds = self._bounds.get(data_name)
         if bounds is None:
             return samples, times
@@ -169,7 +169,7 @@ class Plausibility:
 
 
 class _Bounds:
-    """Those of one stream, and how fast its beats may follow each other."""
+    """The bounds of one stream's values, and how fast its beats may follow each other."""
 
     def __init__(self, stream: StreamSpec) -> None:
         self._width = len(stream.channels)
@@ -181,7 +181,7 @@ class _Bounds:
         self._beats = _Beats() if is_intervals and in_seconds else None
 
     def check(self, samples: ArrayLike, times: Sequence[float]) -> _Checked:
-        """Replace values outside by NaN; leave out samples that have nothing else."""
+        """Replace values outside the bounds by NaN; remove samples without any other value."""
         checked = _Checked(samples, times)
         values = np.asarray(samples, np.float64)
         # Samples that do not fit their times are refused later on.
@@ -217,7 +217,7 @@ class _Bounds:
 
 
 class _Beats:
-    """How far the intervals of a stream are ahead of the time that has passed, by its stamps."""
+    """Compares the sum of a stream's intervals with the time that has passed, by its stamps."""
 
     def __init__(self) -> None:
         self._ahead_s = 0.0
@@ -230,15 +230,15 @@ class _Beats:
 
     @property
     def why(self) -> str:
-        """Say what is wrong if they are ahead."""
+        """The problem, if the intervals are ahead, as a clause."""
         before = _SENT_TWICE.format(self._sent_twice) if self._sent_twice else ""
         return f"{_TOLD_TWICE}{before}"
 
     def are_ahead(self, intervals: Sequence[float], times: Sequence[float]) -> bool:
-        """Take intervals in; tell whether they are too many for the time that has passed.
+        """Add intervals; return whether their sum exceeds the time that has passed.
 
-        Those that come first may be older. Time that passed without intervals is kept for a
-        while, for what was held up.
+        The first ones may be older. Time without intervals counts for a while, because delayed
+        ones may arrive.
         """
         before_s = self._newest_s
         alike = self._count_alike(intervals, times)
@@ -261,7 +261,7 @@ class _Beats:
         return True
 
     def _are_right_again(self, told_s: float, passed_s: float) -> bool:
-        """Whether those that were too many have been as long as the time since."""
+        """Whether the time since has caught up with the excess intervals."""
         if not self._is_noticed:
             self._told_since_s = self._passed_since_s = 0.0
             return False
@@ -274,7 +274,7 @@ class _Beats:
         return ahead_s <= RIGHT_WITHIN_S
 
     def _count_alike(self, intervals: Sequence[float], times: Sequence[float]) -> int:
-        """Return how many have the length of one before and begin before the newest ended."""
+        """Return how many equal an earlier interval and begin before the newest one ended."""
         count, newest_s = 0, -np.inf if self._newest_s is None else self._newest_s
         for interval_s, time_s in zip(intervals, times, strict=True):
             overlap_s = newest_s - (time_s - interval_s)

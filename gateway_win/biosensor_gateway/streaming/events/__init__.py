@@ -6,13 +6,13 @@ event
     One of :class:`EventKind`.
 lsl_time
     LSL time in seconds at which it happened. The marker's stamp is the same time,
-    but never before the stamp of an earlier marker: what is known late (a gap, by its
-    first missing sample) is stamped behind what was said before.
+    but never before the stamp of an earlier marker: an event that is known late (a gap, by
+    its first missing sample) is stamped after the events announced before it.
 
 and those of a device also
 
 sensor, unit, participant, label
-    Which one, as in the settings; the last two where they are set.
+    Identity of the device, as in the settings; the last two only if they are set.
 
 Besides these:
 
@@ -76,7 +76,7 @@ from enum import StrEnum, unique
 
 @unique
 class EventKind(StrEnum):
-    """What can happen; see the table above."""
+    """Kind of an event; see the table above."""
 
     AGENT_STARTED = "agent_started"
     AGENT_STOPPED = "agent_stopped"

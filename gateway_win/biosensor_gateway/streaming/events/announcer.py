@@ -1,4 +1,4 @@
-"""Makes events of what sinks and supervisors notice, and pushes them into their outlet."""
+"""Makes events from the observations of sinks and supervisors, and pushes them to an outlet."""
 
 from __future__ import annotations
 
@@ -33,28 +33,28 @@ SETTLE_S = 2.0
 
 
 class Announcer:
-    """The stream ``gateway/events``. Nothing that goes wrong in it is raised.
+    """The stream ``gateway/events``; its errors are logged and never raised.
 
-    The outlet exists from the beginning. A heartbeat comes at once, in every period and
-    when somebody begins to receive, so that a recording tells in which state it began.
+    The outlet exists from the beginning. A heartbeat is sent at once, in every period and
+    when a receiver connects, so that a recording has the state in which it began.
 
     Parameters
     ----------
     heartbeat_s
         Period in seconds; 0 for none.
     states
-        Tells the state of every device by its name, for the heartbeat.
+        Returns the state of every device by its name, for the heartbeat.
     problems
-        Tells what is wrong with what devices send, by name, for the heartbeat.
+        Returns problems with the devices' data by device name, for the heartbeat.
     start
-        What there is to say of the agent's start, in each heartbeat, too.
+        Facts about the agent's start, also sent in each heartbeat.
     clock
-        Tells when something happens, and when a heartbeat is due.
+        The LSL clock.
 
     Attributes
     ----------
     started_s
-        When it began, in LSL seconds, as in each heartbeat.
+        Its start in LSL seconds, as in each heartbeat.
     """
 
     def __init__(
@@ -88,11 +88,11 @@ class Announcer:
         return {} if self._outlet is None else {self._outlet.source_id: self._outlet.counters}
 
     def watch(self, tick: Callable[[float], None]) -> None:
-        """Have something called a few times a second, with the LSL time."""
+        """Call a function a few times per second, with the LSL time."""
         self._watchers.append(tick)
 
     def unwatch(self, tick: Callable[[float], None]) -> None:
-        """Call it no more."""
+        """Stop calling the function."""
         self._watchers.remove(tick)
 
     @log_errors
@@ -104,9 +104,9 @@ class Announcer:
         Parameters
         ----------
         facts
-            What belongs to the event, for JSON.
+            Further fields of the event, for JSON.
         at
-            LSL time in seconds at which it happened; now if it is not said.
+            LSL time of the event in seconds; now if omitted.
         """
         if self._outlet is None:
             # nothing is dropped: `spare_outlet` has reported that there is no stream
@@ -124,7 +124,7 @@ class Announcer:
             await asyncio.sleep(TICK_S)
 
     async def end(self) -> None:
-        """Destroy the outlet, when what was announced has been sent."""
+        """Destroy the outlet after the announced events have been sent."""
         if self._outlet is None:
             # nothing is dropped: `spare_outlet` has reported that there is no stream
             return
@@ -159,17 +159,17 @@ class Announcer:
 
 
 def device_facts(identity: DeviceIdentity) -> dict[str, str]:
-    """Say which device an event is of, as every event of one does."""
+    """Return the fields that identify the device of an event."""
     worn = {"participant": identity.participant, "label": identity.label}
     names = {"sensor": identity.sensor, "unit": identity.unit}
     return names | {key: value for key, value in worn.items() if value}
 
 
 class DeviceEvents:
-    """Is told by one device's sink what happens; neither raises nor waits.
+    """Announces the events of one device, as its sink reports them; neither raises nor waits.
 
-    Of a paused device nothing is told that was measured, and no gap is followed. All times are
-    LSL times in seconds.
+    During a pause neither measurements nor gaps are announced. All times are LSL times in
+    seconds.
     """
 
     def __init__(
@@ -194,12 +194,12 @@ class DeviceEvents:
 
     @property
     def is_worn(self) -> bool | None:
-        """Whether the sensor is on the body; None while that is not known."""
+        """Whether the sensor is on the body; None while unknown."""
         return self._contact.is_on if self._is_connected else None
 
     @log_errors
     def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
-        """Announce the connection, and what has changed with it: before and after, by name."""
+        """Announce the connection, and changed settings: values before and after, by name."""
         self._is_connected = True
         self._connections += 1
         facts: dict[str, object] = {"connection": self._connections}
@@ -212,7 +212,7 @@ class DeviceEvents:
 
     @log_errors
     def dropped(self, reason: str) -> None:
-        """Announce the end of a connection, and the gap that it begins."""
+        """Announce the end of a connection, and the start of a gap."""
         self._is_connected = False
         # nothing is dropped: it is an event
         self._say(EventKind.DISCONNECTED, facts={"reason": reason})
@@ -221,7 +221,7 @@ class DeviceEvents:
 
     @log_errors
     def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        """Follow gaps, and whether the sensor is worn; of text there are stamps only."""
+        """Update the gaps and whether the sensor is worn; text samples only have stamps."""
         self._gaps.sampled(data_name, stamps[0], stamps[-1], self._clock())
         for is_on, at in self._contact.changes(data_name, samples, stamps):
             kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
@@ -230,15 +230,15 @@ class DeviceEvents:
 
     @log_errors
     def lost(self, data_name: str, count: int, since_s: float) -> None:
-        """Add samples that are missing behind the one of `since_s` to a gap."""
+        """Add samples that are missing after the one at `since_s` to a gap."""
         if not self._is_paused:
             self._gaps.lost(data_name, count, since_s)
 
     @log_errors
     def reanchored(self, cause: str, size_s: float | None, times: int = 1) -> None:
-        """Announce a jump of the stamps, or several together; None if its size is unknown.
+        """Announce a jump of the stamps, or several together; *seconds* is None if unknown.
 
-        Of several, the cause is the last one's and the size that of all.
+        For several jumps, the cause is the last one's and the size is their sum.
         """
         facts: dict[str, object] = {"cause": cause}
         if size_s is not None:
@@ -249,7 +249,7 @@ class DeviceEvents:
 
     @log_errors
     def fell_silent(self, silence: Silence) -> None:
-        """Announce streams that do not come, and what is done about it."""
+        """Announce silent streams, and the remedy that is tried."""
         facts = {
             "streams": sorted(silence.streams),
             "seconds": round(silence.seconds, 1),
@@ -260,13 +260,13 @@ class DeviceEvents:
 
     @log_errors
     def came_back(self, streams: frozenset[str]) -> None:
-        """Announce that they come again."""
+        """Announce that streams send again."""
         # nothing is dropped: it is an event
         self._say(EventKind.STREAMS_BACK, facts={"streams": sorted(streams)})
 
     @log_errors
     def paused(self) -> None:
-        """Announce the withdrawal; a gap ends with it."""
+        """Announce a pause, which ends a gap."""
         self._is_paused = True
         now = self._clock()
         self._say_gaps(self._gaps.cut_off(now), paused=True)
@@ -274,7 +274,7 @@ class DeviceEvents:
 
     @log_errors
     def resumed(self, send_from_s: float) -> None:
-        """Announce the end of a pause, and a gap if nothing can come yet."""
+        """Announce the end of a pause, and a gap if no samples can arrive yet."""
         self._is_paused = False
         self._contact.forget()
         # nothing is dropped: it is an event
@@ -307,14 +307,14 @@ class DeviceEvents:
 
 
 class ContactWatch:
-    """Follows the first channel of one device that has the role of contact.
+    """Monitors the first channel of one device that has the role of contact.
 
     Attributes
     ----------
     channel
-        Its label, empty for a sensor that has none.
+        Its label; empty if the sensor has none.
     is_on
-        Whether it is on the body; None while that is not known.
+        Whether the sensor is on the body; None while unknown.
     """
 
     def __init__(self, spec: SensorSpec) -> None:
@@ -323,18 +323,18 @@ class ContactWatch:
         self.is_on: bool | None = None
 
     def forget(self) -> None:
-        """Take the next value as news, whatever it is."""
+        """Report the next value as a change, whatever it is."""
         self.is_on = None
 
     def changes(
         self, data_name: str, samples: ArrayLike, stamps: Sequence[float]
     ) -> Iterator[tuple[bool, float]]:
-        """Yield whether it is on the body, and since when, each time that this changes.
+        """Yield whether the sensor is on the body, and since when, at each change.
 
         Parameters
         ----------
         data_name
-            Of any stream of the device.
+            Any stream of the device.
         samples : array_like, shape (n_samples, n_channels) or (n_samples,)
         stamps : sequence of float, length n_samples
         """
@@ -350,16 +350,16 @@ class ContactWatch:
 
 @dataclass(slots=True)
 class Gap:
-    """A time in which samples are missing; LSL times in seconds.
+    """A period in which samples are missing; LSL times in seconds.
 
     Attributes
     ----------
     since
         Time of the newest sample before it.
     until
-        Time of the first sample after it, None as long as there is none.
+        Time of the first sample after it; None while there is none.
     lost
-        Missing samples by data name, as far as they are counted.
+        Counted missing samples by data name.
     """
 
     since: float
@@ -368,7 +368,7 @@ class Gap:
 
 
 class GapWatch:
-    """Makes gaps of broken connections, and of samples that are missing within one."""
+    """Finds gaps, from broken connections and from samples missing within a connection."""
 
     def __init__(self) -> None:
         self._newest: float | None = None
@@ -380,7 +380,7 @@ class GapWatch:
         self._settled_s = math.inf
 
     def sampled(self, data_name: str, first: float, last: float, now: float) -> None:
-        """Note samples of a stream by the times of the first and the last."""
+        """Note samples of a stream by the times of the first and the last one."""
         gap = self._gap
         if gap is not None and (
             gap.until is None if self._is_interruption else data_name in self._awaited
@@ -392,7 +392,7 @@ class GapWatch:
         self._newest = last if self._newest is None else max(self._newest, last)
 
     def lost(self, data_name: str, count: int, since: float) -> None:
-        """Note samples that are missing behind the one of `since`."""
+        """Note samples that are missing after the one at `since`."""
         since = max(since, self._begin)
         if self._gap is None:
             self._open(since, is_interruption=False)
@@ -403,7 +403,7 @@ class GapWatch:
         self._awaited.add(data_name)
 
     def interrupted(self) -> Iterator[Gap]:
-        """Begin a gap at the newest sample, unless nothing ever came; yield what to announce."""
+        """Begin a gap at the newest sample, if there ever was one; yield gaps to announce."""
         if self._newest is None or (self._is_interruption and self._is_open):
             return  # nothing is dropped: nothing has come that could be missed
         yield from self._finished(self._newest)
@@ -411,17 +411,17 @@ class GapWatch:
         yield from self._begun()
 
     def tick(self, now: float) -> Iterator[Gap]:
-        """Yield a gap when its start is to be announced, and again when its end is."""
+        """Yield a gap when its start should be announced, and again for its end."""
         yield from self._begun()
         if not self._is_open and now >= self._settled_s:
             yield from self._finished(now)
 
     def cut_off(self, at: float) -> Iterator[Gap]:
-        """End the gap that there is, if any, because nothing is expected any more."""
+        """End the current gap, if any, because no samples are expected any more."""
         yield from self._finished(at)
 
     def go_on(self, at: float) -> None:
-        """Expect samples again, from then on."""
+        """Expect samples again, from this time on."""
         self._newest = self._begin = at
 
     @property
