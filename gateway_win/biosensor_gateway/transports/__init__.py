@@ -1,1 +1,1 @@
-"""Bytes in and out of devices; nothing here knows what they mean."""
+"""Links to devices: they read and write bytes without interpreting them."""

@@ -1,8 +1,8 @@
-"""Connects to a Bluetooth LE device through bleak, alike on every platform.
+"""Connects to a Bluetooth LE device through bleak, with the same behaviour on every platform.
 
-What differs between the platforms is evened out here: which errors are raised,
-which calls hang when the Bluetooth service dies, that a vanished device may or
-may not end a pending request. Every call ends within a known time.
+Platforms differ in the errors that they raise, in the calls that hang when the Bluetooth service
+dies, and in whether a vanished device ends a pending request. Here every call ends within a known
+time, with the same errors.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ CLOSE_LIMIT_S = 1.5
 async def _hang_up(
     client: BleakClient, attempt: asyncio.Task[None] | None, pairing: Pairing
 ) -> None:
-    """Disconnect, and unpair where that is wished; never raises.
+    """Disconnect, and unpair if requested; never raises.
 
     Parameters
     ----------
     attempt
-        To connect; it may still be under way.
+        The attempt to connect, which may still be running.
     """
     # Left to itself after a while: some calls never return when the service has died.
     ending = in_background(_disconnect(client, attempt, pairing))
@@ -84,13 +84,13 @@ async def _disconnect(
 
 
 class _Characteristics:
-    """Those of one device, also after the link is gone; UUIDs have 16 or 128 bits."""
+    """Characteristics of one device, also after the link is lost; UUIDs have 16 or 128 bits."""
 
     def __init__(self) -> None:
         self._by_uuid: dict[str, BleakGATTCharacteristic] = {}
 
     def learn(self, services: BleakGATTServiceCollection) -> None:
-        """Take in what the device has now; of two with one UUID, the first counts."""
+        """Replace them by the device's present ones; of two with the same UUID, use the first."""
         self._by_uuid.clear()
         for service in services:
             for each in service.characteristics:
@@ -98,23 +98,23 @@ class _Characteristics:
 
     @property
     def table(self) -> Sequence[Characteristic]:
-        """All of them, as the device lists them."""
+        """All of them, in the device's order."""
         return list(self._by_uuid.values())
 
     def find(self, uuid: str) -> BleakGATTCharacteristic | None:
-        """Return a characteristic; None if the device has none such."""
+        """Return a characteristic; None if the device does not have it."""
         return self._by_uuid.get(normalize_uuid_str(uuid))
 
 
 class Notification(NamedTuple):
-    """A value that the device sent by itself.
+    """A value that the device sent without a request.
 
     Attributes
     ----------
     uuid
         Characteristic, 128-bit, lower case.
     arrival
-        LSL clock when it arrived, in seconds.
+        LSL time of its arrival, in seconds.
     """
 
     uuid: str
@@ -123,18 +123,18 @@ class Notification(NamedTuple):
 
 
 class BleLink:
-    """One connection to one device; made in the event loop that uses it.
+    """One connection to one device; create it in the event loop that uses it.
 
     UUIDs may be given with 16 or 128 bits.
 
     Parameters
     ----------
     choice
-        Which device; shared by all connections of a driver.
+        The device; shared by all connections of a driver.
     clock
-        Tells when something arrives.
+        The LSL clock.
     pairing
-        Whether and when to pair; shared by all connections of a driver, too.
+        Whether and when to pair; shared by all connections of a driver.
     """
 
     def __init__(
@@ -155,18 +155,18 @@ class BleLink:
 
     @property
     def what(self) -> str:
-        """The device's name for messages."""
+        """Name of the device in messages."""
         return self._choice.what
 
     async def open(self) -> Advertisement:
-        """Find the device and connect to it; return what it advertised.
+        """Find the device and connect to it; return its advertisement.
 
         Raises
         ------
         TransportError
             ``ABSENT``, ``UNAVAILABLE``, ``BUSY``, ``DENIED`` or ``LOST``.
         ProtocolError
-            ``REFUSED``: several are in range and none is chosen.
+            ``REFUSED``: several devices are in range and none is selected.
         """
         try:
             seen = await self._find_and_connect()
@@ -178,11 +178,11 @@ class BleLink:
         return seen
 
     def has(self, uuid: str) -> bool:
-        """Whether the device has this characteristic; also after the link is gone."""
+        """Whether the device has this characteristic; also after the link is lost."""
         return self._characteristics.find(uuid) is not None
 
     def properties(self, uuid: str) -> frozenset[str]:
-        """Tell what a characteristic can: ``read``, ``notify``, ...; nothing if there is none."""
+        """Return a characteristic's properties: ``read``, ``notify``, ...; empty if unknown."""
         found = self._characteristics.find(uuid)
         return frozenset() if found is None else frozenset(found.properties)
 
@@ -192,9 +192,9 @@ class BleLink:
         Raises
         ------
         TransportError
-            ``LOST``, or ``SILENT`` after 5 s; so do all other requests.
+            ``LOST``, or ``SILENT`` after 5 s, as for all other requests.
         AttError
-            The device refuses.
+            The device refused.
         ProtocolError
             ``UNSUPPORTED``: there is no such characteristic.
         """
@@ -206,7 +206,7 @@ class BleLink:
         return passed.data
 
     async def write(self, uuid: str, data: bytes, *, response: bool = True) -> None:
-        """Write a characteristic; raises as :meth:`read` does."""
+        """Write a characteristic; raises like :meth:`read`."""
         found = self._characteristic(uuid)
         with self._tap.asking(What.WRITTEN, found.uuid, data):
             await self._request(
@@ -215,7 +215,7 @@ class BleLink:
             )
 
     async def subscribe(self, uuid: str) -> None:
-        """Pass notifications or indications on to :meth:`next`; raises as :meth:`read` does."""
+        """Make :meth:`next` return notifications or indications; raises like :meth:`read`."""
         found = self._characteristic(uuid)
         with self._tap.asking(What.SUBSCRIBED, found.uuid):
             await self._request(
@@ -223,20 +223,20 @@ class BleLink:
             )
 
     async def unsubscribe(self, uuid: str) -> None:
-        """End it; raises as :meth:`read` does."""
+        """End a subscription; raises like :meth:`read`."""
         found = self._characteristic(uuid)
         with self._tap.asking(What.UNSUBSCRIBED, found.uuid):
             await self._request(lambda client: client.stop_notify(found), REQUEST_LIMIT_S)
 
     async def pair(self) -> None:
-        """Pair without a PIN; nothing to do on macOS, which pairs when it must.
+        """Pair without a PIN; no effect on macOS, which pairs automatically.
 
         Raises
         ------
         TransportError
             ``DENIED`` if it fails, ``LOST`` or ``SILENT``.
         AttError
-            The device refuses.
+            The device refused.
         """
         with self._tap.asking(What.PAIRED):
             await self._request(self._pair, PAIR_LIMIT_S, TransportReason.DENIED)
@@ -247,7 +247,7 @@ class BleLink:
         Raises
         ------
         TransportError
-            ``LOST``, once everything that had arrived was taken.
+            ``LOST``, after everything that had arrived was returned.
         """
         notification = await self._incoming.get()
         if notification is None:
@@ -256,7 +256,7 @@ class BleLink:
         return notification
 
     async def close(self) -> None:
-        """Disconnect; never raises, and takes 1.5 s at most."""
+        """Disconnect; never raises, and takes at most 1.5 s."""
         client, self._client = self._client, None
         self._tap.ended(What.CLOSED)
         self._end()
@@ -277,7 +277,7 @@ class BleLink:
         return sighting.advertisement
 
     async def _connect(self, sighting: Sighting) -> None:
-        """Raise as :meth:`open` does, or a BleakError if the system forgot the device."""
+        """Raise like :meth:`open`, or a BleakError if the system forgot the device."""
         lock = _connecting.setdefault(asyncio.get_running_loop(), asyncio.Lock())
         async with lock:
             # Connected or not, what it said before does not hold any more.
@@ -309,7 +309,7 @@ class BleLink:
                 raise connect_error(self.what, error) from error
 
     def _begin(self, client: BleakClient) -> None:
-        """Note the characteristics now: bleak forgets them when the link is cut."""
+        """Save the characteristics, because bleak forgets them when the link is lost."""
         self._characteristics.learn(client.services)
         self._connected, self._connected_s = client.is_connected, self.clock()
         if not self._connected:

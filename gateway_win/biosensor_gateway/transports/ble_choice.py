@@ -1,4 +1,4 @@
-"""Chooses the device in range that a driver connects to, and keeps to it."""
+"""Selects the device in range that a driver connects to, and keeps it selected."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _SEPARATORS = re.compile(r"[\W_]+")
 class Choice:
     """One device of a kind; shared by all connections of a driver.
 
-    A device that is not told by its id or address, but by its name or as the only one in
-    range, is taken if no other fits and no other choice of the event loop wants it. The
-    one that was connected stays the chosen one, by its address: a second device of the
-    kind, or of the name, must never take its place.
+    A device that is not identified by its id or address, but by its name or as the only one in
+    range, is used if no other matches and no other choice of the event loop claims it. After a
+    connection the device stays selected by its address: a second device of the same kind or name
+    must never replace it.
 
     Parameters
     ----------
@@ -38,15 +38,16 @@ class Choice:
     kind
         Name for messages, such as "Polar H10".
     device
-        Id, name or address of the one that is wanted; case and separators do not
-        matter. Empty takes the only one in range.
+        Id, name or address of the requested device; case and separators do not
+        matter. Empty selects the only one in range.
     advice
-        What to do when it cannot be found, for the end of a sentence.
+        What to do if it cannot be found, as the end of a sentence.
     is_generic
-        The kind has devices in it for which there are other kinds: those are left to
-        choices of these.
+        The kind includes devices of more specific kinds, which are left to choices of those
+        kinds.
     connects
-        The device is connected to; one that is only listened to may be somebody else's.
+        Whether to connect; a device whose advertisements are only received may be connected to
+        another computer.
     """
 
     def __init__(
@@ -74,15 +75,15 @@ class Choice:
 
     @property
     def what(self) -> str:
-        """The device's name for messages."""
+        """Name of the device in messages."""
         return f"{self._kind} {self._device}".strip()
 
     def note_given_up(self) -> None:
-        """Note that a connection was asked for, and the answer not waited for."""
+        """Note that an attempt to connect was abandoned before its result."""
         self._may_hold = self._gave_up = True
 
     def keep(self, seen: Advertisement) -> None:
-        """Keep to this device from now on."""
+        """Keep this device selected from now on."""
         self._may_hold = self._gave_up = False
         if not self._kept and not self._is_certain(seen):
             say = _log.warning if self._device else _log.info
@@ -94,12 +95,12 @@ class Choice:
         self._kept, self._kept_seen = seen.address, seen
 
     def claims(self, seen: Advertisement, *, from_generic: bool) -> bool:
-        """Whether a device is this choice's, and not that of one that tells it less exactly.
+        """Whether a device belongs to this choice rather than to a less specific one.
 
         Parameters
         ----------
         from_generic
-            The other one is of a generic kind.
+            The other choice is of a generic kind.
         """
         if self._found:
             return seen.address == self._found
@@ -108,14 +109,14 @@ class Choice:
         return from_generic and not self._is_generic and self._answers(seen)
 
     async def find(self) -> Sighting:
-        """Scan until the device is heard.
+        """Scan until the device is found.
 
         Raises
         ------
         TransportError
             ``ABSENT`` after 10 s; ``UNAVAILABLE`` or ``DENIED`` without a radio.
         ProtocolError
-            ``REFUSED``: several are in range and it is not told which.
+            ``REFUSED``: several devices are in range and none is selected.
         """
         self._found = self._kept
         self._passed_over.clear()
@@ -135,12 +136,11 @@ class Choice:
         return found
 
     async def _let_go(self) -> None:
-        """Free the device of a connection that nobody uses, before the first one of its own.
+        """End an unused connection to the device, before its first connection.
 
-        An agent which was killed has left it, or an attempt of this one that was given up
-        has come through. BlueZ keeps it, and a device that is connected does not advertise.
-        Later on the connection is one of this agent, and a device that was not told by its id
-        or address may be somebody's who listens to it.
+        A killed agent has left it, or an abandoned attempt has succeeded. BlueZ keeps it, and a
+        connected device does not advertise. Later the connection may be this agent's, and a device
+        that is not identified by its id or address may be in use by another program.
         """
         if not self._may_hold:
             return
@@ -194,7 +194,7 @@ class Choice:
         return False
 
     def _answers(self, seen: Advertisement) -> bool:
-        """Whether it is of the kind, and the settings may mean it."""
+        """Whether it is of the kind, and may be the device of the settings."""
         wanted = _bare(self._device)
         if wanted and wanted == _bare(seen.address):
             # What it is, its services tell; its name may be missing.
@@ -205,7 +205,7 @@ class Choice:
         return not wanted or wanted in {_bare(identity), _bare(seen.name), _bare(seen.address)}
 
     def _is_certain(self, seen: Advertisement) -> bool:
-        """Whether it is told from all others: by its id, by its address, or as the one before."""
+        """Whether it is identified with certainty: by id, by address, or as the previous device."""
         if self._kept:
             return seen.address == self._kept
         identity, wanted = self._identify(seen), _bare(self._device)
@@ -214,7 +214,7 @@ class Choice:
         return wanted == _bare(seen.address) or (identity is not None and wanted == _bare(identity))
 
     def _is_alike(self, seen: Advertisement) -> bool:
-        """Whether it may be the one that was connected, under another address."""
+        """Whether it may be the previous device with a new address."""
         before = self._kept_seen
         if seen.name and before.name:
             return seen.name == before.name
@@ -247,7 +247,7 @@ class Choice:
         return ProtocolError(ProtocolReason.REFUSED, message)
 
     async def _absence(self) -> TransportError:
-        """Tell why it is not found, as far as that is known."""
+        """Return the error for a device that is not found, with the reason if known."""
         heard = list(self._passed_over.values())
         for known in await bluez.known_devices():
             if known.is_connected and self._wants(known.advertisement):
@@ -282,7 +282,7 @@ _choices: WeakKeyDictionary[asyncio.AbstractEventLoop, WeakSet[Choice]] = WeakKe
 
 
 def _of_this_loop() -> WeakSet[Choice]:
-    """All choices that were looked for and may be again."""
+    """Return all choices of the running event loop that were ever searched for."""
     return _choices.setdefault(asyncio.get_running_loop(), WeakSet())
 
 

@@ -82,7 +82,7 @@ class AttError(ProtocolError):
     ----------
     code
         Error code of the ATT_ERROR_RSP [1]_: 0x05 needs pairing, 0x0F encryption, 0xFD
-        means that notifications are not configured; 0x80 to 0x9F are the device's own.
+        means that notifications are not configured; 0x80 to 0x9F are specific to the device.
 
     .. [1] Bluetooth Core Specification 5.2, volume 3, part F, 3.4.1.1.
     """
@@ -95,12 +95,12 @@ class AttError(ProtocolError):
 
     @property
     def wants_pairing(self) -> bool:
-        """Whether the device answers only who is paired."""
+        """Whether the device only answers paired hosts."""
         return self.code in (_INSUFFICIENT_AUTHENTICATION, _INSUFFICIENT_ENCRYPTION)
 
 
 def att_code(error: Exception) -> int | None:
-    """Return the ATT error code of a device's refusal, None if the error is another one."""
+    """Return the ATT error code of a device's refusal; None for any other error."""
     if isinstance(error, BleakGATTProtocolError):
         return error.code.value
     if (
@@ -112,13 +112,13 @@ def att_code(error: Exception) -> int | None:
 
 
 def scan_error(error: Exception) -> TransportError:
-    """Tell why a scan did not start: no radio, radio off, or no permission."""
+    """Return the error for a scan that did not start: no radio, radio off, or no permission."""
     reason = _system_reason(error) or TransportReason.UNAVAILABLE
     return TransportError(reason, f"{_ADVICE[reason]} ({_text(error)})")
 
 
 def late_scan(limit_s: float) -> TransportError:
-    """Tell that a scan has not begun in time; it may begin yet."""
+    """Return the error for a scan that did not start in time, but may start later."""
     message = (
         f"Bluetooth does not begin to search within {limit_s:.0f} s; the answer is waited for; "
         "if none comes, switch Bluetooth off and on"
@@ -127,7 +127,7 @@ def late_scan(limit_s: float) -> TransportError:
 
 
 def connect_error(what: str, error: Exception) -> TransportError:
-    """Tell why a device that was seen could not be connected."""
+    """Return the error for a device in range that could not be connected."""
     reason = _system_reason(error)
     if reason is not None:
         return TransportError(reason, f"{what}: {_ADVICE[reason]} ({_text(error)})")
@@ -138,14 +138,14 @@ def connect_error(what: str, error: Exception) -> TransportError:
 def request_error(
     what: str, error: Exception, failure: TransportReason, limit_s: float
 ) -> TransportError | AttError:
-    """Tell why a device that is connected did not do what it was asked.
+    """Return the error for a failed request to a connected device.
 
     Parameters
     ----------
     failure
-        ``LOST`` or ``DENIED``: what it means when the device itself has refused nothing.
+        ``LOST`` or ``DENIED``: the reason if the device itself did not refuse.
     limit_s
-        How long it was waited for.
+        The time limit that was exceeded.
     """
     code = att_code(error)
     if code is not None:
@@ -157,9 +157,9 @@ def request_error(
 
 
 def is_forgotten(error: Exception) -> bool:
-    """Tell whether the system forgot the device between the scan and the connection.
+    """Return whether the system forgot the device between the scan and the connection.
 
-    BlueZ does, half a minute after the scan; another scan brings the device back.
+    BlueZ forgets it half a minute after the scan; another scan finds it again.
     """
     if isinstance(error, BleakDeviceNotFoundError):
         return True
@@ -167,7 +167,7 @@ def is_forgotten(error: Exception) -> bool:
 
 
 def _system_reason(error: Exception) -> TransportReason | None:
-    """Return a reason that lies in this computer, not in the device; None if there is none."""
+    """Return a reason that is in this computer, not in the device; None if there is none."""
     if isinstance(error, BleakBluetoothNotAvailableError):
         denied = error.reason in _DENIED
         return TransportReason.DENIED if denied else TransportReason.UNAVAILABLE
@@ -181,7 +181,7 @@ def _text(error: Exception) -> str:
 
 
 def _of_switch(value: object) -> object:
-    """Read a switch as a mode: on pairs first, off pairs where the device demands it."""
+    """Convert a switch to a mode: on pairs first, off pairs if the device requires it."""
     if isinstance(value, bool):
         return "yes" if value else "auto"
     return value
@@ -196,19 +196,18 @@ PAIR_DESCRIPTION = (
 
 
 class Pairing:
-    """What is known of the pairing of one device; shared by all its connections.
+    """Knowledge about the pairing of one device; shared by all its connections.
 
-    Nothing here asks the system for anything, so that what holds for Windows alone can be tried
-    anywhere. What it goes by was told by users of Windows 11 and was not seen here yet: straps with
-    new firmware answer "insufficient authentication" to a host that is not paired, or drop the
-    connection while their services are looked up [1]_ [2]_; a pairing that outlives the connection
-    makes the next one fail [1]_; and services that Windows remembers are those of a connection that
-    is gone [3]_.
+    It does not call the system, so that the rules for Windows can be tested anywhere. They are
+    based on reports of users of Windows 11 and were not observed here yet: straps with new firmware
+    answer "insufficient authentication" to a host that is not paired, or drop the connection during
+    service discovery [1]_ [2]_; a pairing that outlives the connection makes the next one fail
+    [1]_; and services that Windows has cached belong to an earlier connection [3]_.
 
     Parameters
     ----------
     platform
-        As ``sys.platform`` names it; this one by default.
+        A value of ``sys.platform``; by default this one.
 
     References
     ----------
@@ -225,25 +224,25 @@ class Pairing:
 
     @property
     def uses_known_services(self) -> bool:
-        """Whether the system may tell the services that it remembers, and not ask the device."""
+        """Whether the system may use its cached services instead of asking the device."""
         return not self._is_windows
 
     @property
     def ends_with_connection(self) -> bool:
-        """Whether to unpair before disconnecting: Windows would fail to use the pairing again."""
+        """Whether to unpair before disconnecting, because Windows cannot reuse the pairing."""
         return self._is_windows and self._is_ours
 
     def helps(self, error: GatewayError, *, is_unanswered: bool) -> bool:
-        """Whether to connect once more, and pair, for what went wrong is as without a pairing.
+        """Whether to connect again and pair, because the error may come from a missing pairing.
 
-        BlueZ may keep the device's answer to itself: then the first requests fail with another
-        error, or nothing comes of them.
+        BlueZ may not pass on the device's answer: then the first requests fail with another error,
+        or get no answer.
 
         Parameters
         ----------
         is_unanswered
-            Something was asked of the device that it may refuse to who is not paired, and
-            nothing of that kind has come through yet.
+            A request was made that the device may refuse to a host that is not paired, and no
+            such request has succeeded yet.
         """
         if self._mode == "no":
             return False
@@ -256,25 +255,25 @@ class Pairing:
         )
 
     def note_demand(self) -> None:
-        """Note that the device demands it: Windows, which forgets it each time, pairs first."""
+        """Note that the device requires pairing; on Windows, which forgets it, pair first then."""
         self.comes_first = self.comes_first or self._is_windows
 
     def note_drop(self, after_s: float) -> None:
-        """Note that a device which was in range ended a connection, or did not let it begin.
+        """Note that a device in range ended a connection, or refused it.
 
         Parameters
         ----------
         after_s
-            Seconds from the connection; 0 if it did not begin.
+            Seconds since the connection; 0 if it was refused.
         """
         if self._is_windows and self._mode == "auto" and not self._is_ours:
             # Paired in vain is as bad as unpaired in vain: in turns, one of them works.
             self.comes_first = after_s < EARLY_DROP_S and not self.comes_first
 
     def note_paired(self) -> None:
-        """Note that the system has paired the device for us."""
+        """Note that the system has paired the device."""
         self._is_ours = True
 
     def note_unpaired(self) -> None:
-        """Note that it has forgotten the device."""
+        """Note that the system has unpaired the device."""
         self._is_ours = False

@@ -1,4 +1,4 @@
-"""Shares one Bluetooth LE scan of an event loop among all who look for a device."""
+"""Shares one Bluetooth LE scan per event loop among all searches for devices."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _NO_RSSI = (127, -127)
 
 
 class Sighting(NamedTuple):
-    """An advertisement, with bleak's handle of the device to connect to."""
+    """An advertisement, with bleak's handle of the device."""
 
     device: BLEDevice
     advertisement: Advertisement
@@ -43,17 +43,17 @@ class Sighting(NamedTuple):
 
 @asynccontextmanager
 async def sightings(address: str = "") -> AsyncGenerator[AsyncIterator[Sighting]]:
-    """Scan while the context lasts: devices heard just now, then all that are heard.
+    """Scan while the context is active: yield recently received devices, then each new one.
 
     Parameters
     ----------
     address
-        Only this device; with many in range, who listens to one is not woken by the others.
+        Only this device, so that advertisements of many others do not wake the caller.
 
     Raises
     ------
     TransportError
-        ``UNAVAILABLE`` or ``DENIED``: there is no radio, or it is off, or not for us.
+        ``UNAVAILABLE`` or ``DENIED``: no radio, radio off, or no permission.
     """
     scan = _shared_scan()
     queue = await scan.join(address)
@@ -65,10 +65,10 @@ async def sightings(address: str = "") -> AsyncGenerator[AsyncIterator[Sighting]
 
 @asynccontextmanager
 async def advertisements() -> AsyncGenerator[AsyncIterator[Advertisement]]:
-    """Give the advertisements alone; see :func:`sightings`.
+    """Yield only the advertisements; see :func:`sightings`.
 
-    Each is merged with what the device said before: its name may come in the
-    scan response only.
+    Each is merged with the device's previous ones, because its name may only be in the scan
+    response.
     """
     scan = _shared_scan()
     queue = await scan.join()
@@ -79,7 +79,7 @@ async def advertisements() -> AsyncGenerator[AsyncIterator[Advertisement]]:
 
 
 async def scan(seconds: float) -> list[Advertisement]:
-    """Return what is heard in so many seconds, one per device, the strongest first."""
+    """Return the advertisements of *seconds*, one per device, the strongest first."""
     newest: dict[str, Advertisement] = {}
     async with advertisements() as heard:
         with suppress(TimeoutError):
@@ -90,12 +90,12 @@ async def scan(seconds: float) -> list[Advertisement]:
 
 
 def forget(address: str) -> None:
-    """Wait for a fresh advertisement of a device: it was there, and did not connect."""
+    """Require a new advertisement of a device, because connecting to it failed."""
     _shared_scan().forget(address)
 
 
 class _Heard(AsyncIterator[_T]):
-    """What one listener hears; unlike a generator it survives a timeout."""
+    """The devices received for one caller; unlike a generator it survives a timeout."""
 
     def __init__(self, queue: asyncio.Queue[Sighting], take: Callable[[Sighting], _T]) -> None:
         self._queue = queue
@@ -106,7 +106,7 @@ class _Heard(AsyncIterator[_T]):
 
 
 class _SharedScan:
-    """A scan that runs while it has listeners."""
+    """A scan that runs while it has callers."""
 
     def __init__(self) -> None:
         self._now = asyncio.get_running_loop().time
@@ -145,7 +145,7 @@ class _SharedScan:
         self._seen.pop(address, None)
 
     async def _start(self) -> None:
-        """Begin, or wait on for a begin that was given up: two at a time the system refuses."""
+        """Start, or continue to wait for an abandoned start: the system refuses two at a time."""
         await self._ended(STOP_LIMIT_S)
         starting = self._starting
         if starting is None or starting.done():
@@ -181,7 +181,7 @@ class _SharedScan:
             await self._ended(STOP_LIMIT_S)
 
     async def _ended(self, limit_s: float) -> None:
-        """Wait for the end of a scan that was stopped; one that hangs is left to itself."""
+        """Wait for the end of a stopped scan; if it hangs, abandon it."""
         if self._stopping is not None:
             # A radio that is gone refuses; the scan is over all the same.
             await asyncio.wait({self._stopping}, timeout=limit_s)

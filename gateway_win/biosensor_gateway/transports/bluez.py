@@ -1,4 +1,4 @@
-"""Asks BlueZ for all devices that this computer knows, which bleak does not tell.
+"""Asks BlueZ for all devices that this computer knows, which bleak cannot.
 
 Nothing here raises: on another system, or without BlueZ, there are no devices.
 """
@@ -26,14 +26,14 @@ class KnownDevice(NamedTuple):
     Attributes
     ----------
     path
-        BlueZ's name of it.
+        BlueZ's name of the device.
     advertisement
-        What it said of itself last.
+        Its latest advertisement.
     is_connected
-        By whichever program, one that has ended included.
+        To any program, including one that has ended.
     is_listened_to
-        A program is notified of what the device measures; also while the connection is being
-        set up. BlueZ ends the notifications of a program that has ended.
+        Whether a program is subscribed to its measurements, also during connection setup. BlueZ
+        ends the subscriptions of a program that has ended.
     """
 
     path: str
@@ -55,12 +55,12 @@ async def known_devices() -> list[KnownDevice]:
 
 
 async def disconnect(path: str) -> None:
-    """End the connection of a device, whoever has made it; it advertises again then."""
+    """End the connection to a device, made by any program; then it advertises again."""
     await _call(path, _DEVICE, "Disconnect", "")
 
 
 def _notifying(path: str, objects: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Tell whether a characteristic of a device notifies somebody."""
+    """Return whether any characteristic of a device has a subscriber."""
     below = [each for name, each in objects.items() if name.startswith(f"{path}/")]
     characteristics = [each[_CHARACTERISTIC] for each in below if _CHARACTERISTIC in each]
     return any(name in each and each[name].value for each in characteristics for name in _NOTIFIED)
@@ -88,7 +88,7 @@ def _known(path: str, properties: Mapping[str, Any], is_notifying: bool) -> Know
 
 
 async def _call(path: str, interface: str, member: str, signature: str) -> list[Any]:
-    """Return what BlueZ answers, nothing if it does not or answers something else."""
+    """Return BlueZ's answer; empty if there is none, or it is an error."""
     # What is replayed has nothing to do with the radio of this computer.
     if sys.platform != "linux" or is_replaced():
         return []

@@ -1,4 +1,4 @@
-"""Opens the link that a device's ``port`` setting means: a serial port, or a socket."""
+"""Creates the link for a device's ``port`` setting: a serial port or a socket."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class SocketLink:
     Parameters
     ----------
     name
-        What error messages call it.
+        Name in error messages.
     connect
-        Makes the connected, blocking socket; runs in a thread of its own.
+        Returns the connected, blocking socket; runs in a separate thread.
     open_error
-        Turns what `connect` raised into the error that a user sees.
+        Converts an exception of `connect` to the error that a user sees.
     advice
-        What to look at when the connection has ended.
+        What to check if the connection has ended.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class SocketLink:
         )
 
     async def read(self) -> Received:
-        """Wait for the next bytes; raise ``LOST`` when the connection has ended."""
+        """Wait for the next bytes; raise ``LOST`` if the connection has ended."""
         return await self._traffic.read()
 
     def write(self, data: bytes) -> None:
@@ -76,7 +76,7 @@ class SocketLink:
         self._traffic.write(data)
 
     async def close(self) -> None:
-        """Let the writer send what is queued, then close the socket."""
+        """Send the queued bytes, then close the socket."""
         self._traffic.closing = True
         self._traffic.end_writing()
         with contextlib.suppress(TimeoutError):
@@ -226,7 +226,7 @@ class RfcommLink(SocketLink):
     address
         MAC address, ``AA:BB:CC:DD:EE:FF``.
     channel
-        RFCOMM channel, 1 to 30; a serial port profile is nearly always at 1.
+        RFCOMM channel, 1 to 30; a serial port profile nearly always has 1.
     """
 
     def __init__(self, address: str, channel: int = 1) -> None:
@@ -263,7 +263,7 @@ class RfcommLink(SocketLink):
 
 
 def byte_link(port: str, baud_rate: int = USUAL_BAUD_RATE) -> ByteLink:
-    """Return the closed link that a text means.
+    """Return the closed link for a text.
 
     Parameters
     ----------
@@ -272,12 +272,12 @@ def byte_link(port: str, baud_rate: int = USUAL_BAUD_RATE) -> ByteLink:
         address ``AA:BB:CC:DD:EE:FF`` for Bluetooth Classic; anything else is the
         name of a serial port.
     baud_rate
-        Of a serial port; Bluetooth ones and those of USB alone take any.
+        For serial ports; Bluetooth and pure USB ports accept any.
 
     Raises
     ------
     ConfigError
-        ``WRONG_VALUE``, for a ``socket://`` without a host or a port number.
+        ``WRONG_VALUE``, for a ``socket://`` without a host or port number.
     """
     if port.startswith(_SOCKET):
         return _tcp_link(port)

@@ -1,4 +1,4 @@
-"""Asks a device for something while it sends data: one reader for answers and data alike."""
+"""Sends commands to a device that streams: one reader for answers and data."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class Heard(NamedTuple, Generic[_MessageT]):
 
 
 class Dialogue(Generic[_MessageT, _CommandT]):
-    """Questions and answers on a link that carries data as well; one question at a time.
+    """Commands and answers on a link that also carries data; one command at a time.
 
-    One task reads, from `begin` to `close`. The listener gets all that comes, in order, and
-    answers, too: devices number them together with their data, and some answers are readings.
-    What comes before there is a listener is kept for it.
+    One task reads, from `begin` to `close`. The listener gets all messages in order, including
+    answers: devices number them together with their data, and some answers are readings.
+    Messages that arrive before there is a listener are kept for it.
 
     Parameters
     ----------
     receive
-        Waits for the next messages; what it raises ends the dialogue.
+        Waits for the next messages; an exception ends the dialogue.
     send
-        Sends a command, at once or when it is awaited.
+        Sends a command, at once or when awaited.
     """
 
     def __init__(
@@ -53,31 +53,31 @@ class Dialogue(Generic[_MessageT, _CommandT]):
         self._reading: asyncio.Task[None] | None = None
 
     def begin(self) -> None:
-        """Begin to read."""
+        """Start reading."""
         self._reading = in_background(self._read_forever())
 
     async def ask(
         self, command: _CommandT, match: Callable[[_MessageT], _AnswerT | None], limit_s: float
     ) -> _AnswerT | None:
-        """Send a command, and wait for its answer.
+        """Send a command and wait for its answer.
 
         Parameters
         ----------
         match
-            Gets each message, before the listener and before anything that came later, and
-            returns the answer once it is complete.
+            Called with each message, before the listener and before later messages; returns the
+            answer once it is complete.
         limit_s
-            How long the answer may take once the command is sent.
+            Time limit for the answer after the command was sent.
 
         Returns
         -------
         object or None
-            What `match` returned; None if there was no answer in time.
+            The result of `match`; None if there was no answer in time.
 
         Raises
         ------
         Exception
-            What `send` raised, or what ended the reading.
+            The exception of `send`, or the one that ended the reading.
         """
         async with self._turn:
             # What has arrived by now answers something else: let the reader pass it on.
@@ -104,17 +104,17 @@ class Dialogue(Generic[_MessageT, _CommandT]):
         return None
 
     async def stream(self, listener: Callable[[Sequence[_MessageT]], None]) -> None:
-        """Pass on what came so far, and all that comes, until the reading ends.
+        """Pass on all messages, including earlier ones, until the reading ends.
 
         Parameters
         ----------
         listener
-            Gets the messages of each read.
+            Called with the messages of each read.
 
         Raises
         ------
         Exception
-            What `receive` or the listener raised.
+            The exception of `receive` or of the listener.
         """
         for messages in self._early.take():
             listener(messages)
@@ -127,7 +127,7 @@ class Dialogue(Generic[_MessageT, _CommandT]):
         reading.result()
 
     def hear(self, messages: Sequence[_MessageT]) -> None:
-        """Take messages as if they had just been read."""
+        """Process messages as if they had just been read."""
         for message in messages:
             if self._is_answer is not None and self._is_answer(message):
                 self._is_answer = None
@@ -149,7 +149,7 @@ class Dialogue(Generic[_MessageT, _CommandT]):
             await sending
 
     def _require_reader(self) -> asyncio.Task[None]:
-        """Return the task that reads; raise what has ended it."""
+        """Return the reading task; raise the exception that ended it."""
         if self._reading is None:
             raise RuntimeError("nobody reads before a dialogue has begun")
         if self._reading.done():
@@ -162,4 +162,4 @@ class Dialogue(Generic[_MessageT, _CommandT]):
 
 
 def _pass_over(_messages: Sequence[object]) -> None:
-    """Take what comes while nobody streams any more."""
+    """Discard messages after the stream has ended."""

@@ -1,4 +1,4 @@
-"""The interfaces of links of bytes and of texts, how a socket is read, and what comes too early."""
+"""Interfaces of byte and text links, a reader of sockets, and a queue for early messages."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Address = tuple[str, int]
 
 
 class Receiver:
-    """Reads from one socket, always into the same place.
+    """Reads from one socket into one reused buffer.
 
-    ``socket.recv`` makes room for the largest read each time and cuts it to the few bytes that
-    came; what is left between the pieces lets a process grow by megabytes an hour.
+    ``socket.recv`` allocates memory for the largest read each time and shrinks it to the few bytes
+    that arrived; the fragmentation makes a process grow by megabytes per hour.
     """
 
     def __init__(self, source: socket.socket) -> None:
@@ -23,11 +23,11 @@ class Receiver:
         self._room = memoryview(bytearray(_LARGEST))
 
     def read(self) -> bytes:
-        """Wait for the next bytes, as ``socket.recv`` does; raise what it raises."""
+        """Wait for the next bytes, like ``socket.recv``, with the same exceptions."""
         return bytes(self._room[: self._socket.recv_into(self._room)])
 
     def read_from(self) -> tuple[bytes, Address]:
-        """Wait for the next datagram, and say who sent it, as ``socket.recvfrom`` does."""
+        """Wait for the next datagram and return its sender, like ``socket.recvfrom``."""
         size, address = self._socket.recvfrom_into(self._room)
         return bytes(self._room[:size]), (address[0], address[1])
 
@@ -40,7 +40,7 @@ class Received(NamedTuple):
 
 
 class ByteLink(Protocol):
-    """Bytes in and out, nothing about their meaning."""
+    """Reads and writes bytes, without interpreting them."""
 
     async def open(self) -> None:
         """Open the link.
@@ -58,16 +58,16 @@ class ByteLink(Protocol):
         Raises
         ------
         TransportError
-            ``LOST``, once everything that had arrived was read.
+            ``LOST``, after everything that had arrived was read.
         """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send without waiting; a failure shows in ``read``."""
+        """Send without waiting; a failure is raised by ``read``."""
         ...
 
     async def close(self) -> None:
-        """Send what is waiting, for a moment, and close; never raises."""
+        """Send queued bytes within a short time limit, and close; never raises."""
         ...
 
 
@@ -79,11 +79,11 @@ class ReceivedText(NamedTuple):
 
 
 class TextLink(Protocol):
-    """Texts in and out, whole ones."""
+    """Reads and writes whole text messages."""
 
     @property
     def dropped(self) -> int:
-        """Messages that came and could not be kept."""
+        """Number of messages that were discarded because the queue was full."""
         ...
 
     async def open(self) -> None:
@@ -92,7 +92,7 @@ class TextLink(Protocol):
         Raises
         ------
         TransportError, ConfigError
-            What listens there is absent, refuses, or is something else; the address is none.
+            Nothing listens there, the connection is refused, or the peer or address is wrong.
         """
         ...
 
@@ -102,7 +102,7 @@ class TextLink(Protocol):
         Raises
         ------
         TransportError
-            ``LOST``, once everything that had arrived was read.
+            ``LOST``, after everything that had arrived was read.
         """
         ...
 
@@ -119,18 +119,18 @@ _T = TypeVar("_T")
 
 
 class Early(Generic[_T]):
-    """What came early, in order, until it is taken.
+    """Queue of messages that arrived too early to be processed.
 
-    A device talks while its driver still asks who it is, or before its clock is known; what it
-    has measured by then is not to be lost.
+    A device may send before its driver has identified it, or before its clock is known; these
+    measurements should not be lost.
 
     Parameters
     ----------
     most
-        So many are kept.
+        Capacity of the queue.
     is_newest_kept
-        Whether the oldest makes room where more come; else those are passed over, so that
-        nothing is missing between what is kept.
+        Whether a full queue discards its oldest message; otherwise it discards new ones, so that
+        nothing is missing between the kept ones.
     """
 
     def __init__(self, most: int, *, is_newest_kept: bool = False) -> None:
@@ -138,16 +138,16 @@ class Early(Generic[_T]):
         self._kept: deque[_T] = deque(maxlen=most)
 
     def __bool__(self) -> bool:
-        """Whether anything is kept."""
+        """Whether there are messages."""
         return bool(self._kept)
 
     def keep(self, *came: _T) -> None:
-        """Keep what came, as far as there is room."""
+        """Add messages, as far as there is room."""
         room = len(came) if self._is_newest_kept else self._most - len(self._kept)
         self._kept.extend(came[:room])
 
     def take(self) -> list[_T]:
-        """Return what is kept, the oldest first, and keep it no longer."""
+        """Remove and return all messages, the oldest first."""
         taken = list(self._kept)
         self._kept.clear()
         return taken

@@ -1,4 +1,4 @@
-"""Records of what is within reach: advertisements and serial ports."""
+"""Records of reachable devices: advertisements and serial ports."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class Advertisement:
-    """What a Bluetooth LE device says of itself.
+    """The advertisement of a Bluetooth LE device.
 
     Attributes
     ----------
     address
-        MAC address; on macOS an identifier that holds for this computer only.
+        MAC address; on macOS an identifier that is only valid on this computer.
     name
-        Empty while it has not been heard.
+        Empty until it has been received.
     service_uuids
         128-bit, lower case.
     manufacturer_data
@@ -36,9 +36,9 @@ class SerialPort:
     Attributes
     ----------
     port
-        What a driver opens.
+        The name to open.
     remote_name
-        Name of the Bluetooth device behind it; empty if there is none or it is unknown.
+        Name of its Bluetooth device; empty if there is none or it is unknown.
     remote_address
         Its MAC address as ``AA:BB:CC:DD:EE:FF``, empty if unknown.
     """

@@ -1,4 +1,4 @@
-"""Ports of this computer by which a device is asked for, and to which it connects and sends."""
+"""UDP and TCP ports of this computer for devices that connect or send to it."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _BUFFER_BYTES = 1 << 20
 
 
 class UdpPort:
-    """A port that is bound as soon as it is made.
+    """A UDP port that is bound on creation.
 
     Parameters
     ----------
     host
-        Address of this computer that it is reached by; empty for all.
+        Address of this computer to bind to; empty for all.
     port
-        0 takes a free one.
+        0 for any free port.
 
     Raises
     ------
@@ -58,7 +58,7 @@ class UdpPort:
         return number
 
     def send(self, data: bytes, to: Address) -> None:
-        """Send a datagram; where nobody listens, nothing happens."""
+        """Send a datagram; no error if nobody listens."""
         with contextlib.suppress(OSError):
             self._socket.sendto(data, to)
 
@@ -68,9 +68,9 @@ class UdpPort:
         Parameters
         ----------
         take
-            Gets the bytes, the LSL time of their arrival, and where they came from.
+            Called with the bytes, the LSL time of their arrival, and their sender.
         lost
-            Gets the error when the port is gone.
+            Called with the error if the port fails.
         """
         loop = asyncio.get_running_loop()
 
@@ -98,13 +98,13 @@ class UdpPort:
                     take(data, LSL_CLOCK(), sender)
 
     def end(self) -> None:
-        """Let the reading end, and the port with it."""
+        """Stop reading and close the port, without waiting."""
         self._closing = True
         if self._reading is None:
             self._socket.close()
 
     async def close(self) -> None:
-        """End the reading, and wait until the port is free, at most for a second."""
+        """Stop reading and wait until the port is free, at most for a second."""
         self.end()
         if self._reading is not None:
             with contextlib.suppress(TimeoutError):
@@ -118,14 +118,14 @@ _ANY_PORT = 9
 
 
 class Asking(Protocol):
-    """A UDP port to ask from, also everybody in the network."""
+    """A UDP port to send queries from, also as broadcasts."""
 
     def sendto(self, data: bytes, addr: Address) -> None:
         """Send a datagram."""
         ...
 
     def close(self) -> None:
-        """Let it go."""
+        """Close the port."""
         ...
 
 
@@ -138,7 +138,7 @@ class Accepting(Protocol):
         ...
 
     def close(self) -> None:
-        """Take no more connections."""
+        """Stop accepting connections."""
         ...
 
 
@@ -151,7 +151,7 @@ class DataPort(Protocol):
         ...
 
     def send(self, data: bytes, to: Address) -> None:
-        """Send a datagram; where nobody listens, nothing happens."""
+        """Send a datagram; no error if nobody listens."""
         ...
 
     def listen(self, take: Take, lost: Callable[[OSError], object]) -> None:
@@ -159,23 +159,23 @@ class DataPort(Protocol):
         ...
 
     def end(self) -> None:
-        """Let it go."""
+        """Close the port."""
         ...
 
 
 class Ports(Protocol):
-    """All of them for one connection of one device; each raises OSError if it is not available."""
+    """Opens the ports for one connection of one device; raises OSError if one is unavailable."""
 
     async def asking(self, take: Callable[[bytes, Address], None]) -> Asking:
-        """Open the port to ask from; `take` gets the answers."""
+        """Open the port for queries; `take` is called with the answers."""
         ...
 
     def towards(self, host: str) -> str:
-        """Return this computer's address in the network of a host; nothing is sent."""
+        """Return this computer's address in the network of a host, without sending anything."""
         ...
 
     async def accepting(self, made: Callable[[], asyncio.Protocol], here: str) -> Accepting:
-        """Wait for connections at an address of this computer."""
+        """Accept connections at an address of this computer."""
         ...
 
     def data(self, here: str) -> DataPort:
@@ -184,7 +184,7 @@ class Ports(Protocol):
 
 
 class _Answers(asyncio.DatagramProtocol):
-    """Hands each datagram on."""
+    """Passes each datagram on."""
 
     def __init__(self, take: Callable[[bytes, Address], None]) -> None:
         self._take = take
@@ -193,7 +193,7 @@ class _Answers(asyncio.DatagramProtocol):
         self._take(data, (addr[0], addr[1]))
 
     def error_received(self, exc: Exception) -> None:
-        """Pass over it: where nobody listens (yet), some systems say so at the next call."""
+        """Ignore it: if nobody listens (yet), some systems report it at the next call."""
 
 
 class _Accepting:
@@ -208,10 +208,10 @@ class _Accepting:
 
 
 class _SystemPorts:
-    """Those of the operating system."""
+    """Ports of the operating system."""
 
     async def asking(self, take: Callable[[bytes, Address], None]) -> Asking:
-        """Open the port to ask from; see :class:`Ports`."""
+        """Open the port for queries; see :class:`Ports`."""
         loop = asyncio.get_running_loop()
         transport, _ = await loop.create_datagram_endpoint(
             lambda: _Answers(take),
@@ -221,14 +221,14 @@ class _SystemPorts:
         return transport
 
     def towards(self, host: str) -> str:
-        """Return this computer's address there; see :class:`Ports`."""
+        """Return this computer's address; see :class:`Ports`."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.connect((host, _ANY_PORT))
             address: str = probe.getsockname()[0]
             return address
 
     async def accepting(self, made: Callable[[], asyncio.Protocol], here: str) -> Accepting:
-        """Wait for connections; see :class:`Ports`."""
+        """Accept connections; see :class:`Ports`."""
         return _Accepting(await asyncio.get_running_loop().create_server(made, here, 0))
 
     def data(self, here: str) -> DataPort:

@@ -1,4 +1,4 @@
-"""Lists, reads and writes serial ports, Bluetooth ones included."""
+"""Lists, reads and writes serial ports, including Bluetooth ones."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ _OPEN_REASONS: dict[int | None, tuple[TransportReason, str]] = {
 
 
 class _PolledPort(serial.Serial):
-    """Waits by poll, on Linux: select takes no descriptor above 1023.
+    """Serial port that waits with poll on Linux, because select accepts descriptors up to 1023.
 
     An agent with some 60 streams has more than that, so pyserial's own port could not be read.
     """
 
     def read(self, size: int = 1, /) -> bytes:
-        """Read so many bytes; fewer only if the read is cancelled. There is no time limit."""
+        """Read *size* bytes without a time limit; fewer only if the read is cancelled."""
         handle, cancelled, data = self.fileno(), self.pipe_abort_read_r, bytearray()
         if cancelled is None:
             raise serial.PortNotOpenError
@@ -74,7 +74,7 @@ class _PolledPort(serial.Serial):
         return bytes(data)
 
     def write(self, b: Buffer, /) -> int:
-        """Write all within the port's time limit."""
+        """Write all bytes within the port's time limit."""
         handle, rest = self.fileno(), memoryview(b)
         total, deadline_s = len(rest), LSL_CLOCK() + WRITE_TIMEOUT_S
         while rest:
@@ -86,7 +86,7 @@ class _PolledPort(serial.Serial):
 
 
 def _ready(events: dict[int, int], limit_s: float | None = None) -> set[int]:
-    """Wait until something has happened on a descriptor; return on which."""
+    """Wait for an event on a descriptor; return the ready descriptors."""
     poll = select.poll()
     for descriptor, event in events.items():
         poll.register(descriptor, event)
@@ -123,7 +123,7 @@ class SerialLink:
         self._traffic.start(lambda: self._read_forever(port), lambda: self._write_forever(port))
 
     async def read(self) -> Received:
-        """Wait for the next bytes; raise ``LOST`` when the port is gone."""
+        """Wait for the next bytes; raise ``LOST`` if the port is gone."""
         return await self._traffic.read()
 
     def write(self, data: bytes) -> None:
@@ -131,7 +131,7 @@ class SerialLink:
         self._traffic.write(data)
 
     async def close(self) -> None:
-        """Let the writer send what is queued, then close the port."""
+        """Send the queued bytes, then close the port."""
         self._traffic.closing = True
         self._traffic.end_writing()
         with contextlib.suppress(TimeoutError):
@@ -197,9 +197,9 @@ class SerialLink:
             self._traffic.lost(error)
 
     def _end_reading(self, port: serial.Serial) -> None:
-        """Have the reading thread end; however long that takes, the port is not closed before.
+        """End the reading thread; the port is not closed before, however long that takes.
 
-        Windows writes how a read has ended to where pyserial keeps the read, which closing frees.
+        Windows writes the result of a read to memory of pyserial that closing frees.
         """
         self._traffic.closing = True
         port.cancel_read()
@@ -222,10 +222,10 @@ _INCOMING = "000000000000"
 
 
 async def serial_ports() -> list[SerialPort]:
-    """List the ports that a driver could open; never raises.
+    """List the ports that a driver can open; never raises.
 
-    On Linux paired Bluetooth devices with a serial service are listed by their
-    address, which a driver can open as well.
+    On Linux, paired Bluetooth devices with a serial service are listed by their address, which a
+    driver can open as well.
     """
     if sys.platform == "win32":
         return _windows_ports()
@@ -255,7 +255,7 @@ def _with_remote(port: str, names: dict[str, str]) -> SerialPort:
 
 
 async def _bluez_names() -> dict[str, str]:
-    """Names by address of the paired devices that have a serial service."""
+    """Return the names of paired devices with a serial service, by address."""
     known = ((each.advertisement, each.is_paired) for each in await bluez.known_devices())
     return {
         device.address: device.name

@@ -1,8 +1,8 @@
-"""Tells whoever wants to know what passes over the links of a device, or gives links instead.
+"""Observes or replaces the links of a device, to capture and replay its data.
 
-Drivers know nothing of it, but one whose device connects to ports of this computer. Links ask when
-they are made whether somebody listens; who does has said so, with :func:`tapped` or
-:func:`replaced`, in the context in which the driver runs.
+Drivers do not know of it, except for one whose device connects to ports of this computer. A link
+checks on creation whether there is a tap or a replacement; :func:`tapped` or :func:`replaced` set
+one in the context in which the driver runs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from biosensor_gateway.transports.ports import SYSTEM_PORTS, Ports
 
 
 class What(StrEnum):
-    """What can happen on a link."""
+    """Kind of an event on a link."""
 
     OPENED = "opened"
     READ = "read"
@@ -44,39 +44,38 @@ CANCELLED = "cancelled"
 
 
 class Characteristic(Protocol):
-    """One row of a device's GATT table, as bleak has them."""
+    """One row of a device's GATT table, with bleak's names."""
 
     @property
     def uuid(self) -> str:
-        """Its own UUID."""
+        """UUID of the characteristic."""
         ...
 
     @property
     def service_uuid(self) -> str:
-        """That of its service."""
+        """UUID of its service."""
         ...
 
     @property
     def properties(self) -> Sequence[str]:
-        """What it can: ``read``, ``notify`` ..."""
+        """Its properties: ``read``, ``notify`` ..."""
         ...
 
 
 @dataclass(slots=True)
 class Passed:
-    """Something that passed over a link.
+    """An event on a link.
 
     Attributes
     ----------
-    what
     at
-        UUID of the characteristic; empty where there are none.
+        UUID of the characteristic; empty if the link has none.
     data
-        What was read, written, sent or came.
+        The bytes that were read, written, sent or received.
     begun_s, ended_s
-        LSL clock; two times where something was asked for, else when it arrived.
+        LSL times of the request and its answer; equal for data without a request.
     error
-        ``att:14`` or the reason of another error; empty if all went well.
+        ``att:14`` or the reason of another error; empty on success.
     """
 
     what: What
@@ -88,23 +87,23 @@ class Passed:
 
 
 class Tap(Protocol):
-    """Is told of all links of one device."""
+    """Observes all links of one device."""
 
     def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> int:
-        """Take a new link, with what a Bluetooth LE device said of itself; return its number."""
+        """Add a new link, with the advertisement if it is Bluetooth LE; return its number."""
         ...
 
     def failed_to_open(self, reason: str) -> None:
-        """Take an attempt to open a link that did not succeed."""
+        """Add a failed attempt to open a link."""
         ...
 
     def passed(self, link: int, what: Passed) -> None:
-        """Take what passes over a link; an answer is filled in when it has come."""
+        """Add an event on a link; an answer is filled in when it arrives."""
         ...
 
 
 class Replacement(NamedTuple):
-    """Makes what takes the place of links other than those of Bluetooth LE."""
+    """Creates replacements for links other than Bluetooth LE ones."""
 
     byte_link: Callable[[], ByteLink]
     ports: Callable[[], Ports]
@@ -116,7 +115,7 @@ _instead: ContextVar[Replacement | None] = ContextVar("instead", default=None)
 
 @contextmanager
 def tapped(tap: Tap) -> Generator[None]:
-    """Have all links that are made meanwhile tell a tap."""
+    """Connect all links that are created in this context to a tap."""
     token = _tap.set(tap)
     try:
         yield
@@ -126,7 +125,7 @@ def tapped(tap: Tap) -> Generator[None]:
 
 @contextmanager
 def replaced(replacement: Replacement) -> Generator[None]:
-    """Create other links instead of those to devices meanwhile."""
+    """Replace all links that are created in this context."""
     token = _instead.set(replacement)
     try:
         yield
@@ -135,12 +134,12 @@ def replaced(replacement: Replacement) -> Generator[None]:
 
 
 def is_replaced() -> bool:
-    """Whether other links stand in for those to devices."""
+    """Whether links to devices are replaced."""
     return _instead.get() is not None
 
 
 def byte_link_of(link: ByteLink) -> ByteLink:
-    """Return the link that a driver gets: this one, the one that replaces it, or one with a tap."""
+    """Return the link for a driver: this one, its replacement, or this one with a tap."""
     replacement, tap = _instead.get(), _tap.get()
     if replacement is not None:
         return replacement.byte_link()
@@ -148,7 +147,7 @@ def byte_link_of(link: ByteLink) -> ByteLink:
 
 
 def text_link_of(link: TextLink) -> TextLink:
-    """Return the link of texts that a driver gets; see :func:`byte_link_of`."""
+    """Return the text link for a driver; see :func:`byte_link_of`."""
     replacement, tap = _instead.get(), _tap.get()
     if replacement is not None:
         return _TextsOfBytes(replacement.byte_link())
@@ -156,23 +155,23 @@ def text_link_of(link: TextLink) -> TextLink:
 
 
 def ports_of_device() -> Ports:
-    """Return the ports by which a driver reaches a device: the system's, or what replaces them."""
+    """Return the ports for a driver: the system's, or their replacement."""
     replacement = _instead.get()
     return SYSTEM_PORTS if replacement is None else replacement.ports()
 
 
 class LinkTap:
-    """What one link tells, if anybody listens.
+    """Reports the events of one link to a tap, if there is one.
 
     Parameters
     ----------
     clock
-        Of the link's arrivals.
+        The clock of the link's arrivals.
 
     Attributes
     ----------
     is_heard
-        Whether anybody listens; who asks spares each packet the telling.
+        Whether there is a tap; check it to save the call for each packet.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -182,28 +181,28 @@ class LinkTap:
         self._number: int | None = None
 
     def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> None:
-        """Tell that the link stands."""
+        """Report that the link is open."""
         if self._tap is not None:
             self._number = self._tap.opened(seen, table)
 
     def failed(self, error: GatewayError) -> None:
-        """Tell that it could not be opened."""
+        """Report that it could not be opened."""
         if self._tap is not None:
             self._tap.failed_to_open(reason_of(error))
 
     def came(self, what: What, at: str, data: bytes, arrival: float) -> None:
-        """Tell what came by itself, or was sent without waiting."""
+        """Report data that arrived without a request, or were sent without an answer."""
         self._tell(Passed(what, at, data, arrival, arrival))
 
     def ended(self, what: What) -> None:
-        """Tell that the link has ended, once."""
+        """Report the end of the link, once."""
         now = self._clock() if self._number is not None else 0.0
         self._tell(Passed(what, begun_s=now, ended_s=now))
         self._number = None
 
     @contextmanager
     def asking(self, what: What, at: str = "", data: bytes = b"") -> Generator[Passed]:
-        """Tell what is asked for meanwhile, and with which error if there is one."""
+        """Report a request that runs in this context, with its error if there is one."""
         passed = Passed(what, at, data)
         if self._number is None:
             yield passed
@@ -250,12 +249,12 @@ class _Tapped(Generic[_Link]):
 
 
 class TappedLink(_Tapped[ByteLink]):
-    """A byte link that tells what passes; see :class:`~biosensor_gateway.transports.link.ByteLink`.
+    """A byte link with a tap; see :class:`~biosensor_gateway.transports.link.ByteLink`.
 
     Parameters
     ----------
     link
-        The one that carries it.
+        The link to the device.
     """
 
     async def read(self) -> Received:
@@ -275,17 +274,17 @@ class TappedLink(_Tapped[ByteLink]):
 
 
 class TappedTexts(_Tapped[TextLink]):
-    """A link of texts that tells what passes; see :class:`TextLink`.
+    """A text link with a tap; see :class:`TextLink`.
 
     Parameters
     ----------
     link
-        The one that carries them.
+        The link to the device.
     """
 
     @property
     def dropped(self) -> int:
-        """Messages that came and could not be kept."""
+        """Number of messages that were discarded because the queue was full."""
         return self._link.dropped
 
     async def read(self) -> ReceivedText:
@@ -305,7 +304,7 @@ class TappedTexts(_Tapped[TextLink]):
 
 
 class _TextsOfBytes:
-    """A link of texts, on one of bytes of which each read is a whole message."""
+    """A text link based on a byte link of which each read is a whole message."""
 
     dropped = 0
 
@@ -327,6 +326,6 @@ def _encoded(text: str) -> bytes:
 
 
 def reason_of(error: GatewayError) -> str:
-    """Return a word for an error, without what a sentence may name: addresses, names."""
+    """Return a word for an error, without the addresses and names that its message may contain."""
     code: int | None = getattr(error, "code", None)
     return str(error.reason.value) if code is None else f"att:{code}"

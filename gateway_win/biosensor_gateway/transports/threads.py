@@ -1,4 +1,4 @@
-"""Runs blocking calls in threads, and limits calls that may neither end nor heed cancellation."""
+"""Runs blocking calls in threads, and limits calls that may hang and ignore cancellation."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _running: set[asyncio.Task[Any]] = set()
 
 
 async def in_daemon_thread(call: Callable[[], _T]) -> _T:
-    """Run a blocking call in a thread of its own and await its result.
+    """Run a blocking call in a separate thread and await its result.
 
-    asyncio's own pool is no choice here: the interpreter joins it at exit, and
-    a call that hangs in a driver would hang the program.
+    asyncio's pool is not used: the interpreter joins its threads at exit, so a call that hangs in
+    a driver would hang the program.
     """
     return await asyncio.get_running_loop().run_in_executor(_DAEMONS, call)
 
 
 class _DaemonThreads(Executor):
-    """Starts a thread for each call."""
+    """Executor that starts a thread for each call."""
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """Start it now."""
+        """Start a call now."""
         future: Future[_T] = Future()
         # Running from now on: cancelling the awaiting task must not take the result's place away.
         future.set_running_or_notify_cancel()
@@ -50,19 +50,19 @@ _DAEMONS = _DaemonThreads()
 
 
 class Traffic:
-    """What came and what is to be sent; made and read in the event loop.
+    """Received bytes and bytes to send; created and read in the event loop.
 
     Parameters
     ----------
     name
-        What error messages call the link.
+        Name of the link in error messages.
     advice
-        What they tell a user to look at when it has ended.
+        What a user should check if it has ended.
 
     Attributes
     ----------
     closing
-        Set it before the link is closed on purpose: from then on nothing is an error.
+        Set before the link is closed on purpose: from then on, nothing is an error.
     """
 
     def __init__(self, name: str, advice: str) -> None:
@@ -75,7 +75,7 @@ class Traffic:
         self._threads: tuple[threading.Thread, ...] = ()
 
     def start(self, reading: Callable[[], None], writing: Callable[[], None]) -> None:
-        """Run both in threads of their own."""
+        """Run both functions in separate threads."""
         self._loop = asyncio.get_running_loop()
         self._threads = tuple(
             threading.Thread(target=target, daemon=True) for target in (reading, writing)
@@ -85,11 +85,11 @@ class Traffic:
 
     @property
     def started(self) -> bool:
-        """Whether there are threads."""
+        """Whether the threads were started."""
         return bool(self._threads)
 
     async def read(self) -> Received:
-        """Wait for the next bytes; raise ``LOST`` when the link has ended."""
+        """Wait for the next bytes; raise ``LOST`` if the link has ended."""
         item = await self._incoming.get()
         if isinstance(item, TransportError):
             self._incoming.put_nowait(item)
@@ -101,11 +101,11 @@ class Traffic:
         self._outgoing.put(data)
 
     def end_writing(self) -> None:
-        """Let the writing thread end once it has sent what is queued."""
+        """End the writing thread after it has sent the queued bytes."""
         self._outgoing.put(None)
 
     def outgoing(self) -> Iterator[bytes]:
-        """Wait for what is to be sent, until `end_writing`; for the writing thread."""
+        """Yield the bytes to send, until `end_writing`; for the writing thread."""
         while (data := self._outgoing.get()) is not None:
             yield data
 
@@ -114,7 +114,7 @@ class Traffic:
         self._hand_on(Received(data, arrival))
 
     def lost(self, cause: Exception | None = None) -> None:
-        """Tell that the link has ended, unless that is on purpose; for both threads."""
+        """Report the end of the link, unless it is on purpose; for both threads."""
         if not self.closing:
             message = f"{self._name}: the link was cut; {self._advice}"
             error = TransportError(TransportReason.LOST, message)
@@ -122,11 +122,11 @@ class Traffic:
             self._hand_on(error)
 
     def join_writer(self, seconds: float) -> None:
-        """Wait for the writing thread, at most so long."""
+        """Wait for the writing thread, within a time limit."""
         self._threads[1].join(seconds)
 
     def join_reader(self, seconds: float | None = None) -> bool:
-        """Wait for the reading thread, at most so long; return whether it has ended."""
+        """Wait for the reading thread, within a time limit; return whether it has ended."""
         self._threads[0].join(seconds)
         return not self._threads[0].is_alive()
 
@@ -140,7 +140,7 @@ class Traffic:
 
 
 def in_background(operation: Coroutine[Any, Any, _T]) -> asyncio.Task[_T]:
-    """Start a task that may be abandoned: its error is nobody's then."""
+    """Start a task that may be abandoned; then its error is ignored."""
     task = asyncio.create_task(operation)
     _running.add(task)
     task.add_done_callback(_ended)
@@ -152,23 +152,23 @@ async def within(
     operation: Coroutine[Any, Any, _T] | asyncio.Task[_T],
     unless: asyncio.Future[Any] | None = None,
 ) -> _T:
-    """Await an operation for a limited time, whatever it does, and cancel it then.
+    """Await an operation for a limited time, then cancel it, even if it ignores that.
 
-    For what tidies up behind itself when it is cancelled; see `outlasting` for all else.
+    Use it for operations that clean up when they are cancelled, otherwise `outlasting`.
 
     Parameters
     ----------
     operation
-        Cancelled, and left to itself, when the time is over or nobody waits any more.
+        Cancelled and abandoned when the time is over or the caller is cancelled.
     unless
-        Ends the waiting as well, once it is done.
+        Also ends the wait when it is done.
 
     Raises
     ------
     TimeoutError
-        The operation did not end in time, or `unless` came first.
+        The operation did not end in time, or `unless` was done first.
     ConnectionAbortedError
-        The operation cancelled itself, as WinRT's do when a device vanishes.
+        The operation cancelled itself, as those of WinRT do when a device vanishes.
     """
     task = operation if isinstance(operation, asyncio.Task) else in_background(operation)
     try:
@@ -180,10 +180,10 @@ async def within(
 async def outlasting(
     seconds: float, task: asyncio.Task[_T], unless: asyncio.Future[Any] | None = None
 ) -> _T:
-    """Await for a limited time what goes on afterwards, for the system does so in any case.
+    """Await an operation for a limited time, but let it continue, as the system does anyway.
 
-    A call that was made cannot be taken back by not waiting for its answer. So the task looks
-    after what comes of it, however late; parameters and errors are those of `within`.
+    A request is not undone by ignoring its answer. So the task handles the result, however late.
+    Parameters and errors are those of `within`.
     """
     awaited: set[asyncio.Future[Any]] = {task} if unless is None else {task, unless}
     await asyncio.wait(awaited, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)

@@ -1,4 +1,4 @@
-"""Text messages over a WebSocket, for vendors' services on this computer."""
+"""Exchanges text messages over a WebSocket, with vendors' services on this computer."""
 
 from __future__ import annotations
 
@@ -36,14 +36,13 @@ _wire_log.setLevel(logging.INFO)
 class WebSocketLink:
     """One WebSocket connection.
 
-    A task of its own reads all the time, so that a slow consumer neither fills the
-    socket nor keeps the pongs from being seen; what waits for too long is dropped,
-    oldest first, and counted in `dropped`.
+    A separate task reads all the time, so that a slow consumer neither fills the socket nor delays
+    the pongs. If its queue is full, the oldest messages are discarded and counted in `dropped`.
 
     Parameters
     ----------
     url
-        ``wss://host:port``; the host is what the certificate must be for.
+        ``wss://host:port``; the certificate must be for this host.
     ca_file
         PEM file of the certificate authority; empty for those that the operating
         system trusts.
@@ -61,15 +60,15 @@ class WebSocketLink:
         self.dropped = 0
 
     async def open(self) -> None:
-        """Connect, and begin to read.
+        """Connect and start reading.
 
         Raises
         ------
         TransportError
             ``ABSENT`` if nothing listens, ``DENIED`` if the certificate is not
-            trusted, ``UNAVAILABLE`` if what listens is no WebSocket server.
+            trusted, ``UNAVAILABLE`` if it is not a WebSocket server.
         ConfigError
-            The file of the certificate authority or the URL cannot be used.
+            The file of the certificate authority or the URL is invalid.
         """
         context = tls_context(self._ca_file) if urlsplit(self._url).scheme == "wss" else None
         self._socket = await self._connect(context)
@@ -81,7 +80,7 @@ class WebSocketLink:
         Raises
         ------
         TransportError
-            ``LOST``, once everything that had arrived was read.
+            ``LOST``, after everything that had arrived was read.
         """
         while not self._waiting:
             if self._ended is not None:
@@ -93,7 +92,7 @@ class WebSocketLink:
         return message
 
     async def send(self, text: str) -> None:
-        """Send a message; waits while the peer does not take what was sent before.
+        """Send a message; waits while the peer does not accept earlier ones.
 
         Raises
         ------
@@ -108,7 +107,7 @@ class WebSocketLink:
             raise self._lost(error) from error
 
     async def close(self) -> None:
-        """Close the connection, without the peer's consent if need be; never raises."""
+        """Close the connection, if necessary without the peer's answer; never raises."""
         if self._socket is not None:
             # A peer that neither reads nor answers must not hold up the end.
             with contextlib.suppress(TimeoutError):
@@ -196,12 +195,12 @@ class WebSocketLink:
 
 
 def tls_context(ca_file: str = "") -> ssl.SSLContext:
-    """Make the TLS settings of a client that checks certificate and host name.
+    """Return the TLS context of a client that checks certificate and host name.
 
     Raises
     ------
     ConfigError
-        ``UNREADABLE``, if the file is missing or holds no certificate.
+        ``UNREADABLE``, if the file is missing or has no certificate.
     """
     try:
         context = ssl.create_default_context(cafile=ca_file or None)
