@@ -129,6 +129,49 @@ def test_a_session_that_no_query_can_name_is_refused(session: str, tmp_path: Pat
     assert overlaid(path.read_text(), LslOverrides("ours"), tmp_path)["lab"]["SessionID"] == "ours"
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("[ports]\nBasePort = abc", "[ports]\nMulticastPort = 99999", "[ports]\nIPv6 = maybe"),
+        *("[multicast]\nResolveScope = campus", "[multicast]\nTTLOverride = x"),
+        *("[multicast]\nSiteAddresses = {300.1.1.1}", "[multicast]\nLinkAddresses = 224.0.0.1"),
+        *("[tuning]\nMulticastMinRTT = 0,5", "[log]\nlevel = 10", "[lab]\n[ports = 3"),
+    ],
+)
+def test_what_would_have_lsl_take_other_settings_is_refused(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "lsl_api.cfg"
+    path.write_text(f"{line}\n")
+    with pytest.raises(ConfigError, match=re.escape(str(path))) as raised:
+        effective_config(path, LslOverrides(session_id="lab7"))
+    assert raised.value.reason is ConfigReason.WRONG_VALUE
+    assert re.escape(line.rpartition("\n")[2].partition(" =")[0]) in re.escape(str(raised.value))
+
+
+def test_every_usual_value_is_taken(tmp_path: Path) -> None:
+    own = {
+        "ports": {"BasePort": "17000", "IPv6": "disable", "AllowRandomPorts": "false"},
+        "multicast": {"ResolveScope": "link", "AddressesOverride": "{}", "TTLOverride": "-1"},
+        "tuning": {"MulticastMinRTT": "0.25", "ForceDefaultTimestamps": "0"},
+    }
+    lines = [
+        line
+        for section, values in own.items()
+        for line in (f"[{section}]", *(f"{key} = {value}" for key, value in values.items()))
+    ]
+    found = overlaid("\n".join(lines), LslOverrides(), tmp_path)
+    assert {section: found[section] | values for section, values in own.items()} == {
+        section: found[section] for section in own
+    }
+
+
+def test_an_empty_value_an_indented_line_and_peers_without_braces_cost_no_setting(
+    tmp_path: Path,
+) -> None:
+    own = "[ports]\nIPv6 =\n[lab]\nSessionID = theirs\n  KnownPeers = 10.0.0.1, 10.0.0.2\n"
+    found = overlaid(own, LslOverrides(session_id="lab7"), tmp_path)
+    assert found["lab"] == {"SessionID": "lab7", "KnownPeers": "{10.0.0.1, 10.0.0.2}"}
+
+
 def test_a_place_that_may_not_be_looked_into_has_no_file(tmp_path: Path) -> None:
     own = tmp_path / "lsl_api.cfg"
     own.touch()

@@ -278,10 +278,11 @@ Write = Callable[[str], Path]
 Configured = Callable[[str], Context]
 
 
-def session_of_liblsl() -> str:
+def session_of_liblsl(configured: str = "") -> str:
     """The session that a program of the user is in, by liblsl's own reading."""
     code = (
-        "import pylsl; o = pylsl.StreamOutlet(pylsl.StreamInfo('a', 'b', 1, 0, 'float32', 'c'));"
+        f"{configured}\nimport pylsl; "
+        "o = pylsl.StreamOutlet(pylsl.StreamInfo('a', 'b', 1, 0, 'float32', 'c'));"
         "print(o.get_info().session_id())"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -314,6 +315,34 @@ def test_a_file_that_liblsl_ignores_is_an_error(
     assert found.level is Level.ERROR
     assert "LSL ignores the whole file" in found.what
     assert str(Path(os.environ["LSLAPICFG"])) in found.fix
+
+
+def test_a_value_for_which_liblsl_would_drop_the_session_is_an_error(
+    examine: Examine, context: Context, lsl_file: Write
+) -> None:
+    lsl_file("[lab]\nSessionID = lab7\n[multicast]\nResolveScope = campus\n")
+    (found,) = above_ok(examine(context, "lsl_config"))
+    assert found.level is Level.ERROR
+    assert "ResolveScope = campus" in found.what
+    assert session_of_liblsl() == "default"
+
+
+def test_peers_without_braces_and_an_empty_value_are_heeded_by_our_programs(
+    examine: Examine, context: Context, lsl_file: Write
+) -> None:
+    lsl_file("[lab]\nKnownPeers = 127.0.0.1, 127.0.0.2\n")
+    found = only(examine(context, "lsl_config"), "KnownPeers has no braces")
+    assert found.level is Level.WARNING
+    assert "{127.0.0.1, 127.0.0.2}" in found.fix
+    path = lsl_file("[lab]\nKnownPeers =\n")
+    configured = f"""
+import pylsl
+from pathlib import Path
+from biosensor_common.lsl.api_file import LslOverrides, effective_config
+text = effective_config(Path({str(path)!r}), LslOverrides("lab7"))
+pylsl.set_config_content(text)
+"""
+    assert session_of_liblsl(configured) == "lab7"
 
 
 def test_liblsl_ignores_a_file_with_a_hash(lsl_file: Write) -> None:

@@ -398,6 +398,12 @@ def test_virtual_devices_are_recorded_in_the_session_of_the_settings(
         begun = record("start", "--here", "--folder", str(tmp_path), "--participant", "P07")
         assert begun.code == 0, begun.err
         assert record("stop").code == 0
+        # Settings that are changed now hold for all that starts, but not for the agent.
+        (state / "none.toml").write_text('[lsl]\nsession_id = "changed"\n')
+        for command in (("record", "start", "--here"), ("doctor", "--only", "settings")):
+            looked = command_line(*command)
+            assert looked.code == 1
+            assert "and the settings now say changed" in " ".join((looked.out + looked.err).split())
     finally:
         agent.terminate()
         agent.communicate(timeout=60)

@@ -58,9 +58,17 @@ def lsl_config(context: Context) -> Iterator[Finding]:
         try:
             text = file.read_bytes().decode("utf-8")
             own = LslApiFile(text, str(file))
+            api_file.effective_config(file, context.overrides)
         except (OSError, UnicodeDecodeError, ConfigError) as problem:
             yield _damaged(file, problem)
             return
+    if own.known_peers and not own.has_braces_around_peers:
+        yield warning(
+            "KnownPeers has no braces around its computers",
+            f"Other LSL programs of this computer then ask none of them; {context.guide.program} "
+            "does.",
+            f"KnownPeers = {{{', '.join(own.known_peers)}}} below [lab] in {file}",
+        )
     yield from _session(context, own)
     yield _in_force(context)
     yield from _peers(context)

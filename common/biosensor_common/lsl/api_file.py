@@ -14,8 +14,10 @@ from __future__ import annotations
 import configparser
 import io
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from ipaddress import ip_address
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +33,30 @@ _MOST_DIGITS = 9
 # liblsl writes to stderr, where our own log is: it shall write warnings and errors only.
 _LOG_WARNINGS = -1
 _SEARCH_PAUSES = ("MulticastMinRTT", "UnicastMinRTT")
+_CHOICES = {
+    ("ports", "IPv6"): ("allow", "disable", "force", "allowed", "disabled", "forced"),
+    ("multicast", "ResolveScope"): ("machine", "link", "site", "organization", "global"),
+}
+_GROUPS = ("Machine", "Link", "Site", "Organization", "Global")
+_ADDRESSES = {*(f"{group}Addresses" for group in _GROUPS), "AddressesOverride"}
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)")
+_NUMBERS = {
+    **{("ports", key): (0, 65535) for key in ("MulticastPort", "BasePort", "PortRange")},
+    ("multicast", "TTLOverride"): (-1, 255),
+    ("log", "level"): (-3, 9),
+    **{
+        ("tuning", key): (0, 10**9)
+        for key in (
+            *("UseProtocolVersion", "WatchdogCheckInterval", "WatchdogTimeThreshold"),
+            *("MulticastMinRTT", "MulticastMaxRTT", "UnicastMinRTT", "UnicastMaxRTT"),
+            *("ContinuousResolveInterval", "TimerResolution", "MaxCachedQueries"),
+            *("TimeUpdateInterval", "TimeUpdateMinProbes", "TimeProbeCount", "TimeProbeInterval"),
+            *("TimeProbeMaxRTT", "OutletBufferReserveMs", "OutletBufferReserveSamples"),
+            *("InletBufferReserveMs", "InletBufferReserveSamples", "SmoothingHalftime"),
+        )
+    },
+}
+"""Of other words liblsl makes 0, of a decimal comma the whole number before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +140,8 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
         for key in _SEARCH_PAUSES:
             _set_default(parser, "tuning", key, str(overrides.search_pause_s))
     _set_default(parser, "log", "level", str(_LOG_WARNINGS))
+    if user_file is not None:
+        _require_usable(parser, user_file)
     text = io.StringIO()
     parser.write(text)
     return text.getvalue()
@@ -148,9 +176,66 @@ def check_session(session: str, file: Path | None) -> None:
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
+def _require_usable(parser: configparser.ConfigParser, path: Path) -> None:
+    """Refuse what makes liblsl drop the whole configuration, ours as well, or take another value.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, with the key and what it may be.
+    """
+    for section in parser.sections():
+        for key, text in parser.items(section):
+            wanted = _wanted_instead(section, key, text)
+            if wanted:
+                message = (
+                    f"{path}: {key} = {text} in [{section}] should be {wanted}; LSL would take "
+                    "other settings than you have made; correct the line or remove it"
+                )
+                raise ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+def _wanted_instead(section: str, key: str, text: str) -> str:
+    """Say what a value should be; empty if it is that."""
+    wanted = ""
+    if key.startswith("["):
+        wanted = "a section, with its ']'"
+    elif (section, key) in _CHOICES:
+        choices = _CHOICES[section, key]
+        wanted = "" if text in choices else f"one of {', '.join(choices)}"
+    elif (section, key) in _NUMBERS:
+        least, most = _NUMBERS[section, key]
+        if not (_NUMBER.fullmatch(text) and least <= float(text) <= most):
+            wanted = (
+                f"a number {'such as 0.5' if section == 'tuning' else f'from {least} to {most}'}"
+            )
+    elif section == "multicast" and key in _ADDRESSES:
+        if not (has_braces(text) and _are_addresses(text[1:-1])):
+            wanted = "IP addresses in braces, such as {239.255.172.215}"
+    elif (section, key) == ("multicast", "ListenAddress") and not _are_addresses(text):
+        wanted = "an IP address"
+    return wanted
+
+
+def _are_addresses(text: str) -> bool:
+    try:
+        for each in filter(None, (part.strip() for part in text.split(","))):
+            ip_address(each)
+    except ValueError:
+        return False
+    return True
+
+
+def has_braces(text: str) -> bool:
+    """Whether liblsl takes a value for several ones; of any other one it makes none, silently."""
+    return text.startswith("{") and text.endswith("}")
+
+
 def _read(parser: configparser.ConfigParser, path: Path) -> None:
     try:
-        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
+        # liblsl knows no lines that go on, for which the parser takes indented ones.
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        parser.read_string("\n".join(lines), source=str(path))
     except (OSError, UnicodeDecodeError) as error:
         message = f"{path}: the LSL configuration cannot be read ({error}); fix or remove it"
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
@@ -158,6 +243,14 @@ def _read(parser: configparser.ConfigParser, path: Path) -> None:
         first_line = str(error).splitlines()[0]
         message = f"{path}: not an LSL configuration ({first_line}); fix or remove it"
         raise ConfigError(ConfigReason.MALFORMED, message) from error
+    for section in parser.sections():
+        for key, text in parser.items(section):
+            if not text:
+                # liblsl would drop the whole configuration for it.
+                parser.remove_option(section, key)
+    peers = parser.get(*PEERS, fallback="")
+    if peers and not has_braces(peers):
+        _set(parser, *PEERS, f"{{{peers}}}")
 
 
 def _own_port_range(parser: configparser.ConfigParser) -> int:
@@ -236,6 +329,11 @@ class LslApiFile:
         """Hosts that liblsl asks directly."""
         names = self._get(PEERS).removeprefix("{").removesuffix("}").split(",")
         return tuple(name.strip() for name in names if name.strip())
+
+    @property
+    def has_braces_around_peers(self) -> bool:
+        """Whether liblsl takes `known_peers` for what they are."""
+        return has_braces(self._get(PEERS))
 
     @property
     def ports(self) -> Ports:

@@ -8,12 +8,16 @@ from __future__ import annotations
 import contextlib
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.system import restart_notice, state_file
 from biosensor_gateway.system.child import lives
+
+if TYPE_CHECKING:
+    from biosensor_common.lsl.api_file import LslOverrides
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
@@ -104,6 +108,19 @@ def _is_held(folder: Path) -> bool:
     from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415 - brings asyncio
 
     return is_held(folder)
+
+
+def other_session(status: Mapping[str, Any], lsl: LslOverrides) -> str:
+    """Say so if an agent is in another LSL session than this program; empty if not, or unknown."""
+    from biosensor_common.lsl.api_file import config_here, session  # noqa: PLC0415 - not for stop
+
+    agent, own = status.get("session", ""), session(config_here(lsl))
+    if agent in {"", own}:
+        return ""
+    return (
+        f"the agent sends in the LSL session {agent}, and the settings now say {own}, so its "
+        "streams would not be recorded"
+    )
 
 
 def remove_status(folder: Path) -> None:

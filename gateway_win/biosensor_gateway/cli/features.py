@@ -6,6 +6,7 @@ Functions import what needs numpy or LSL, so that the help is shown quickly.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import threading
 from pathlib import Path
@@ -77,11 +78,15 @@ async def watch_live(lsl: LslSettings) -> None:
     """Compute features of live streams until cancelled."""
     from biosensor_common.lsl.network import configure_lsl
     from biosensor_gateway.agent.feature_refusals import FeatureRefusals
+    from biosensor_gateway.agent.status_file import other_session, read_status
     from biosensor_gateway.features.live import Live
 
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
     say("looking for raw streams; end it by Ctrl-C")
+    with contextlib.suppress(ConfigError):
+        if other := other_session(read_status(state_folder()), lsl.overrides):
+            say(f"! {other}, nor have features")
     refusals = FeatureRefusals(state_folder())
     live = Live(_PrintingListener(), report=refusals.write)
     work = asyncio.get_running_loop().run_in_executor(None, live.run, stopping)

@@ -122,7 +122,7 @@ def settings(context: Context) -> Iterator[Finding]:
     """Check whether the settings can be used, and whether an agent runs with them."""
     yield from _file(context)
     yield _state_folder(context.state_folder)
-    yield _agent(context.state_folder)
+    yield _agent(context)
 
 
 def _file(context: Context) -> Iterator[Finding]:
@@ -189,7 +189,8 @@ def _state_folder(folder: Path) -> Finding:
     return ok(f"state folder {folder}, {'writable' if existing == folder else 'can be made'}")
 
 
-def _agent(folder: Path) -> Finding:
+def _agent(context: Context) -> Finding:
+    folder = context.state_folder
     if not is_held(folder):
         return ok("no agent runs at the moment")
     try:
@@ -200,6 +201,13 @@ def _agent(folder: Path) -> Finding:
             "It is starting, ending or stuck.",
             "wait a few seconds and look again: biosensor-gateway status; if it stays so: "
             "biosensor-gateway stop",
+        )
+    other = status_file.other_session(status, context.overrides)
+    if other:
+        return error(
+            other,
+            "A recorder, features and the page that start now record and show nothing of it.",
+            "biosensor-gateway stop\nand then, as it was started before: biosensor-gateway run",
         )
     states = ", ".join(f"{each['sensor']} {each['state']}" for each in status["devices"])
     return ok(f"an agent runs (process {status['process']}): {states or 'no devices'}")

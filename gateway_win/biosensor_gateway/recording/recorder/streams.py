@@ -10,7 +10,6 @@ from typing import Any
 
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.lsl import api_file
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.device_states import Absence, absences, identity_of, is_sending, names
@@ -118,7 +117,11 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
             )
             for each in enabled
         )
-    _require_session(settings, str(status.get("session", "")))
+    other = status_file.other_session(status, settings.lsl.overrides)
+    if other:
+        # In another session streams of equal source_ids are other people's.
+        message = f"{other}; start the agent again, or set session_id in [lsl] back"
+        raise RecorderError(RecorderReason.OTHER_SESSION, message)
     away = {e.device: e.sentence for e in absences(status["devices"]) if not e.is_partial}
     return tuple(_of_status(device, away) for device in status["devices"])
 
@@ -172,17 +175,6 @@ def look(settings: GatewaySettings, state: Path) -> Presence:
         away=tuple(device.away for device in expected if device.away),
         away_ids=frozenset[str]().union(*(e.source_ids for e in expected if e.away)),
     )  # fmt: skip
-
-
-def _require_session(settings: GatewaySettings, agent: str) -> None:
-    # In another session streams of equal source_ids are other people's.
-    own = api_file.session(api_file.config_here(settings.lsl.overrides))
-    if agent not in {"", own}:
-        message = (
-            f"the agent sends in the LSL session {agent}, and the settings now say {own}, so its "
-            "streams would not be recorded; start the agent again, or set session_id in [lsl] back"
-        )
-        raise RecorderError(RecorderReason.OTHER_SESSION, message)
 
 
 def own_events() -> str:
