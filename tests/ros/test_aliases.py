@@ -21,8 +21,8 @@ from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_hea
 from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, SETTLED_S, Discovery
 from lsl_to_ros.lsl.inlets import InletState
-from lsl_to_ros.parameters.node import ALIASES, aliases_of, check, fault
-from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.parameters.node import ALIASES, aliases_of, fault
+from lsl_to_ros.parameters.streams import StreamSettings, check
 from lsl_to_ros.routing import renamed
 from lsl_to_ros.statistics.losses import Lost, NodeCounters
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping

@@ -27,7 +27,7 @@ from lsl_to_ros.parameters.node import (
     STREAM_PREDICATE,
     TOPIC_PREFIX,
 )
-from lsl_to_ros.parameters.streams import Parameters, usage
+from lsl_to_ros.parameters.streams import check, usage
 from lsl_to_ros.ros_to_lsl.parameters import usage as usage_of_ros_to_lsl
 from lsl_to_ros.topics.publishers import make_publisher
 
@@ -185,26 +185,43 @@ WRONG_AT_START: list[tuple[str, object]] = [
     (STREAM_PREDICATE, "type="),
     (SESSION_ID, 42),
     (KNOWN_PEERS, "robot.local"),
+    (TOPIC_PREFIX, "/absolute"),
+    (QOS + "depth", 0),
+    ("use_sim_time", 5),
+    ("Chunk_Length", -4),
+    ("Chunk_Length", math.nan),
+    ("Chunk_Length", [1, 2]),
+    ("zephyr.ecg.Chunk_Length", 0),
+    ("Sensor_Enable", 1),
     ("stream_predikate", "type='EEG'"),
     ("sesion_id", "lab"),
     ("known_peer", ["a"]),
+    ("Chunk_Lenght", 5),
+    ("zephyr.ecg.Chunk_length", 5),
+    ("robot_name", "tiago"),
 ]
 
 
-@pytest.mark.parametrize(("name", "value"), WRONG_AT_START)
-def test_what_would_serve_other_streams_ends_the_node(name: str, value: object) -> None:
+@pytest.mark.parametrize(("name", "value"), WRONG_AT_START, ids=str)
+def test_what_is_wrong_at_the_start_ends_the_node(name: str, value: object) -> None:
     with pytest.raises(ConfigError) as caught:
-        node_parameters.check({name: value})
+        check({name: value})
     check_sentence(name, str(caught.value))
 
 
-def test_what_decides_about_no_stream_does_not_end_it() -> None:
-    node_parameters.check(dict(GOOD))
-    node_parameters.check({TOPIC_PREFIX: "/absolute", "zephyr.ecg.Chunk_Length": 0, "Chunk": 1})
+def test_a_misspelt_name_is_answered_by_the_right_one() -> None:
+    with pytest.raises(ConfigError, match=r"; zephyr\.ecg\.Chunk_Length is$"):
+        check({"zephyr.ecg.Chunk_Lenght": 5})
+
+
+def test_what_is_right_or_of_ros_does_not_end_it() -> None:
+    check(dict(GOOD))
+    check({"p01.zephyr.ecg.Chunk_Length": 5, "Sensor_Enable": False, "use_sim_time": True})
+    check({"start_type_description_service": True, "diagnostic_updater.use_fqn": True})
 
 
 def test_names_of_others_are_not_known() -> None:
-    for name in ("use_sim_time", "Chunk_Length", "topic_prefixes", "qos_override.x"):
+    for name in ("Chunk_Length", "topic_prefixes", "qos_override.x"):
         assert not node_parameters.is_known(name)
 
 
@@ -255,47 +272,6 @@ def test_defaults(make_node: MakeNode, name: str, default: Any) -> None:
 )
 def test_what_a_file_says_holds(make_node: MakeNode, name: str, value: Any) -> None:
     assert node_parameters.declare(make_node(**{name: value}), name) == value
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("name", "value", "default"),
-    [
-        (TOPIC_PREFIX, "/absolute", "biosensors"),
-        (TOPIC_PREFIX, 7, "biosensors"),
-        (STREAM_PREDICATE, "type=", ""),
-        (SESSION_ID, 42, ""),
-        (KNOWN_PEERS, "robot.local", [""]),
-        (KNOWN_PEERS, 3, [""]),
-    ],
-)
-def test_a_bad_value_of_a_file_gives_way_to_the_default(
-    make_node: MakeNode, name: str, value: Any, default: Any
-) -> None:
-    node = make_node(**{name: value})
-    assert node_parameters.declare(node, name) == default
-    assert node.get_parameter(name).value == default
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        (TOPIC_PREFIX, "/absolute"),
-        (STREAM_PREDICATE, "type="),
-        (SESSION_ID, 42),
-        (KNOWN_PEERS, "robot.local"),
-        (KNOWN_PEERS, 3),
-        (QOS + "depth", 0),
-    ],
-)
-def test_bad_values_of_a_file_are_said_when_all_are_looked_at(
-    make_node: MakeNode, capfd: pytest.CaptureFixture[str], name: str, value: Any
-) -> None:
-    node = make_node(**{name: value})
-    Parameters(node)
-    assert not node.has_parameter(name)
-    assert capfd.readouterr().err.count(name) == 1
 
 
 @pytest.mark.nightly

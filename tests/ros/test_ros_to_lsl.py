@@ -325,6 +325,23 @@ def test_what_is_wrong_ends_it_with_one_sentence(start_node: Start) -> None:
     assert "all_small" in shown.log
 
 
+def test_what_is_wrong_while_it_runs_is_refused_with_the_reason(
+    ros: Ros, start_node: Start
+) -> None:
+    start_node(*arguments("/a"), module=MODULE)
+    ros.until(lambda: ros.status("/a") is not None, "its first report")
+    wrong: list[tuple[str, bool | float | str, str]] = [
+        ("all_smal", True, "all_small is"),
+        ("/b.rate", 4.0, "/b is not among the topics"),
+        ("/a.rates", 4.0, "a topic has no 'rates'"),
+        ("use_sim_time", True, "simulated time cannot be put"),
+        ("topics", "/b", "read-only"),
+    ]
+    for name, value, reason in wrong:
+        assert reason in ros.set(name, value, node="/ros_to_lsl")
+    assert ros.set("use_sim_time", value=False, node="/ros_to_lsl") == ""
+
+
 # Robots whose clock is not this computer's, from their messages to the stamps in LSL.
 SOURCE = Path(__file__).parents[1] / "rigs" / "shifted_clock.c"
 ARGUMENTS = ("--ros-args", "-p", "topics:=[/pose, /vel]")
@@ -339,9 +356,10 @@ def start_robot(tmp_path: Path) -> Iterator[Callable[..., None]]:
     compile_c(SOURCE, library, "-shared", "-fPIC")
     robots: list[subprocess.Popen[bytes]] = []
 
-    def start(shift_ms: int, *arguments: str) -> None:
+    def start(shift_ms: int, *arguments: str, sawtooth_ms: int = 0) -> None:
         command = [sys.executable, "-m", "tests.rigs.shifted_publisher", *arguments]
-        shifted = {"SHIFT_MS": str(shift_ms), "LD_PRELOAD": str(library)}
+        shifted = {"SHIFT_MS": str(shift_ms), "SAWTOOTH_MS": str(sawtooth_ms)}
+        shifted["LD_PRELOAD"] = str(library)
         robots.append(subprocess.Popen(command, env=os.environ | shifted))
 
     yield start
@@ -407,3 +425,25 @@ def test_no_stamp_is_of_a_clock_that_is_behind(
             )
 
         ros.until(is_said, f"{word!r} in /diagnostics")
+
+
+@pytest.mark.parametrize("sawtooth_ms", [1000, 20_000])
+def test_a_clock_in_a_sawtooth_is_not_called_synchronised(
+    ros: Ros,
+    start_node: Callable[..., RunningNode],
+    start_robot: Callable[..., None],
+    sawtooth_ms: int,
+) -> None:
+    start_robot(-200, sawtooth_ms=sawtooth_ms)
+    start_node(*ARGUMENTS, module="lsl_to_ros.ros_to_lsl.node")
+    for name, column in (("pose", "pose.position.y"), ("vel", "linear.y")):
+
+        def is_doubted(topic: str = f"/{name}") -> bool:
+            status = ros.status(topic)
+            return status is not None and status["clock_source"].startswith(("behind", "wrong"))
+
+        ros.until(is_doubted, "a clock that is behind or wrong")
+        ros.spin(2.0)
+        assert is_doubted()
+        off_s, _ = stamps_off_s(ros, name, column)
+        assert abs(off_s) < 0.02

@@ -111,6 +111,7 @@ WRONG: list[tuple[dict[str, Any], ConfigReason, str]] = [
     ({"topics": ["/a"], "/a.rates": 5.0}, ConfigReason.UNKNOWN_KEY, "no 'rates'"),
     ({"topics": ["/a"], "/a.as": "text"}, ConfigReason.WRONG_VALUE, "samples, markers or json"),
     ({"topics": ["/a"], "/a.as": 1}, ConfigReason.WRONG_VALUE, "/a.as must be text"),
+    ({"topics": ["/a"], "/a.rate": 1e12}, ConfigReason.WRONG_VALUE, "from 0 to 10000 Hz"),
     ({"topics": ["/a"], "/a.rate": -1.0}, ConfigReason.WRONG_VALUE, "/a.rate"),
     ({"topics": ["/a"], "/a.rate": float("nan")}, ConfigReason.WRONG_VALUE, "/a.rate"),
     ({"topics": ["/a"], "/a.rate": True}, ConfigReason.WRONG_VALUE, "a number"),

@@ -131,6 +131,39 @@ def test_a_clock_that_runs_slow_does_not_stay_synchronised(slow: float) -> None:
     assert clock.edge_s > 0.02
 
 
+@pytest.mark.parametrize("rate", [5, 20, 200])
+@pytest.mark.parametrize("period_s", [0.5, 1.0, 2.0, 5.0, 10.0, 30.0])
+def test_a_clock_that_runs_slow_and_is_set_again_and_again_is_behind(
+    period_s: float, rate: int
+) -> None:
+    clock = PublisherClock()
+    for number in range(60 * rate):
+        passed_s = number / rate
+        true_ns = NOW_NS + round(passed_s * NS_PER_S)
+        late_s = 0.1 * (passed_s % period_s) / period_s
+        clock.observe(true_ns - round(late_s * NS_PER_S), true_ns + MILLISECOND)
+        if passed_s > 40.0 and period_s <= 10.0:
+            assert clock.state is ClockState.BEHIND
+            assert 0.06 < clock.edge_s < 0.11
+        if abs(passed_s - 25.0) < 0.1:
+            # Half of its measurements come when it is right, and say nothing of the rest.
+            clock.take_offset(Offset(-late_s - 0.001, -late_s + 0.001))
+            if late_s > WAY_S + 0.001:
+                assert clock.state is ClockState.WRONG
+                return
+    assert clock.state is ClockState.BEHIND
+
+
+def test_a_clock_that_was_behind_is_trusted_when_most_messages_come_in_time_again() -> None:
+    clock = observed(5.0, 0.001)
+    for number, late_s in enumerate([0.1] * 1500 + [0.001] * 1200):
+        stamp_ns = NOW_NS + 5 * NS_PER_S + number * PERIOD_NS
+        clock.observe(stamp_ns, stamp_ns + round(late_s * NS_PER_S))
+        if number in (1499, 1600):
+            assert clock.state is ClockState.BEHIND
+    assert clock.state is ClockState.SYNCHRONISED
+
+
 @pytest.mark.parametrize("offset_s", [0.05, 0.5, 0.95])
 def test_a_clock_that_may_be_behind_is_not_called_synchronised(offset_s: float) -> None:
     clock = observed(PATIENCE_S + 1, offset_s, jitter_s=0.002)

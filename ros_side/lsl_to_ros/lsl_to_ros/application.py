@@ -57,7 +57,7 @@ class LslToRos(Node):
     Raises
     ------
     ConfigError
-        If a parameter that selects the streams is wrong.
+        If a parameter is wrong or misspelt.
     """
 
     def __init__(self) -> None:
@@ -66,15 +66,13 @@ class LslToRos(Node):
             allow_undeclared_parameters=True,
             automatically_declare_parameters_from_overrides=True,
         )
-        given = self.get_parameters_by_prefix("").items()
-        node_parameters.check({name: each.value for name, each in given})
+        self._stream_parameters = Parameters(self)
         node_parameters.declare(self, DIAGNOSTICS_PERIOD)
         self._log = LimitedLog(self.get_logger())
         session = node_parameters.declare(self, SESSION_ID)
         peers = node_parameters.peers_of(node_parameters.declare(self, KNOWN_PEERS))
         configure_lsl(LslOverrides(session, peers, search_pause_s=SEARCH_PAUSE_S))
         self._ros_time = RosTime(self)
-        self._stream_parameters = Parameters(self)
         prefix = node_parameters.declare(self, TOPIC_PREFIX)
         predicate = node_parameters.declare(self, STREAM_PREDICATE)
         aliases = node_parameters.aliases_of(node_parameters.declare(self, ALIASES))

@@ -82,6 +82,9 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
         return
     except ConfigError as error:
         refuse(str(error))
+    except ValueError:
+        # rclpy's, and it does not tell which one.
+        refuse("a parameter has no value, or is an empty list, which ROS cannot take; leave it out")
     if elsewhere:
         node.get_logger().warning(elsewhere)
     executor = SingleThreadedExecutor()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, TypeGuard, cast
@@ -15,7 +15,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl.network import is_query
 
 TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
@@ -26,7 +25,7 @@ COMPAT, SMARTLAB = "compat", "smartlab"
 DIAGNOSTICS_PERIOD = "diagnostic_updater.period"
 """Named as in ``diagnostic_updater``, so that one file can set it for all nodes."""
 
-QOS_OVERRIDES = "qos_overrides."
+QOS_OVERRIDES, USE_SIM_TIME = "qos_overrides.", "use_sim_time"
 MAX_PREFIX_CHARACTERS = 100
 MAX_DEPTH = 1_000_000
 # Measured: docs/decisions/node/pace-bursts-for-subscribers.md.
@@ -175,38 +174,34 @@ _PARAMETERS = {
 
 TEXTS = {name: each.description for name, each in _PARAMETERS.items()}
 """Descriptions of the parameters, by name."""
-# With a wrong value or name of these, the node would serve other streams than intended, or in
-# another form.
-_WHICH_STREAMS = (STREAM_PREDICATE, SESSION_ID, KNOWN_PEERS, COMPAT)
+# Of ROS itself, or shared by nodes in one file for all of them.
+_OF_ROS = (USE_SIM_TIME, "start_type_description_service")
+_SHARED = (QOS_OVERRIDES, "diagnostic_updater.")
 
 
-def check(given: Mapping[str, object]) -> None:
-    """Refuse wrong parameters that select the streams; other wrong ones may be ignored.
+def is_of_ros(name: str) -> bool:
+    """Whether a parameter is not of this node alone, so that any node must bear it."""
+    return name in _OF_ROS or name.startswith(_SHARED)
 
-    Raises
-    ------
-    ConfigError
-        ``WRONG_VALUE`` or ``UNKNOWN_KEY``, with a sentence for the user.
-    """
-    for name, value in given.items():
-        similar = get_close_matches(name, _WHICH_STREAMS, n=1, cutoff=0.75)
-        if name in _WHICH_STREAMS and value is not None and (reason := fault(name, value)):
-            raise ConfigError(ConfigReason.WRONG_VALUE, reason)
-        if similar and name not in _WHICH_STREAMS:
-            message = f"{name} is no parameter of this node; {similar[0]} is"
-            raise ConfigError(ConfigReason.UNKNOWN_KEY, message)
+
+def unknown(name: str, known: Iterable[str]) -> str:
+    """Return the sentence about a parameter that a node does not have."""
+    similar = get_close_matches(name, known, n=1)
+    if similar:
+        return f"{name} is no parameter of this node; {similar[0]} is"
+    return (
+        f"{name} is no parameter of this node; --help lists those that are, and what a file has for"
+        " another node belongs below that node's name, not below /**"
+    )
 
 
 def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them
-    """Declare one parameter with its value of a file or command line; return the value."""
+    """Declare one parameter with its value of a file or command line, which must be valid."""
     parameter = _PARAMETERS[name]
     given = node.get_parameter_or(name).value
-    reason = None if given is None else fault(name, given)
-    if reason is not None:
-        node.get_logger().error(f"{reason}; it is ignored")
     if given is not None:
         node.undeclare_parameter(name)
-    value: Any = parameter.default if given is None or reason is not None else given
+    value: Any = parameter.default if given is None else given
     if isinstance(parameter.default, float):
         # YAML and the command line parse 1 as an integer, which ROS refuses for a float.
         value = float(value)
@@ -215,13 +210,15 @@ def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list 
 
 def is_known(name: str) -> bool:
     """Whether :func:`fault` can validate a parameter of this name."""
-    return name in _PARAMETERS or name.startswith(QOS_OVERRIDES)
+    return name in _PARAMETERS or name == USE_SIM_TIME or name.startswith(QOS_OVERRIDES)
 
 
 def fault(name: str, value: object) -> str | None:
     """Return why a value is refused; None if it is valid."""
     if name.startswith(QOS_OVERRIDES):
         return _qos_fault(name, value)
+    if name == USE_SIM_TIME:
+        return None if isinstance(value, bool) else f"{name} must be true or false, not {value!r}"
     parameter = _PARAMETERS[name]
     reason = _type_fault(parameter.default, value) or parameter.fault(value)
     return reason and f"{name} {reason}"

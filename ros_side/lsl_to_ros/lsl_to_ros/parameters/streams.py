@@ -9,9 +9,8 @@ The most specific key wins. Keys of streams that are not present yet can be set,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from rcl_interfaces.msg import (
     IntegerRange,
@@ -23,6 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from biosensor_common import naming
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from lsl_to_ros.command_line import page
 from lsl_to_ros.parameters import node as node_parameters
@@ -37,8 +37,6 @@ REMOVED = {
     " (stream_predicate), or read fast topics as _chunk or _stamped"
 }
 """Removed parameters, and their replacements."""
-# Any other parameter is a misspelling.
-_OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
 # ``ros2 param dump`` writes these values for keys that are not set, and parameter files and
 # ``ros2 param load`` pass them on.
 _UNSET = ("null", "None")
@@ -74,6 +72,11 @@ class Parameters:
     ----------
     node
         Must allow undeclared parameters, so that unknown sensors can have parameters.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter of a file or the command line is wrong or misspelt.
     """
 
     def __init__(self, node: Node) -> None:
@@ -85,7 +88,7 @@ class Parameters:
         self._owners: set[str] = set()
         self._sensors: set[str] = set()
         self._is_declaring = False
-        self._drop_invalid()
+        self._check_given()
         for key, value in DEFAULTS.items():
             given = node.get_parameter_or(key).value
             if given is not None:
@@ -166,19 +169,17 @@ class Parameters:
                     return value
         return self._node.get_parameter(key).value
 
-    def _drop_invalid(self) -> None:
-        """Undo invalid values of a parameter file, which is read before they can be refused."""
+    def _check_given(self) -> None:
+        """Check what a file or the command line gives, which no callback has seen."""
+        given: dict[str, object] = {}
         for name, parameter in self._node.get_parameters_by_prefix("").items():
-            if _is_unset(parameter):
-                self._node.undeclare_parameter(parameter.name)
-                continue
-            fault = _fault(parameter.name or name, parameter.value)
-            if fault is not None:
-                self._node.get_logger().error(f"{fault}; it is ignored")
+            if name in REMOVED:
+                self._node.get_logger().error(f"{_unknown(name)}; it is ignored")
+            if name in REMOVED or _is_unset(parameter):
                 self._node.undeclare_parameter(name)
-                # Otherwise a publisher would declare its override with the invalid value again.
-                overrides: dict[str, Any] = getattr(self._node, "_parameter_overrides", {})
-                overrides.pop(name, None)
+            else:
+                given[name] = parameter.value
+        check(given)
 
     def _validate(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         faults = (_fault(parameter.name, parameter.value) for parameter in parameters)
@@ -199,6 +200,20 @@ class Parameters:
         is_ours = any(not parameter.name.startswith(QOS_OVERRIDES) for parameter in parameters)
         if is_ours and not self._is_declaring:
             self._on_change()
+
+
+def check(given: Mapping[str, object]) -> None:
+    """Refuse wrong values and misspelt names.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, with a sentence for the user.
+    """
+    for name, value in given.items():
+        fault = _fault(name, value)
+        if fault is not None:
+            raise ConfigError(ConfigReason.WRONG_VALUE, fault)
 
 
 def prefixes(identity: DeviceIdentity, data_name: str) -> list[str]:
@@ -223,7 +238,7 @@ def _fault(name: str, value: object) -> str | None:
     if node_parameters.is_known(name):
         return None if value is None else node_parameters.fault(name, value)
     if key not in DEFAULTS:
-        return None if name in _OF_ROS else _unknown(name)
+        return None if node_parameters.is_of_ros(name) else _unknown(name)
     if value is None:
         return None
     if key == CHUNK_LENGTH:
@@ -237,7 +252,9 @@ def _fault(name: str, value: object) -> str | None:
 def _unknown(name: str) -> str:
     if name in REMOVED:
         return f"{name} is not a parameter any more: {REMOVED[name]}"
-    return f"{name} is no parameter of this node; it must be or end in {', '.join(DEFAULTS)}"
+    owner, _, _ = name.rpartition(".")
+    known = {f"{owner}.{each}" if owner else each for each in DEFAULTS}
+    return node_parameters.unknown(name, [*node_parameters.TEXTS, *sorted(known)])
 
 
 def _descriptor(key: str, *, dynamic: bool = False) -> ParameterDescriptor:

@@ -23,7 +23,6 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
 from biosensor_common.clocks import MonotonicStamps
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import configure_lsl
 from biosensor_common.refusal import Refusal, Refusals
@@ -247,14 +246,7 @@ def run() -> None:
 
 
 def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:
-    try:
-        node = RosToLsl()
-    except ValueError as error:
-        # rclpy's, of a parameter that is an empty list or has no value.
-        message = (
-            "a parameter has no value, or is an empty list, which ROS cannot take; leave it out"
-        )
-        raise ConfigError(ConfigReason.WRONG_VALUE, message) from error
+    node = RosToLsl()
     return node, node.stop
 
 

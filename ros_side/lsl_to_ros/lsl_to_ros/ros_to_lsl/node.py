@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from importlib import import_module
 
@@ -13,6 +14,8 @@ from lsl_to_ros.command_line import settle
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
+    # Until the node handles it, Ctrl-C would end imports with a traceback.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     raise_limit()
     limit_arenas(os.environ)
     liblsl.provide(os.environ)

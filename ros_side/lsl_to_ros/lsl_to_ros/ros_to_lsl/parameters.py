@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum, unique
+from functools import partial
 from typing import Any, NamedTuple, cast
 
-from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from lsl_to_ros.command_line import page
@@ -20,7 +21,10 @@ from lsl_to_ros.parameters.node import (
     PERIOD_S,
     PERIOD_TEXT,
     SESSION_ID,
+    USE_SIM_TIME,
+    is_of_ros,
     period_fault,
+    unknown,
 )
 
 
@@ -91,10 +95,8 @@ def stream_name(topic: str) -> str:
 TOPICS, ALL_SMALL, STAMPS = "topics", "all_small", "stamps"
 MEASURED, ARRIVAL = "measured", "arrival"
 AS, FIELDS, NAME, RATE, TYPE = "as", "fields", "name", "rate", "type"
-USE_SIM_TIME = "use_sim_time"
-# Parameters of ROS itself.
-_OF_ROS = frozenset({USE_SIM_TIME, "start_type_description_service"})
-_QOS_OVERRIDES = "qos_overrides."
+# Receivers make room for six minutes at the nominal rate.
+MAX_RATE_HZ = 10_000
 _STREAM_NAME = re.compile(r"[A-Za-z0-9_-]{1,100}")
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg/)?[A-Z][A-Za-z0-9]*")
 
@@ -131,6 +133,7 @@ TOPIC_OPTIONS: Mapping[str, Option] = {
     RATE: Option(0.0, "nominal rate in Hz of the LSL stream; 0: irregular"),
     TYPE: Option("", "message type, to be subscribed before anybody publishes"),
 }
+_SIMULATED = Option(False, "of ROS itself")
 _TYPES: dict[type[Any], int] = {
     bool: ParameterType.PARAMETER_BOOL,
     float: ParameterType.PARAMETER_DOUBLE,
@@ -161,7 +164,23 @@ def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
         for name, option in TOPIC_OPTIONS.items()
     }
     _declare(node, values | of_topics)
+    # Declared ones are read-only; others would be accepted, because undeclared ones are allowed.
+    node.add_on_set_parameters_callback(partial(_refuse_wrong, values=values))
     return requests
+
+
+def _refuse_wrong(
+    parameters: Iterable[Parameter], *, values: Mapping[str, Any]
+) -> SetParametersResult:
+    """Refuse parameters that the node does not have, while it runs."""
+    try:
+        for each in parameters:
+            _check_known(each.name, _topics(values[TOPICS]))
+            if each.name == USE_SIM_TIME:
+                _check_stamps(values[STAMPS], use_sim_time=bool(each.value))
+    except ConfigError as error:
+        return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)
 
 
 def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requests:
@@ -182,7 +201,7 @@ def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requ
     _check_names(requests)
     if reason := period_fault(values[DIAGNOSTICS_PERIOD]):
         raise _wrong(f"{DIAGNOSTICS_PERIOD} {reason}")
-    _check_stamps(values[STAMPS], use_sim_time=bool(given.get(USE_SIM_TIME)))
+    _check_stamps(values[STAMPS], use_sim_time=_value(given, USE_SIM_TIME, _SIMULATED))
     if not requests and not values[ALL_SMALL]:
         message = (
             'there is nothing to send: name topics, as in -p topics:="[/joint_states]", or'
@@ -203,7 +222,7 @@ def _topics(value: Sequence[str]) -> list[str]:
 
 
 def _check_known(name: str, topics: Sequence[str]) -> None:
-    if name in _OF_ROS or name in NODE_OPTIONS or name.startswith(_QOS_OVERRIDES):
+    if name in NODE_OPTIONS or is_of_ros(name):
         return
     topic, _, option = name.rpartition(".")
     if topic in topics and option in TOPIC_OPTIONS:
@@ -213,8 +232,7 @@ def _check_known(name: str, topics: Sequence[str]) -> None:
     elif topic:
         message = f"{name}: a topic has no {option!r}; it has {', '.join(TOPIC_OPTIONS)}"
     else:
-        known = ", ".join(NODE_OPTIONS)
-        message = f"{name} is no parameter of ros_to_lsl; there are {known}, and those of topics"
+        message = unknown(name, NODE_OPTIONS)
     raise ConfigError(ConfigReason.UNKNOWN_KEY, message)
 
 
@@ -258,8 +276,8 @@ def _request(topic: str, given: Mapping[str, Any], resolve: Callable[[str], str]
         )
     if value[AS] not in list(SendAs):
         raise _wrong(f"{topic}.{AS} must be samples, markers or json, not {value[AS]!r}")
-    if not (math.isfinite(value[RATE]) and value[RATE] >= 0):
-        raise _wrong(f"{topic}.{RATE} must be 0 or a rate in Hz, not {value[RATE]!r}")
+    if not 0 <= value[RATE] <= MAX_RATE_HZ:
+        raise _wrong(f"{topic}.{RATE} must be from 0 to {MAX_RATE_HZ} Hz, not {value[RATE]!r}")
     if value[TYPE] and not _TYPE_NAME.fullmatch(value[TYPE]):
         raise _wrong(f"{topic}.{TYPE} must be such as std_msgs/msg/String, not {value[TYPE]!r}")
     fields = tuple(each for each in value[FIELDS] if each)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from enum import StrEnum, unique
+from statistics import median
 from typing import NamedTuple
 
 from biosensor_common.clocks import MonotonicStamps
-from biosensor_common.lower_envelope import LateRun, LowerEnvelope, Patience
+from biosensor_common.lower_envelope import LowerEnvelope
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
@@ -21,10 +23,9 @@ BEHIND_S = 1.0
 """No network takes so long; a larger delay is the clock's error."""
 PATIENCE_S = 2.0
 """For this time, late messages may still be explained by a backlog."""
-SET_BACK = Patience(10.0, 10, spread=0.5)
-"""If messages of a correct clock stay late, all by the same time, the clock was set."""
-STAYED_LATE = Patience(30.0, 10)
-"""If they stay late for so long by any time, the clock may run slow."""
+MOMENT_S, MOMENTS, LEAST_MOMENTS = 0.1, 100, 10
+"""Messages of one moment may have waited together. If in most of the newest moments, at least so
+many, none came in time, the clock is behind, as one that runs slow and is set again and again."""
 _PERIOD_S = 1.0
 
 
@@ -52,7 +53,8 @@ class PublisherClock:
     """Tracks the lower edge of arrival minus stamp: the smallest delay plus the clock offset.
 
     Delays are never negative, so the edge of a correct clock is just above 0. If it is higher, only
-    a measurement can separate offset and delay. A clock that was wrong once stays untrusted.
+    a measurement can separate offset and delay. A clock that was wrong once stays untrusted; one
+    that was right and then behind is trusted again when most messages come in time.
 
     Attributes
     ----------
@@ -67,7 +69,11 @@ class PublisherClock:
         self._envelope: LowerEnvelope | None = None
         self._lowest = (0.0, math.inf)
         self._newest_s = self._period_begin_s = 0.0
-        self._late = LateRun()
+        self._was_right = False
+        self._moment = 0
+        # The smallest delay of each moment.
+        self._delays: deque[float] = deque(maxlen=MOMENTS)
+        self._usual_s = 0.0
 
     @property
     def is_in_doubt(self) -> bool:
@@ -76,9 +82,14 @@ class PublisherClock:
 
     @property
     def edge_s(self) -> float:
-        """Lower edge of arrival minus stamp, in seconds; NaN before the first message."""
+        """Lower edge of arrival minus stamp, in seconds; NaN before the first message.
+
+        Of a clock that was right and is behind, the edge is the largest delay of a moment.
+        """
         if self._envelope is None:
             return math.nan
+        if self._was_right and self.state is ClockState.BEHIND:
+            return max(self._delays)
         return self._first_delay_ns / NS_PER_S + min(
             self._envelope.at(self._newest_s), self._lowest[1]
         )
@@ -113,20 +124,29 @@ class PublisherClock:
             # Only the lowest point of each second, because a fit takes longer than all other work.
             self._envelope.add(*self._lowest)
             self._lowest, self._period_begin_s = (0.0, math.inf), passed_s
-        self._late.add(delay_s, WAY_S, passed_s)
+        self._add_to_moment(delay_s, arrival_ns)
         self._judge(delay_s)
         # If the clock was measured to be right, late messages are due to the network.
         is_right = self.state is ClockState.SYNCHRONISED and self.offset is None
-        is_to_doubt = is_right or self._late.least > BEHIND_S
-        if self.state in _NOT_WRONG and is_to_doubt and any(map(self._late.outlasts, _LATE)):
-            self.state = _late_state(self._late.least)
+        limit_s = WAY_S if is_right else BEHIND_S
+        if self.state is not ClockState.WRONG and self._usual_s > limit_s:
+            self.state, self._was_right = _late_state(self._usual_s), True
             self._begin(stamp_ns, arrival_ns)
+
+    def _add_to_moment(self, delay_s: float, arrival_ns: int) -> None:
+        moment = arrival_ns // round(MOMENT_S * NS_PER_S)
+        if moment == self._moment:
+            self._delays[-1] = min(self._delays[-1], delay_s)
+            return  # nothing is dropped: it came with others
+        if len(self._delays) >= LEAST_MOMENTS:
+            self._usual_s = median(self._delays)
+        self._delays.append(delay_s)
+        self._moment = moment
 
     def _begin(self, stamp_ns: int, arrival_ns: int) -> None:
         self._first_delay_ns, self._first_arrival_ns = arrival_ns - stamp_ns, arrival_ns
         self._envelope, self._lowest = LowerEnvelope(0.0), (0.0, math.inf)
         self._newest_s = self._period_begin_s = 0.0
-        self._late = LateRun()
 
     def look(self, now_ns: int) -> None:
         """Update the state by the elapsed time, also without new messages."""
@@ -137,6 +157,8 @@ class PublisherClock:
 
     def take_offset(self, offset: Offset) -> None:
         """Store the measured offset of the publisher's clock."""
+        if self._was_right and self.state is ClockState.BEHIND and self._delays[-1] <= WAY_S:
+            return  # nothing is dropped: at this moment it is right, which explains no late ones
         self.offset = offset
         if offset.least_s > AHEAD_S or offset.most_s < -WAY_S:
             self.state = ClockState.WRONG
@@ -147,14 +169,16 @@ class PublisherClock:
         if delay_s < -AHEAD_S:
             self.state = ClockState.WRONG
         elif self.state in (ClockState.UNKNOWN, ClockState.BEHIND):
-            if delay_s <= WAY_S:
+            if delay_s <= WAY_S and not self._was_right:
+                self.state = ClockState.SYNCHRONISED
+                # They came late by the way.
+                self._delays.clear()
+                self._delays.append(delay_s)
+                self._usual_s = 0.0
+            elif self._was_right and self._usual_s <= WAY_S:
                 self.state = ClockState.SYNCHRONISED
             elif self.state is ClockState.UNKNOWN and self._newest_s > PATIENCE_S:
                 self.state = _late_state(self.edge_s)
-
-
-_LATE = (SET_BACK, STAYED_LATE)
-_NOT_WRONG = (ClockState.SYNCHRONISED, ClockState.BEHIND)
 
 
 def _late_state(edge_s: float) -> ClockState:
