@@ -66,6 +66,23 @@ def test_one_sensor_of_the_person_before() -> None:
     assert found.sentence == "the file is called P05, but P04 wears polar_h10/A"
 
 
+@pytest.mark.parametrize(
+    ("named", "first", "other"),
+    [
+        ("P01", "P01", "p01"),
+        ("P01", "P-01", "P01"),
+        ("Muller", "M\u00fcller", "Mu\u0308ller"),
+        ("1", "\u5c71\u75301", "\u7530\u4e2d1"),
+        ("con", "CON", "con"),
+    ],
+)
+def test_two_spellings_are_two_people(named: str, first: str, other: str) -> None:
+    found = compare(named, worn(first, other))
+    assert found is not None
+    second = first if other == named else other
+    assert (found.is_all, found.others) == (False, (second,))
+
+
 def test_many_names_are_a_sentence() -> None:
     assert listed([]) == ""
     assert listed(["a"]) == "a"

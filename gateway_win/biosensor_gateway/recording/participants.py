@@ -74,8 +74,9 @@ class OtherParticipantsError(ConfigError):
 def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
     """Compare the participant in a file's name with those of its sensors; None if they agree.
 
-    A file or sensor without a participant agrees with any. A participant such as ``group07``
-    agrees if several people wear the sensors.
+    A file or sensor without a participant agrees with any, and a file with one person, however
+    spelt: two spellings are two people in exports. A participant such as ``group07`` agrees if
+    several people wear the sensors.
 
     Parameters
     ----------
@@ -86,11 +87,14 @@ def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
     """
     sensors = [each for each in dict.fromkeys(worn) if each.participant]
     people = list(dict.fromkeys(each.participant for each in sensors))
-    others = tuple(each for each in people if not _is_same(named, each))
+    same = sorted(
+        (each for each in people if _is_same(named, each)), key=lambda each: each != named
+    )
+    others = tuple(each for each in people if each not in same[:1])
     is_group = len(people) > 1 and named.lower().startswith(GROUP)
     if not named or not others or is_group:
         return None
-    is_all = len(others) == len(people)
+    is_all = not same
     if is_all:
         sentence = f"the file is called {named}, but its sensors are worn by {listed(others)}"
     else:
