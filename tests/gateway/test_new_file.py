@@ -252,6 +252,20 @@ def test_one_sentence_says_what_to_do() -> None:
     assert "Choose a folder that stays here" in sentence
 
 
+@pytest.mark.parametrize(
+    ("earlier", "now"),
+    [("P01", "p01"), ("P01", "PO1"), ("P01", "P1"), ("P1", "P001"), ("Ll5", "lI5"), ("07", "7")],
+)
+def test_a_name_like_that_of_an_earlier_recording_is_told(
+    tmp_path: Path, earlier: str, now: str
+) -> None:
+    for name in (earlier, now, "P10"):
+        (tmp_path / f"sub-{name}" / "ses-S001" / "beh").mkdir(parents=True)
+    (sentence,) = warnings_of(tmp_path / f"sub-{now}" / "ses-S001" / "beh")
+    assert sentence.startswith(f"{tmp_path} has recordings of {earlier}, too, and this one is of")
+    assert warnings_of(tmp_path / "sub-P10" / "ses-S001" / "beh") == ()
+
+
 # The status file: written whole, read with doubt.
 class NoDriver:
     silence_limit_s = math.inf

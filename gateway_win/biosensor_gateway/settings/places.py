@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import platformdirs
@@ -42,6 +42,8 @@ _FOLDERS = (
     (re.compile(r"CloudStorage"), "a cloud service"),
 )
 """Default names of such folders; on macOS they are all in CloudStorage."""
+_SUBJECT = "sub-"
+_LEADING_ZEROS = re.compile(r"(?<!\d)0+(?=\d)")
 _RECORDINGS = "Biosensor recordings"
 _FETCHED_WHEN_OPENED = 0x00040000 | 0x00400000
 """FILE_ATTRIBUTE_RECALL_ON_OPEN and FILE_ATTRIBUTE_RECALL_ON_DATA_ACCESS of Windows."""
@@ -67,7 +69,33 @@ def warnings_of(folder: Path) -> tuple[str, ...]:
         f"{cloud} copies {folder} to other computers: what is recorded of people leaves this one, "
         "and the file may be held while it grows. Choose a folder that stays here"
     )
-    return (sentence,) if cloud else ()
+    return (*([sentence] if cloud else ()), *_of_mistyped(folder))
+
+
+def _of_mistyped(folder: Path) -> Iterator[str]:
+    """Tell of other participants' folders whose names look like that of this recording."""
+    own = next((each for each in (folder, *folder.parents) if each.name.startswith(_SUBJECT)), None)
+    if own is None:
+        return
+    try:
+        beside = sorted(
+            each.name for each in own.parent.iterdir() if each.name.startswith(_SUBJECT)
+        )
+    except OSError:
+        beside = []
+    alike = [each for each in beside if each != own.name and _looks(each) == _looks(own.name)]
+    if alike:
+        names = ", ".join(each.removeprefix(_SUBJECT) for each in alike)
+        yield (
+            f"{own.parent} has recordings of {names}, too, and this one is of "
+            f"{own.name.removeprefix(_SUBJECT)}: if that is one person, stop, correct the name and "
+            "record again"
+        )
+
+
+def _looks(name: str) -> str:
+    """Return a name without what is easily mistyped: case, O and 0, I, l and 1, leading zeros."""
+    return _LEADING_ZEROS.sub("", name.casefold().translate(str.maketrans("oil", "011")))
 
 
 def usual_recordings_folder() -> Path:
