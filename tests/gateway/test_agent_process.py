@@ -306,14 +306,11 @@ import time
 from biosensor_gateway.agent import status_file
 status_file.remove_status = lambda folder: time.sleep(60)
 """
-# An agent that hangs as it closes, as liblsl does at times while it destroys an outlet; it may take
-# a second instead of twenty.
+# An agent that hangs as it closes, as liblsl does at times while it destroys an outlet.
 CLOSING_NEVER_ENDS = """
 import threading
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.cli import agent_process
 status_file.remove_status = lambda folder: threading.Event().wait()
-agent_process._ENDS_WITHIN_S = 1.0
 """
 # An agent that takes its time to come up, and says when it has begun.
 STARTING_TAKES_A_WHILE = """
@@ -496,12 +493,16 @@ def test_an_agent_that_does_not_end_in_time_is_named(
         assert agent.poll() is None
 
 
+@pytest.mark.parametrize("is_signalled", [False, True])
 def test_an_agent_that_hangs_while_it_closes_ends_all_the_same(
-    cli_process: StartCli, until: Until, tmp_path: Path
+    cli_process: StartCli, until: Until, tmp_path: Path, is_signalled: bool
 ) -> None:
     with cli_process(tmp_path, *RUN, before=CLOSING_NEVER_ENDS) as agent:
         until(lambda: pushed(tmp_path) > 0)
-        assert stop(tmp_path, "--timeout", "30") == (0, "the agent has ended\n", "")
+        if is_signalled:
+            agent.terminate()
+        else:
+            assert stop(tmp_path, "--timeout", "30") == (0, "the agent has ended\n", "")
         # Not as a crash, after which a supervisor would start it again.
         assert agent.wait(DEADLINE_S) == 0
     assert not is_held(tmp_path)

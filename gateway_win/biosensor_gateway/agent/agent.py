@@ -249,6 +249,8 @@ class Agent:
     ----------
     on_status
         Called once a second with the contents of the status file, see `AgentStatus`.
+    on_end
+        Called when it begins to close.
 
     Raises
     ------
@@ -278,6 +280,7 @@ class Agent:
         self._heartbeat_s = settings.events.heartbeat_s
         self._feature_refusals: Sequence[RefusedStatus] = ()
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
+        self.on_end: Callable[[], None] = lambda: None
         self._status = StatusWriter(folder)
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
 
@@ -312,6 +315,7 @@ class Agent:
         try:
             await asyncio.gather(*tasks)
         finally:
+            self.on_end()
             announcer.announce(EventKind.AGENT_STOPPED, {})
             for task in tasks:
                 task.cancel()

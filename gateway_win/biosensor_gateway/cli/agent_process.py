@@ -19,7 +19,7 @@ import typer
 
 from biosensor_common.child import Backoff, close_input, ending_in_words, send, wait_or_kill
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
-from biosensor_common.process_limits import end_within
+from biosensor_common.process_limits import END_S, end_within
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.device_set import ReadSettings
@@ -101,11 +101,6 @@ class StartLog:
         else:
             _start_log.error("the agent failed", exc_info=error)
 
-
-END_S = 5.0
-"""How long the process of live features may take to close its streams."""
-_ENDS_WITHIN_S = 20.0
-"""How long the agent may take to end; closing a device has its own, shorter limits."""
 
 _log = structlog.get_logger("biosensor_gateway.cli")
 
@@ -224,9 +219,10 @@ def _run_agent(
         if panel is not None:
             agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
-        with FeatureProcess(loaded.lsl) if features else nullcontext():
-            work = agent.run if unguarded else controlled
-            asyncio.run(until_signalled(work, ends_within_s=_ENDS_WITHIN_S))
+        with FeatureProcess(loaded.lsl) if features else nullcontext() as process:
+            if process is not None:
+                agent.on_end = process.end_soon
+            asyncio.run(until_signalled(agent.run if unguarded else controlled, code=0))
         if panel is not None:
             panel.close("Ended. Nothing is streamed any more.")
 
@@ -241,7 +237,7 @@ async def _run_controlled(agent: Agent, folder: Path) -> None:
         if not running.cancelling():
             # liblsl may hang while it destroys an outlet: see docs/liblsl-closing-outlets.md.
             # With exit code 0, because a supervisor would start it again otherwise.
-            end_within(_ENDS_WITHIN_S, code=0)
+            end_within(code=0)
             running.cancel()
         return {"process": os.getpid()}
 
@@ -273,12 +269,16 @@ class FeatureProcess:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def end_soon(self) -> None:
+        """Tell the process to end, without waiting for it."""
         with self._lock:
             self._stopping.set()
-            process = self._process
-            if process is not None:
-                close_input(process)
+            if self._process is not None:
+                close_input(self._process)
+
+    def __exit__(self, *_: object) -> None:
+        self.end_soon()
+        process = self._process
         if process is not None:
             wait_or_kill(process, END_S)
         self._thread.join(END_S)

@@ -51,7 +51,10 @@ def requests_interrupt() -> Generator[None]:
 
 
 async def until_signalled(
-    main_task: Callable[[], Coroutine[Any, Any, None]], *, ends_within_s: float = END_S
+    main_task: Callable[[], Coroutine[Any, Any, None]],
+    *,
+    ends_within_s: float = END_S,
+    code: int = 1,
 ) -> None:
     """Run a coroutine to its end; at a request to stop, cancel it once and wait for its end.
 
@@ -64,6 +67,8 @@ async def until_signalled(
     ----------
     ends_within_s
         Time after the first request at which the process is ended, even if it is blocked.
+    code
+        Its exit code then.
 
     Raises
     ------
@@ -75,7 +80,7 @@ async def until_signalled(
 
     def stop() -> None:
         if not task.cancelling():
-            end_within(ends_within_s)
+            end_within(ends_within_s, code)
             task.cancel()
 
     def stop_from_any_thread() -> None:
