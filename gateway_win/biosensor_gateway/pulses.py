@@ -40,6 +40,9 @@ SKEWNESS_PIECE_S, SKEWNESS_PIECES = 2.0, 8
 LEAST_SHARE, RISE_S = 0.23, 0.4
 """Smallest rise of a pulse, as a share of the usual rise, within this time before its top; the
 filter makes smaller waves between slow pulses."""
+NOISE_TIMES, NOISE_SHARE = 8.0, 0.35
+"""A pulse rises by so many standard deviations of the noise in levels; this share of the usual rise
+is enough in any case."""
 FALL_COUNTS, SMOOTH_S = 2.0, 0.16
 """How much the fall behind a top counts, and over how long levels are averaged."""
 EARLY_S, EARLY_SHARE = 0.27, 0.4
@@ -54,6 +57,8 @@ LOST_S = 4.0
 # Largest delay of an apex by the filter's group delay.
 _APEX_S = 0.12
 _KEPT_S = 3.0
+# Standard deviation of normal values, relative to the median of their sizes.
+_OF_MEDIAN = 1.4826
 _Kept = tuple[float, float, float]
 """Stamp, value, and value after the filter."""
 
@@ -177,16 +182,29 @@ class Pulses:
             self._heights.clear()
             self._rises.clear()
         rise = self._rise(kept, top)
-        usual = median(self._rises) if self._rises else 0.0
-        if since_s < REFRACTORY_S or rise < LEAST_SHARE * usual:
+        least = self._least_rise(kept)
+        if since_s < REFRACTORY_S or rise < least:
             return []  # nothing is dropped: it is no pulse of its own
-        passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top)]
+        passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top, least)]
         self._last, self.height = beat.stamp, upright[top]
         self._heights.append(upright[top])
         self._rises.append(rise)
         return [*passed, beat]
 
-    def _passed_over(self, kept: Sequence[_Kept], upright: Sequence[float], top: int) -> list[int]:
+    def _least_rise(self, kept: Sequence[_Kept]) -> float:
+        """Return by how much a pulse stands out at least: of other ones, and of white noise."""
+        if not self._rises:
+            return 0.0
+        usual = median(self._rises)
+        values = [each[1] for each in kept]
+        # Second differences are those of noise at most samples, and their median leaves out others.
+        bends = (a - 2 * b + c for a, b, c in zip(values, values[1:], values[2:], strict=False))
+        noise = median(map(abs, bends)) * _OF_MEDIAN / math.sqrt(6 * (2 * self._smooth + 1))
+        return max(LEAST_SHARE * usual, min(NOISE_SHARE * usual, NOISE_TIMES * noise))
+
+    def _passed_over(
+        self, kept: Sequence[_Kept], upright: Sequence[float], top: int, least: float
+    ) -> list[int]:
         """Return the tops of early pulses that the previous pulse hid from the moving means.
 
         Unlike the dicrotic wave of a pulse, such a top is nearly as high as others, and the signal
@@ -204,7 +222,6 @@ class Pulses:
             if not is_top or upright[place] < limit or place - last < near:
                 continue  # nothing is dropped: it is no top of a pulse
             valley = max(min(upright[last:place]), min(upright[place:top]))
-            least = LEAST_SHARE * median(self._rises)
             if valley < VALLEY_SHARE * upright[place] and self._rise(kept, place) >= least:
                 found.append(place)
                 last = place

@@ -105,20 +105,20 @@ def test_of_a_slow_pulse_no_wave_is_counted_twice(bpm: float) -> None:
     assert len(told.off_bpm) == pytest.approx(np.sum(beats > LEARNT_S), abs=3)
 
 
-@pytest.mark.parametrize("rate", [25.0, PULSE_HZ])
-@pytest.mark.parametrize("bpm", [32, 38, 42, 46])
+@pytest.mark.parametrize("rate", [25.0, 50.0, PULSE_HZ])
+@pytest.mark.parametrize("bpm", [30, 32, 38, 42, 46])
 def test_between_slow_pulses_neither_noise_nor_a_wandering_level_is_one(
     bpm: float, rate: float
 ) -> None:
     beats = signals.regular(bpm, 60, seed=6)
     pulse = signals.pulse_of(beats, rate, 60, seed=4)
     t = 2 * np.pi * np.arange(len(pulse)) / rate
-    noise = 0.08 * np.random.default_rng(13).standard_normal(len(pulse))
+    noise = 0.1 * np.random.default_rng(13).standard_normal(len(pulse))
     for beside in (noise, np.sin(0.15 * t), 0.5 * np.sin(0.3 * t)):
         events = signals.events_of("PPG", pulse + beside, rate)
         assert told_of(events, beats).wrong == 0
         found = signals.stamps_of(events, "beats")
-        assert max(np.abs(beats - each).min() for each in found[found > LEARNT_S]) < 0.15
+        assert max(np.abs(beats - each).min() for each in found[found > LEARNT_S]) < 0.2
 
 
 @pytest.mark.parametrize("bpm", [45, 60, 80, 100])
@@ -185,13 +185,22 @@ def _twice(phase: Array) -> Array:
     return np.sin(2 * np.pi * phase) + 1.3 * np.sin(4 * np.pi * phase + 1)
 
 
+def _rectified(phase: Array) -> Array:
+    return np.abs(np.sin(np.pi * phase))
+
+
+def _half(phase: Array) -> Array:
+    return np.maximum(0, np.sin(2 * np.pi * phase))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
 @pytest.mark.parametrize("rate", [25.0, 64.0, 130.0])
-@pytest.mark.parametrize("light", [_saw, _switched, _glowing, _twice])
+@pytest.mark.parametrize("light", [_saw, _switched, _glowing, _twice, _rectified, _half])
 def test_light_of_any_shape_that_repeats_like_a_clock_is_no_good_pulse(
-    light: Callable[[Array], Array], rate: float
+    light: Callable[[Array], Array], rate: float, share: float
 ) -> None:
     t = np.arange(30 * rate) / rate
-    noise = 0.02 * np.random.default_rng(2).standard_normal(len(t))
+    noise = share * np.random.default_rng(2).standard_normal(len(t))
     for hertz in (0.62, 0.8, 1.1, 1.37, 2.0):
         events = signals.events_of("PPG", light(hertz * t) + noise, rate)
         assert signals.values_of(events, "sqi")[:, 0].max() < 0.5, hertz

@@ -68,7 +68,8 @@ def test_what_commands_name_exists() -> None:
             case ["make", *targets]:
                 assert all(re.search(rf"^{each}:", makefile, re.MULTILINE) for each in targets)
             case ["python", "-m", module, *_]:
-                assert (ROOT / module.replace(".", "/") / "__main__.py").is_file()
+                path = ROOT / module.replace(".", "/")
+                assert (path / "__main__.py").is_file() or path.with_suffix(".py").is_file()
             case _:
                 pytest.fail(f"neither make nor a module: {line}")
 

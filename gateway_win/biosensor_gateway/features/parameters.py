@@ -168,13 +168,16 @@ PPG_ROUND_HZ = 2.0
 """From this rate on, a pulse has the less of it the faster it is, by the third power."""
 PPG_APART = (0.004, 0.012)
 """[14]_, of waves laid over each other; 1 where they have nothing to do with each other. Those of
-a lamp have up to 0.006 with noise of a fiftieth; of 349 windows of real pulses none is below
-0.013."""
-PPG_APART_STEP_HZ, PPG_APART_NEAR = 0.0005, 0.1
+a lamp have up to 0.005 with noise of a tenth; of 445 windows of real pulses none is below 0.017."""
+PPG_APART_STEPS_HZ, PPG_APART_NEAR = (0.002, 0.0005), 0.1
 """How finely the period is looked for, where it is near: waves at both ends of a window are then
 apart by less than a hundredth of one. From this on it is not near."""
-PPG_APART_RATE_HZ, PPG_APART_TRIMMED = 50.0, 0.02
-"""This share of the largest differences is left out, for edges are steep."""
+PPG_APART_RATE_HZ, PPG_APART_SMOOTH_S = 50.0, 0.25
+PPG_APART_TRIMMED, PPG_APART_NOISE = 0.02, 1.25
+"""This share of the largest differences is left out, for edges are steep. Of the variance of noise,
+0.86 times is left then; more is subtracted, because it is known roughly."""
+PPG_NOISE_HZ = 4.0
+"""What is between the overtones of a pulse from this frequency on is noise."""
 PPG_SECOND_HZ, PPG_SECOND_NEAR_HZ = (0.7, 3.5), 0.25
 """Where the rates of hearts and of steps are, and how wide a line is in a window of 10 s."""
 PPG_SECOND_SHARE, PPG_SECOND_ALONE = 0.01, (0.85, 0.95)

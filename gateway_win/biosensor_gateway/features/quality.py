@@ -43,32 +43,49 @@ def apart(values: Array, rate: float, hertz: float) -> float:
     """Return how much the waves of a period differ, from 0 for equal to 1 for unrelated ones.
 
     Samples are sorted by phase, and neighbours are compared, as Lafler and Kinman did with stars.
-    A heart's beats differ in interval and height. The waves of an aliased lamp are all equal.
+    A heart's beats differ in interval and height. The waves of an aliased lamp are all equal but
+    for noise, which is smoothed, and whose rest is subtracted.
 
     Parameters
     ----------
     hertz
         Approximation of the strongest frequency.
     """
-    slow, rate = averaged(values, rate, at.PPG_APART_RATE_HZ)
-    times = np.arange(len(slow)) / rate
-    whole = 2 * float(slow.var())
-    if not whole > 0:
+    raw, rate = averaged(values, rate, at.PPG_APART_RATE_HZ)
+    smoothing = np.hanning(round(at.PPG_APART_SMOOTH_S * rate) + 2)[1:-1]
+    smoothing /= smoothing.sum()
+    slow = np.convolve(raw, smoothing, "valid")
+    variance = float(slow.var())
+    if not variance > 0:
         return 1.0
+    noise = _white_noise(raw, rate) * float(np.square(smoothing).sum()) / variance
+    times = np.arange(len(slow)) / rate
     kept = round((1 - at.PPG_APART_TRIMMED) * len(slow))
 
     def at_hertz(tried: float) -> float:
         order = np.argsort(times * tried % 1, kind="stable")
         steps = np.square(np.diff(slow[order], append=slow[order[0]]))
-        return float(np.sort(steps)[:kept].sum()) / len(slow) / whole
+        least = float(np.sort(steps)[:kept].sum()) / len(slow) / (2 * variance)
+        return least - at.PPG_APART_NOISE * noise
 
     found: list[float] = []
     # The strongest frequency may be the first overtone.
     for begin in (hertz, hertz / 2):
-        found.append(at_hertz(begin))
-        if found[-1] < at.PPG_APART_NEAR:
-            found += [at_hertz(begin + place * at.PPG_APART_STEP_HZ) for place in range(-4, 5)]
+        best, found_hz = at_hertz(begin), begin
+        for step_hz in at.PPG_APART_STEPS_HZ if best < at.PPG_APART_NEAR else ():
+            around = [found_hz + place * step_hz for place in range(-4, 5)]
+            best, found_hz = min((at_hertz(each), each) for each in around)
+        found.append(best)
     return min(found)
+
+
+def _white_noise(values: Array, rate: float) -> float:
+    """Return the variance of white noise in a pulse, from what is above its strong overtones."""
+    window = np.hanning(len(values))
+    spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * window)))
+    is_above = np.fft.rfftfreq(len(values), 1 / rate) >= at.PPG_NOISE_HZ
+    # The median leaves out single lines; it is that of an exponential distribution.
+    return float(np.median(spectrum[is_above])) / math.log(2) / float(np.square(window).sum())
 
 
 def averaged(values: Array, rate: float, wanted_hz: float) -> tuple[Array, float]:
