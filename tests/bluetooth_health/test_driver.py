@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from biosensor_common import plausible
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.bluetooth_health import SPEC
@@ -201,6 +202,21 @@ def test_turns_are_rates_over_roll_overs_and_standstill() -> None:
     assert math.isnan(wheel.rate(1, 512, 2.0))
     assert wheel.rate(1, 512, 4.5) == 0.0
     assert math.isnan(wheel.rate(None, None, 5.0))
+
+
+@pytest.mark.parametrize("bits", [0, 16])
+@pytest.mark.parametrize("turns", [1, -1, 900])
+@pytest.mark.parametrize("ticks", [0, -1, -1024])
+def test_turns_whose_time_stands_still_or_steps_back_are_no_rate_that_is_believed(
+    bits: int, turns: int, ticks: int
+) -> None:
+    low, high = plausible.SPEED_M_S
+    wheel = Revolutions(bits, 1024)
+    wheel.rate(1000, 40_000, 0.0)
+    # Neither a speed nor a standstill, however long it goes on.
+    for second in range(1, 8):
+        rate = wheel.rate(1000 + second * turns, 40_000 + second * ticks, float(second))
+        assert not low <= 0.1 * rate <= high
 
 
 def test_a_long_stop_is_as_long_as_it_was() -> None:

@@ -67,17 +67,15 @@ class Revolutions:
         turns = count - last.turns
         if not math.isinf(self._modulus):
             turns %= self._modulus
+        if not turns:
+            return 0.0 if arrival_s - self._turned_s > STANDSTILL_S else math.nan
+        self._turned_s = arrival_s
         elapsed_s = self._elapsed_s(last, now)
-        if turns and elapsed_s:
-            self._turned_s = arrival_s
-            return turns / elapsed_s
-        return 0.0 if arrival_s - self._turned_s > STANDSTILL_S else math.nan
+        # Nothing turns in no time, or back in time: no bounds let that through, and it is told.
+        return turns / elapsed_s if elapsed_s > 0 else -math.inf
 
     def _elapsed_s(self, last: _Event, now: _Event) -> float:
-        """Return the time between two events; arrivals show how often the ticks overflowed.
-
-        It is negative if the ticks stepped back, and then so is the rate.
-        """
+        """Return the time between two events; arrivals show how often the ticks overflowed."""
         rest_s = (now.ticks - last.ticks) % _TIME_TURNS / self._ticks_per_s
         period_s = _TIME_TURNS / self._ticks_per_s
         periods = max(-1, round((now.heard_s - last.heard_s - rest_s) / period_s))
