@@ -24,6 +24,7 @@ VALUES: dict[Kind, float] = {
     FaultKind.DRIFT: 150.0,
     Untidiness.STRAY: 3.0,
     Untidiness.RATE: 100.0,
+    Untidiness.PACE: 4.0,
     Untidiness.BUNDLED: 3.0,
 }
 KEPT = 3

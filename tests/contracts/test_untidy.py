@@ -291,6 +291,23 @@ async def test_a_rate_that_is_not_declared_is_said_with_both_rates(
         await until(lambda: not run.error)
 
 
+@every(Untidiness.PACE)
+@pytest.mark.parametrize("percent", [-20.0, 4.0, 100.0])
+async def test_a_sensor_that_is_not_as_fast_as_declared_is_said_and_has_its_time(
+    device: VirtualDevice, kind: Untidiness, percent: float
+) -> None:
+    async with streaming(device) as run:
+        await until(run.sink.has(COUNT, *measured(device)[:1]))
+        device.apply(Fault(kind, percent))
+        await until(lambda: "times a second, and its header says" in run.error)
+        # What was stamped ahead of its time has to be caught up with.
+        begin_s = run.sink.clock() + SETTLED_S / 2
+        await asyncio.sleep(1.5 * SETTLED_S)
+        assert_true(device, run, begin_s, has_gaps=True)
+        device.clear(kind)
+        await until(lambda: not run.error)
+
+
 def test_there_is_a_device_for_each_untidiness() -> None:
     kinds = {kind for name in NAMES for kind in class_of(name).effects}
     assert kinds >= set(Untidiness)

@@ -70,6 +70,8 @@ class Untidiness(Enum):
     """Answers are joined in pairs and split at random places [s]."""
     RATE = "rate"
     """It restarts and measures at this rate, different from its settings [Hz]; for 30 s."""
+    PACE = "pace"
+    """It restarts, and one of its sensors is faster than declared by this much [%]; for 30 s."""
     BUNDLED = "bundled"
     """Its data are delayed by up to this time and arrive together [s]; for 30 s."""
     STRAY = "stray"
@@ -96,6 +98,7 @@ _UNITS: dict[Kind, str] = {
     FaultKind.LOW_BATTERY: "%",
     FaultKind.DRIFT: "ppm",
     Untidiness.RATE: "Hz",
+    Untidiness.PACE: "%",
     Untidiness.STRAY: "",
     OfWearer.HEART_RATE: "bpm",
 }
@@ -106,6 +109,7 @@ _DEFAULTS: dict[Kind, float] = {
     FaultKind.LATE: 1.0,
     FaultKind.STEP_BACK: 1.0,
     Untidiness.RATE: 100.0,
+    Untidiness.PACE: 4.0,
     Untidiness.BUNDLED: 2.0,
     Untidiness.STRAY: 3.0,
     OfWearer.HEART_RATE: 120.0,
@@ -116,6 +120,7 @@ _RANGES: dict[Kind, tuple[float, float]] = {
     FaultKind.GARBAGE: (0.0, 1e6),
     Untidiness.STRAY: (0.0, 1e6),
     Untidiness.RATE: (1.0, 1000.0),
+    Untidiness.PACE: (-50.0, 100.0),
     Untidiness.BUNDLED: (0.0, 60.0),
     # Range in which every sensor detects each beat exactly once.
     OfWearer.HEART_RATE: (30.0, 200.0),

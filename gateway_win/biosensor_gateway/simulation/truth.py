@@ -97,6 +97,7 @@ class Truth:
 USUALLY_IMPOSSIBLE: Mapping[Kind, str] = MappingProxyType(
     {
         Untidiness.APART: "all channels of a signal come in one message",
+        Untidiness.PACE: "its sensors go by the clock that it tells: where it is fast, it drifts",
         FaultKind.STEP_BACK: "no value of it is made of counts",
     }
 )

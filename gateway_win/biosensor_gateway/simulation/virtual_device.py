@@ -128,7 +128,9 @@ _AT_ONCE: frozenset[Kind] = frozenset(
     }
 )
 # Faults whose value is not their duration.
-_OF_FIXED_LENGTH: frozenset[Kind] = frozenset({FaultKind.LATE, Untidiness.RATE, Untidiness.BUNDLED})
+_OF_FIXED_LENGTH: frozenset[Kind] = frozenset(
+    {FaultKind.LATE, Untidiness.RATE, Untidiness.PACE, Untidiness.BUNDLED}
+)
 
 
 class Filled(NamedTuple):

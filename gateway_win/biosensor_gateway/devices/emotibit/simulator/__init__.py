@@ -35,6 +35,7 @@ from biosensor_gateway.simulation.virtual_device import Filled, Link, SpecimenOp
 from biosensor_gateway.simulation.world import Oscillator, World
 from biosensor_gateway.system.clock import Clock
 
+ACC_HZ = 25.0
 # A host without a ping for this time is gone.
 _FORGOTTEN_S = 10.0
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
@@ -252,6 +253,7 @@ class SimulatedEmotiBit(VirtualDevice):
         super().__init__(world, **specimen)
         self.device = device
         self._ppg_hz = self._rate_hz = ppg_hz
+        self._acc_hz = ACC_HZ
         self._rng = np.random.default_rng(self.specimen.seed)
         self._battery_percent = battery_percent
         self._oscillator = Oscillator(world.clock, self.specimen.drift_ppm)
@@ -292,7 +294,8 @@ class SimulatedEmotiBit(VirtualDevice):
         self._wifi.close()
 
     def _switched_on(self) -> Rounds:
-        return Rounds(self._oscillator, self.specimen.wearer, self._worn_since_s, self._rate_hz)
+        rates_hz = self._rate_hz, self._acc_hz
+        return Rounds(self._oscillator, self.specimen.wearer, self._worn_since_s, *rates_hz)
 
     async def _run(self) -> None:
         due_s = ROUND_S
@@ -418,6 +421,14 @@ class SimulatedEmotiBit(VirtualDevice):
     def _usual_rate(self) -> None:
         self._change_rate(self._ppg_hz)
 
+    def _change_pace(self, percent: float) -> None:
+        self._acc_hz = ACC_HZ * (1 + percent / 100)
+        self._vanish()
+        self._power_cycle()
+
+    def _usual_pace(self) -> None:
+        self._change_pace(0.0)
+
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_vanish, _return),
@@ -433,5 +444,6 @@ class SimulatedEmotiBit(VirtualDevice):
             **on_part("_rounds", ROUNDS_EFFECTS),
             **on_part("_wifi", WIFI_EFFECTS),
             Untidiness.RATE: Effect(_change_rate, _usual_rate),
+            Untidiness.PACE: Effect(_change_pace, _usual_pace),
         }
     )

@@ -140,13 +140,13 @@ def _field(wearer: Wearer, t: Floats) -> Floats:
     return np.stack(axes, axis=1)
 
 
-def _parts(ppg_hz: float) -> tuple[Part, ...]:
-    """Return the sensors of an EmotiBit V5 with stock firmware and this pulse rate."""
+def _parts(ppg_hz: float, acc_hz: float) -> tuple[Part, ...]:
+    """Return the sensors of an EmotiBit V5 whose pulse and acceleration have these rates."""
     return (
         Part("eda", ("EA",), 15.0, 0.0, _conductance),
         Part("ppg", ("PI", "PR", "PG"), ppg_hz, 900.0, _pulse),
         Part("st", ("T1",), 7.5, 0.0, _temperature),
-        Part("acc", ("AX", "AY", "AZ"), 25.0, -1200.0, _acceleration),
+        Part("acc", ("AX", "AY", "AZ"), acc_hz, -1200.0, _acceleration),
         Part("gyro", ("GX", "GY", "GZ"), 25.0, -1200.0, _rotation),
         Part("mag", ("MX", "MY", "MZ"), 25.0, -1200.0, _field),
     )
@@ -176,8 +176,8 @@ class Rounds:
         Its processor's clock.
     worn_since_s
         LSL time at which the wearer's time is 0.
-    ppg_hz
-        Pulse rate of its firmware.
+    ppg_hz, acc_hz
+        Rates of pulse and acceleration by its firmware.
 
     Attributes
     ----------
@@ -186,12 +186,17 @@ class Rounds:
     """
 
     def __init__(
-        self, oscillator: Oscillator, wearer: Wearer, worn_since_s: float, ppg_hz: float
+        self,
+        oscillator: Oscillator,
+        wearer: Wearer,
+        worn_since_s: float,
+        ppg_hz: float,
+        acc_hz: float,
     ) -> None:
         self._oscillator = oscillator
         self._wearer = wearer
         self._worn_since_s = worn_since_s
-        self._samplers = [_Sampler(part) for part in _parts(ppg_hz)]
+        self._samplers = [_Sampler(part) for part in _parts(ppg_hz, acc_hz)]
         self._before_s = 0.0
         self._last_beat_s = worn_since_s
         self._count = 0
