@@ -6,11 +6,12 @@ asks for more. docs/measurements.md has the descriptors of an outlet and of an i
 
 from __future__ import annotations
 
+import _thread
 import ctypes
 import errno
 import os
 import sys
-import threading
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -176,12 +177,12 @@ def end_within(limit_s: float = END_S, code: int = 1) -> None:
 
     At its exit the interpreter waits for every thread, also for one that hangs in a library.
     """
-    timer = threading.Timer(limit_s, _end, [limit_s, code])
-    timer.daemon = True
-    timer.start()
+    # Not of `threading`, whose locks the code may hold that a signal's handler interrupts.
+    _thread.start_new_thread(_end, (limit_s, code))
 
 
 def _end(limit_s: float, code: int) -> None:
+    time.sleep(limit_s)
     sentence = f"it has not ended by itself within {limit_s:g} s, so it is ended now\n"
     # The reader of stderr may be gone.
     with suppress(OSError):

@@ -14,6 +14,8 @@ interpreter shuts down. It needs the standard library and structlog alone. WORD 
     is held up for another second.
 ``hang``
     A thread of it waits for ever, and is waited for once it is asked to end.
+``block``
+    Its loop is held up for ever.
 ``window``
     On Windows it is not ``running`` before there is the window that hears of the session's end.
 """
@@ -68,6 +70,8 @@ async def work() -> None:
     record("running")
     if WORD == "behind":
         fall_behind()
+    if WORD == "block":
+        threading.Event().wait()
     try:
         await asyncio.Event().wait()
     finally:
@@ -78,13 +82,17 @@ async def work() -> None:
         record("closed")
 
 
+def _limit_s() -> float:
+    return ENDS_WITHIN_S if WORD in {"hang", "block"} else END_S
+
+
 def main() -> None:
     end_quietly_until_running()
     if WORD == "early":
         record("starting")
         time.sleep(STARTING_S)
     atexit.register(record, "exiting")
-    asyncio.run(until_signalled(work, ends_within_s=ENDS_WITHIN_S if WORD == "hang" else END_S))
+    asyncio.run(until_signalled(work, ends_within_s=_limit_s()))
     record("returned")
     if WORD == "late":
         while "go on" not in RECORD.read_text(encoding="utf-8"):

@@ -138,11 +138,16 @@ def test_a_request_is_not_lost_where_the_loop_is_behind(
 
 
 @pytest.mark.seam
-def test_a_thread_that_hangs_holds_up_no_end(start: Started) -> None:
-    process = start(word="hang")
+@pytest.mark.parametrize(
+    ("word", "story"), [("hang", ["running", "closing"]), ("block", ["running"])]
+)
+def test_a_thread_or_loop_that_hangs_holds_up_no_end(
+    start: Started, word: str, story: list[str]
+) -> None:
+    process = start(word=word)
     process.send_signal(signal.SIGTERM)
     assert process.wait(DEADLINE_S) == 1
-    assert start.story == ["running", "closing"]
+    assert start.story == story
     assert start.said == "it has not ended by itself within 0.2 s, so it is ended now\n"
 
 

@@ -78,12 +78,17 @@ async def until_signalled(
     task = asyncio.create_task(main_task())
     loop = asyncio.get_running_loop()
 
+    asked: list[bool] = []
+
     def stop() -> None:
         if not task.cancelling():
-            end_within(ends_within_s, code)
             task.cancel()
 
     def stop_from_any_thread() -> None:
+        if not asked:
+            asked.append(True)
+            # Not in the loop, which may be what is blocked.
+            end_within(ends_within_s, code)
         # After the loop has closed, the process is ending anyway.
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(stop)
