@@ -596,6 +596,8 @@ def files() -> dict[str, tuple[str, bytes]]:
     found["packed though its name does not say it"] = ("hidden.xdf", gzip.compress(whole))
     found["plain though its name says packed"] = ("plain.xdf.gz", whole)
     found["a byte order mark before all"] = ("mark.xdf", b"\xef\xbb\xbf" + whole)
+    second = (_signal(_even(begin=30.0), name="b", kind="EEG"), _events(("later",), stamps=[1031]))
+    found["two recordings in one"] = ("joined.xdf", whole + made.xdf(*second))
     found["zeros behind the end"] = ("zeros.xdf", whole + bytes(5000))
     found["cut off"] = ("cut.xdf", whole[:-3333])
     found["empty"] = ("empty.xdf", b"")

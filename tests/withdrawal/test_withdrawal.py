@@ -139,6 +139,18 @@ def test_nothing_is_left_and_nobody_else_loses_a_sample(study: Path) -> None:
     assert list((study / "dataset" / f"sub-{STAYS}").rglob("*ecg_physio.tsv.gz"))
 
 
+@pytest.mark.parametrize("gone", [GONE, STAYS])
+def test_of_joined_recordings_each_person_has_their_own(tmp_path: Path, gone: str) -> None:
+    """Both use number 1; the second one's samples are not the first one's."""
+    path = tmp_path / "joined.xdf"
+    path.write_bytes(_alone(GONE, 3) + _alone(STAYS, 4))
+    assert carry_out(plan(gone, [tmp_path])).is_clean
+    (left, seed) = (STAYS, 4) if gone == GONE else (GONE, 3)
+    with open_contents(path) as contents:
+        assert [each.header.name for each in contents.streams] == [f"{left}-polar_h10-U1-ecg"]
+    assert _values(path, "ecg").tobytes() == ecg_values(650, seed).tobytes()
+
+
 def test_what_others_said_stays_without_the_name(study: Path) -> None:
     _withdrawn(study)
     with open_contents(study / "together.xdf") as contents:

@@ -145,7 +145,6 @@ def test_one_bad_chunk_costs_itself_only() -> None:
         (x.chunk(4, b"\x01\0\0\0\0"), "size of a clock offset"),
         (x.clock_offset(1, float("nan"), 0), "no numbers"),
         (x.chunk(5, b"0123456789abcdef"), "not the one"),
-        (x.stream_header(1, "again"), "second of stream number 1"),
         (x.chunk(2, b"\x07\0\0\0<info>"), "not well-formed"),
         (x.chunk(2, b"\x07\0\0\0<!DOCTYPE a><info/>"), "document type"),
         (x.stream_header(7, "none", channels=0), "number of channels"),
@@ -163,6 +162,38 @@ def test_a_bad_chunk_is_named(bad: bytes, why: str) -> None:
     report = check(b"".join([*PARTS[:20], bad, *PARTS[20:]]))
     assert why in text_of(report, "damaged")
     assert [each.stream.sample_count for each in report.streams] == [160, 40]
+
+
+def test_behind_another_header_of_a_number_is_another_stream() -> None:
+    """It may be another person's: two recordings were joined."""
+    header = x.stream_header(1, "other", channels=2, rate=4.0)
+    report = check(b"".join([*PARTS[:20], header, *PARTS[20:]]))
+    counts = {each.name: each.stream.sample_count for each in report.streams}
+    before = sum(x.is_samples(part, 1) for part in PARTS[:20])
+    assert counts == {"numbers": 4 * before, "other": 160 - 4 * before, "events": 40}
+    assert codes(report, Level.WARNING) >= {("one-number", "other")}
+    assert not report.recording.damages
+
+
+def test_behind_another_header_that_cannot_be_read_is_nobodys() -> None:
+    header = x.chunk(2, b"\x01\0\0\0<info>")
+    report = check(b"".join([*PARTS[:20], header, *PARTS[20:]]))
+    before = sum(x.is_samples(part, 1) for part in PARTS[:20])
+    assert [each.stream.sample_count for each in report.streams] == [4 * before, 40]
+    assert "number 1" in text_of(report, "no-header")
+
+
+def test_chunks_of_unknown_kinds_one_behind_the_other_cost_nothing() -> None:
+    foreign = x.chunk(7, b"abc") + x.chunk(0xFFFF, b"") + x.chunk(8, bytes(300))
+    report = check(b"".join([*PARTS[:20], foreign, *PARTS[20:]]))
+    assert codes(report, Level.ERROR) == set()
+    assert "3 chunks are skipped" in text_of(report, "foreign-chunk")
+
+
+def test_zeros_behind_the_end_of_a_packed_file_are_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf.gz"
+    path.write_bytes(gzip.compress(b"".join(PARTS)) + bytes(10_000))
+    assert not read_recording(path).damages
 
 
 def test_samples_without_a_header_are_said() -> None:

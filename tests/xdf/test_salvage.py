@@ -38,10 +38,6 @@ EVENTS: Rows = [(10.0 + k, (f"event {k}",)) for k in range(40)]
 CASES = settings(max_examples=120, deadline=None)
 
 
-def _is_samples(part: bytes, stream: int) -> bool:
-    return part[5:11] == struct.pack("<HI", 3, stream)
-
-
 def _spoilt(*numbers: int) -> bytes:
     """Replace some of the parts by nonsense."""
     return b"".join(b"\xee" * len(p) if n in numbers else p for n, p in enumerate(PARTS))
@@ -49,9 +45,9 @@ def _spoilt(*numbers: int) -> bytes:
 
 def _held(parts: list[bytes]) -> dict[str, Rows]:
     """Return the samples of some of the parts, as they are in the undamaged file."""
-    blocks = [number for number, part in enumerate(PARTS) if _is_samples(part, 1)]
+    blocks = [number for number, part in enumerate(PARTS) if made.is_samples(part, 1)]
     kept = [at for at, number in enumerate(blocks) if PARTS[number] in parts]
-    events = [part for part in PARTS if _is_samples(part, 2)]
+    events = [part for part in PARTS if made.is_samples(part, 2)]
     kept_events = [at for at, part in enumerate(events) if part in parts]
     return {
         "numbers": [NUMBERS[4 * at + n] for at in kept for n in range(4)],
@@ -63,6 +59,27 @@ def test_of_the_undamaged_file_everything_is_known(tmp_path: Path) -> None:
     path = tmp_path / "whole.xdf"
     path.write_bytes(WHOLE)
     assert rows(path) == _held(PARTS) == {"numbers": NUMBERS, "events": EVENTS}
+
+
+def test_joined_recordings_get_a_number_for_each_stream(tmp_path: Path) -> None:
+    """Also pyxdf reads all of both then; before, of two streams of one number it reads one."""
+    second = [
+        made.stream_header(1, "other", channels=1, rate=4.0),
+        made.samples(1, "float32", [[5.0]] * 8, [50.0, *[None] * 7]),
+        made.clock_offset(1, 50.0, 0.5),
+        made.samples(1, "float32", [[6.0]] * 8, [52.0, *[None] * 7]),
+        made.footer(1, 16),
+    ]
+    content = WHOLE + made.xdf(*second)
+    found = salvaged(content, tmp_path)
+    read = {each["info"]["name"][0]: each for each in load_by_pyxdf(found.file)}
+    assert {name: len(each["time_stamps"]) for name, each in read.items()} == {
+        "numbers": 160,
+        "events": 40,
+        "other": 16,
+    }
+    assert read["other"]["time_series"][:, 0].tolist() == [5.0] * 8 + [6.0] * 8
+    assert any("other: it got a number of its own" in each for each in after_table(found.outcome))
 
 
 def test_a_whole_recording_is_left_alone(tmp_path: Path) -> None:
@@ -220,7 +237,7 @@ def test_a_lost_file_header_is_made_again(tmp_path: Path) -> None:
 
 
 def test_footers_are_those_of_the_recorder_or_say_what_is_there(tmp_path: Path) -> None:
-    block = next(n for n, part in enumerate(PARTS) if n > 20 and _is_samples(part, 1))
+    block = next(n for n, part in enumerate(PARTS) if n > 20 and made.is_samples(part, 1))
     outcome, file, content = salvaged(_spoilt(block), tmp_path)
     assert table(outcome) == [("numbers", "156", "4"), ("events", "40", "0")]
     # That of the events still holds.
@@ -237,7 +254,7 @@ def test_footers_are_those_of_the_recorder_or_say_what_is_there(tmp_path: Path) 
 
 
 def test_the_time_of_a_loss_is_told(tmp_path: Path) -> None:
-    blocks = [n for n, part in enumerate(PARTS) if _is_samples(part, 1)]
+    blocks = [n for n, part in enumerate(PARTS) if made.is_samples(part, 1)]
     content = _spoilt(*range(blocks[10], blocks[15]), blocks[20])[: ENDS[-3] - 3]
     outcome, _, _ = salvaged(content, tmp_path)
     times = [(place.begin_s, place.end_s) for place in outcome.places]
@@ -251,7 +268,7 @@ def test_the_time_of_a_loss_is_told(tmp_path: Path) -> None:
 
 
 def test_many_places_are_not_all_listed(tmp_path: Path) -> None:
-    content = _spoilt(*(n for n, part in enumerate(PARTS) if _is_samples(part, 1) and n % 4))
+    content = _spoilt(*(n for n, part in enumerate(PARTS) if made.is_samples(part, 1) and n % 4))
     outcome, _, _ = salvaged(content, tmp_path)
     said = list(before_table(outcome))
     assert len(outcome.places) > 10

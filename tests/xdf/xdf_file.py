@@ -133,6 +133,10 @@ def two_streams() -> list[bytes]:
     ]
 
 
+def is_samples(part: bytes, stream_id: int) -> bool:
+    return part[5:11] == struct.pack("<HI", 3, stream_id)
+
+
 def chunk_ends(content: bytes) -> list[int]:
     """Return where each chunk of a good file ends."""
     ends: list[int] = []

@@ -191,8 +191,7 @@ class _Copy:
         ChunkError
             If it cannot be read.
         """
-        self._sorter.take(chunk)
-        for part in self._parts(chunk):
+        for part in self._parts(self._sorter.take(chunk)):
             self._file.write(part)
 
     def _parts(self, chunk: Chunk) -> Iterator[bytes]:

@@ -28,6 +28,7 @@ _LENGTH_SIZES = frozenset({1, 4, 8})
 _TAG_BYTES = 2
 _LONGEST_HEAD = 1 + 8 + _TAG_BYTES
 _BLOCK_BYTES = 1 << 20
+_MOST_FOREIGN = 16
 # The start of a frame with a known tag, for each size of the length field.
 _HEAD = re.compile(
     rb"\x01(?=.[\x01-\x06]\x00)|\x04(?=.{4}[\x01-\x06]\x00)|\x08(?=.{8}[\x01-\x06]\x00)", re.DOTALL
@@ -100,13 +101,21 @@ def read_frame(file: BinaryIO, position: int) -> Frame:
 
 
 def is_frame(file: BinaryIO, position: int, size: int) -> bool:
-    """Whether a known kind of chunk seems to begin at `position`, or the file ends there."""
-    if position >= size:
-        return position == size
-    try:
-        return read_frame(file, position).is_known
-    except FrameError:
-        return False
+    """Whether a known kind of chunk seems to begin at `position`, or the file ends there.
+
+    A few of unknown kinds may come before it.
+    """
+    for _ in range(_MOST_FOREIGN):
+        if position >= size:
+            return position == size
+        try:
+            frame = read_frame(file, position)
+        except FrameError:
+            return False
+        if frame.is_known:
+            return True
+        position = frame.end
+    return False
 
 
 def find_frames(file: BinaryIO, start: int, end: int) -> Iterator[int]:
@@ -180,6 +189,12 @@ class Chunk(NamedTuple):
     def body(self) -> memoryview:
         """What comes after the stream's number."""
         return memoryview(self.content)[STREAM_ID_BYTES:]
+
+    def of_stream(self, number: int) -> Chunk:
+        """Return it as one of the stream with this number."""
+        if number == self.stream_id:
+            return self
+        return self._replace(content=number.to_bytes(STREAM_ID_BYTES, "little") + self.body)
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,6 +351,10 @@ def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:
     # All data of a damaged block is lost, so blocks are small.
     while block := rest or packed.read(_PACKED_BLOCK_BYTES):
         if member.eof:
+            # Some programs fill the file up with zeros.
+            if not (block := block.lstrip(b"\0")):
+                rest = b""
+                continue
             member = zlib.decompressobj(_GZIP_WINDOW)
         try:
             unpacked = member.decompress(block)
@@ -353,7 +372,7 @@ def _unwritable(sentence: str) -> RecordingError:
     return RecordingError(RecordingReason.UNWRITABLE, sentence)
 
 
-def read_chunks(file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> tuple[Damage, ...]:
+def read_chunks(file: BinaryIO, size: int, take: Callable[[Chunk], object]) -> tuple[Damage, ...]:
     """Pass every readable chunk to `take`, in the order of the file.
 
     Parameters
@@ -378,7 +397,7 @@ def read_chunks(file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> tup
 
 
 class _Reader:
-    def __init__(self, file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> None:
+    def __init__(self, file: BinaryIO, size: int, take: Callable[[Chunk], object]) -> None:
         self._file, self._size, self._take = file, size, take
         self.damages: list[Damage] = []
 
@@ -389,12 +408,12 @@ class _Reader:
             return read
         start, what = position, read.what
         is_beside = bool(self.damages) and self.damages[-1].end == position
-        if is_beside:
+        if is_beside and not (read.is_foreign and self.damages[-1].is_foreign):
             start, what = self.damages[-1].start, self.damages.pop().what
         # Appended before the search, so that a chunk found there counts this damage.
         self.damages.append(_damage(start, self._size, self._size, what))
         begin, end = self._resume(position + 1, read.end)
-        if read.is_foreign and not is_beside and begin == end == read.end:
+        if read.is_foreign and start == position and begin == end == read.end:
             self.damages[-1] = Damage(start, end, what, is_foreign=True)
         else:
             self.damages[-1] = _damage(start, begin, self._size, self._with_zeros(what, begin))

@@ -45,6 +45,12 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "The information about these samples is missing, so no program can read them.",
         "Run `xdf salvage --header-from` with another recording of the same streams.",
     ),
+    "one-number": Explanation(
+        "Two streams of one number",
+        "The file may hold two recordings, perhaps of two persons, one behind the other. Here each "
+        "stream is kept apart; other programs read one of the two, or both as one.",
+        "Run `xdf salvage`, which gives each stream a number of its own.",
+    ),
     "no-streams": Explanation(
         "No streams",
         "The file contains no data of a session.",

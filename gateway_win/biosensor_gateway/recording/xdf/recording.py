@@ -14,7 +14,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import BinaryIO, Generic, NamedTuple, Protocol, TypeVar
 
@@ -45,6 +45,8 @@ from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 # Numbers of timestamps of one stream.
 _MOST_IN_MEMORY = _BLOCK = 1 << 16
+# Recorders count from 1, and a number that is given must not be that of a stream further down.
+_FIRST_FREE = 100_001
 
 
 class TakesChunks(Protocol):
@@ -88,6 +90,10 @@ class NewHeader(NamedTuple):
 class StreamSorter(Generic[_StreamT]):
     """Passes the chunks of a file, in order, to their streams.
 
+    A file may use one number for several streams, such as one that was joined from two recordings.
+    What comes after another header is another stream, perhaps another person's, and gets a number
+    of its own.
+
     Parameters
     ----------
     fixes_headers
@@ -103,8 +109,10 @@ class StreamSorter(Generic[_StreamT]):
         How the file's clock relates to Unix time; None for a recording not imported from a bag.
     streams
         By stream number, in the order of their headers.
+    renumbered
+        Numbers of the streams whose number in the file is another one's, too.
     orphans
-        By stream number, the number of chunks of streams whose header is not readable.
+        By number in the file, the number of chunks of streams whose header is not readable.
     new_headers
         By stream number.
     """
@@ -119,15 +127,19 @@ class StreamSorter(Generic[_StreamT]):
         self._make = make
         self._fixes_headers = fixes_headers
         self._lost_headers = lost_headers or {}
+        # By number in the file: the newest header, and the number of its stream.
         self._headers: dict[int, bytes] = {}
+        self._numbers: dict[int, int] = {}
+        self._free = count(_FIRST_FREE)
         self.new_headers: dict[int, NewHeader] = {}
         self.begun: str | None = None
         self.clock: FileClock | None = None
         self.streams: dict[int, _StreamT] = {}
+        self.renumbered: list[int] = []
         self.orphans: Counter[int] = Counter()
 
-    def take(self, chunk: Chunk) -> None:
-        """Process one chunk.
+    def take(self, chunk: Chunk) -> Chunk:
+        """Process one chunk, and return it with the number of its stream.
 
         Raises
         ------
@@ -135,20 +147,28 @@ class StreamSorter(Generic[_StreamT]):
             If its content is invalid; nothing of it is used then.
         """
         if chunk.tag is Tag.FILE_HEADER:
-            self.begun = parse_file_header(chunk.content)
-            self.clock = parse_file_clock(chunk.content)
+            begun, clock = parse_file_header(chunk.content), parse_file_clock(chunk.content)
+            # A second one belongs to a recording that was appended.
+            if self.begun is None:
+                self.begun, self.clock = begun, clock
         elif chunk.tag is Tag.BOUNDARY:
             if chunk.content != BOUNDARY:
                 raise ChunkError("it is not the one that every recording has")
         elif chunk.tag is Tag.STREAM_HEADER:
-            self._take_header(chunk)
+            return self._take_header(chunk)
         else:
-            self._take_of_stream(chunk)
+            return self._take_of_stream(chunk)
+        return chunk
 
-    def _take_header(self, chunk: Chunk) -> None:
-        stream_id, content = chunk.stream_id, bytes(chunk.body)
-        if self._headers.setdefault(stream_id, content) == content and stream_id in self.streams:
-            return  # nothing is dropped: it says the same once more
+    def _take_header(self, chunk: Chunk) -> Chunk:
+        told, content = chunk.stream_id, bytes(chunk.body)
+        known = self._numbers.get(told)
+        if known is not None and self._headers.get(told) == content:
+            return chunk.of_stream(known)  # nothing is dropped: it says the same once more
+        if not chunk.is_found:
+            # Even if this header cannot be read, what follows is not of the stream before.
+            self._numbers.pop(told, None)
+        original = content
         new: NewHeader | None = None
         try:
             header = parse_stream_header(content)
@@ -158,25 +178,35 @@ class StreamSorter(Generic[_StreamT]):
             content, wrong = fix_stream_header(content)
             header = parse_stream_header(content)
             new = NewHeader(chunk.start, chunk.end, content, wrong)
-        if stream_id in self.streams:
-            raise ChunkError(f"it is the second of stream number {stream_id}")
-        self.streams[stream_id] = self._make(header)
-        if new is not None:
-            self.new_headers[stream_id] = new
+        self._headers[told] = original
+        return chunk.of_stream(self._begin(told, header, new))
 
-    def _take_of_stream(self, chunk: Chunk) -> None:
-        stream = self.streams.get(chunk.stream_id)
-        if stream is None and chunk.stream_id in self._lost_headers:
+    def _begin(self, told: int, header: RecordedHeader, new: NewHeader | None) -> int:
+        """Begin a stream, and return its number."""
+        number = told
+        if told in self.streams:
+            number = next(each for each in self._free if each not in self.streams)
+            self.renumbered.append(number)
+        self._numbers[told] = number
+        self.streams[number] = self._make(header)
+        if new is not None:
+            self.new_headers[number] = new
+        return number
+
+    def _take_of_stream(self, chunk: Chunk) -> Chunk:
+        number = self._numbers.get(chunk.stream_id)
+        if number is None and chunk.stream_id in self._lost_headers:
             content = self._lost_headers[chunk.stream_id]
-            stream = self._make(parse_stream_header(content))
-            self.streams[chunk.stream_id] = stream
-            self.new_headers[chunk.stream_id] = NewHeader(chunk.start, chunk.start, content)
-        if stream is None:
+            new = NewHeader(chunk.start, chunk.start, content)
+            number = self._begin(chunk.stream_id, parse_stream_header(content), new)
+        if number is None:
             if chunk.is_found:
                 # Without a known stream, these bytes are probably not a chunk.
                 raise ChunkError("its stream is unknown")
             self.orphans[chunk.stream_id] += 1
-        elif chunk.tag is Tag.SAMPLES:
+            return chunk
+        stream, chunk = self.streams[number], chunk.of_stream(number)
+        if chunk.tag is Tag.SAMPLES:
             stream.take_samples(chunk)
         elif chunk.tag is Tag.CLOCK_OFFSET:
             measured = decode_clock_offset(chunk.body)
@@ -184,6 +214,7 @@ class StreamSorter(Generic[_StreamT]):
                 stream.take_clock_offset(*measured)
         else:
             stream.take_footer(parse_footer(bytes(chunk.body)), chunk)
+        return chunk
 
 
 class _Stamps:
@@ -332,16 +363,19 @@ class Recording:
         The recorder's text for the start time; empty if there is none.
     streams
         In the order of their headers.
+    renumbered
+        Those whose number in the file is another one's, too.
     damages
         Bytes that could not be read.
     orphans
-        By stream number, the number of chunks of streams whose header is not readable.
+        By number in the file, the number of chunks of streams whose header is not readable.
     """
 
     path: Path
     size: int
     begun: str
     streams: tuple[RecordedStream, ...]
+    renumbered: tuple[RecordedStream, ...]
     damages: tuple[Damage, ...]
     orphans: Mapping[int, int]
 
@@ -361,7 +395,8 @@ def read_recording(path: Path) -> Recording:
         what = "the rest is compressed and cannot be unpacked"
         damages = (*damages, Damage(size, size, what, breaks_off=True))
     streams = tuple(sorter.streams.values())
-    return Recording(path, size, sorter.begun or "", streams, damages, sorter.orphans)
+    renumbered = tuple(sorter.streams[number] for number in sorter.renumbered)
+    return Recording(path, size, sorter.begun or "", streams, renumbered, damages, sorter.orphans)
 
 
 def _new_stream(header: RecordedHeader) -> RecordedStream:

@@ -94,6 +94,12 @@ def _damaged(recording: Recording) -> Iterator[Finding]:
         numbers = ", ".join(str(number) for number in sorted(recording.orphans)[:_MOST_DAMAGES])
         text = f"{count} chunks belong to streams without a header (number {numbers})"
         yield Finding(Level.ERROR, "no-header", "", text)
+    for stream in recording.renumbered:
+        text = (
+            "it follows another stream of its number, as if two recordings had been joined; other "
+            "programs mix the two up, and `xdf salvage` gives each a number"
+        )
+        yield Finding(Level.WARNING, "one-number", stream.header.title, text)
     if not recording.streams:
         yield Finding(Level.ERROR, "no-streams", "", "the file holds no stream")
     elif not any(stream.sample_count for stream in recording.streams):

@@ -30,7 +30,7 @@ from biosensor_gateway.recording.xdf.printing import finite, printable
 from biosensor_gateway.recording.xdf.salvage.survey import (
     Break,
     KeptStream,
-    Restamp,
+    Rewrite,
     Survey,
     survey,
 )
@@ -223,7 +223,7 @@ def _write(source: BinaryIO, survey: Survey, target: BinaryIO) -> None:
     position = len(MAGIC)
     for start, end, instead in survey.changes():
         _copy(source, position, start, target)
-        content = _restamped(source, instead) if isinstance(instead, Restamp) else instead
+        content = _rewritten(source, instead) if isinstance(instead, Rewrite) else instead
         # A boundary chunk is allowed anywhere, so it marks the place of removed bytes.
         target.write(framed(Tag.BOUNDARY, BOUNDARY) if content is None else content)
         position = end
@@ -242,11 +242,15 @@ def _copy(source: BinaryIO, start: int, end: int, target: BinaryIO) -> None:
         start += len(block)
 
 
-def _restamped(source: BinaryIO, chunk: Restamp) -> bytes:
-    """Return a samples chunk with a timestamp added to its first sample."""
+def _rewritten(source: BinaryIO, chunk: Rewrite) -> bytes:
+    """Return a chunk with its number, and a timestamp added to its first sample."""
     frame = read_frame(source, chunk.start)
-    source.seek(frame.content_start)
-    content = source.read(chunk.end - frame.content_start)
+    source.seek(frame.content_start + STREAM_ID_BYTES)
+    content = chunk.number.to_bytes(STREAM_ID_BYTES, "little") + source.read(
+        chunk.end - frame.content_start - STREAM_ID_BYTES
+    )
+    if chunk.stamp is None:
+        return framed(Tag(frame.tag), content)
     # The first sample follows the stream's number and the count with its size.
     first = STREAM_ID_BYTES + 1 + content[STREAM_ID_BYTES]
     stamp = b"\x08" + struct.pack("<d", chunk.stamp)
@@ -308,6 +312,8 @@ def before_table(outcome: Outcome) -> Iterator[str]:
         what = "was not closed" if known.unclosed else "lacks headers of streams"
         if known.new_headers and not known.unclosed and not known.orphans:
             what = "has headers that others cannot read, or lacks some"
+        elif known.renumbered and not known.unclosed:
+            what = "uses one number for several streams"
         if any(each.cut for each in known.streams.values()) and not known.unclosed:
             what = "holds a last sample of another time"
         yield f"{outcome.path} can be read to its end, but {what}"
@@ -336,6 +342,9 @@ def after_table(outcome: Outcome) -> Iterator[str]:
             yield f"{name}: its header was fixed, which had {', '.join(map(printable, new.wrong))}"
         else:
             yield f"{name}: its header is that of the other recording; see whether it fits"
+    for number in known.renumbered:
+        name = printable(known.streams[number].header.title)
+        yield f"{name}: it got a number of its own, {number}, for another stream has the one it had"
     for stream in known.streams.values():
         yield from _stamps_text(stream)
     if outcome.closed:

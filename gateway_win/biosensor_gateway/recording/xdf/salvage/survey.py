@@ -58,12 +58,13 @@ class Break(NamedTuple):
     is_gap: bool
 
 
-class Restamp(NamedTuple):
-    """A samples chunk whose first sample must get its own timestamp."""
+class Rewrite(NamedTuple):
+    """A chunk that must get a number, or its first sample its own timestamp."""
 
     start: int
     end: int
-    stamp: float
+    number: int
+    stamp: float | None = None
 
 
 class _Resumption(NamedTuple):
@@ -108,7 +109,7 @@ class KeptStream:
     footer: Footer | None = None
     footer_at: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
     breaks: list[Break] = field(default_factory=list[Break])
-    restamps: list[Restamp] = field(default_factory=list[Restamp])
+    restamps: list[Rewrite] = field(default_factory=list[Rewrite])
     cut: Cut | None = None
     _newest: tuple[Chunk, tuple[float, ...]] | None = None
     _recent: tuple[float, ...] = ()
@@ -212,7 +213,8 @@ class KeptStream:
             self.lost += round(min(step * self.header.rate, MOST_LOST)) - 1
         if unstamped and (is_gap or not has_begun):
             # Otherwise a loader would count periods from the sample before the damage.
-            self.restamps.append(Restamp(resumed.chunk.start, resumed.chunk.end, after))
+            chunk = resumed.chunk
+            self.restamps.append(Rewrite(chunk.start, chunk.end, chunk.stream_id, after))
             if not has_begun:
                 self.first = after
         if math.isfinite(after):
@@ -248,6 +250,8 @@ class Survey:
         Bytes that cannot be read.
     new_headers
         Headers that were fixed or taken from another recording, by stream number.
+    renumbered
+        Numbers of the streams whose number in the file is another one's, too.
     """
 
     size: int
@@ -256,7 +260,10 @@ class Survey:
     damages: tuple[Damage, ...]
     has_file_header: bool
     new_headers: dict[int, NewHeader]
-    _dropped: array[int] = field(default_factory=lambda: array("q"))
+    renumbered: list[int]
+    # Places: start and end; of chunks that get another number, that as well.
+    _dropped: array[int]
+    _moved: array[int]
 
     @property
     def unclosed(self) -> list[int]:
@@ -267,6 +274,7 @@ class Survey:
     def is_whole(self) -> bool:
         """Whether it has streams, and nothing needs to be fixed."""
         broken = self.damages or self.orphans or self.unclosed or self.new_headers
+        broken = broken or self.renumbered
         broken = broken or any(each.cut for each in self.streams.values())
         return bool(self.streams) and not broken
 
@@ -284,9 +292,9 @@ class Survey:
         ]
         return sorted([*self.unclosed, *wrong])
 
-    def changes(self) -> Iterator[tuple[int, int, Restamp | bytes | None]]:
+    def changes(self) -> Iterator[tuple[int, int, Rewrite | bytes | None]]:
         """Yield what not to copy, in the order of the file: start, end, replacement."""
-        changes: list[tuple[int, int, Restamp | bytes | None]] = [
+        changes: list[tuple[int, int, Rewrite | bytes | None]] = [
             (each.start, each.end, framed(Tag.STREAM_HEADER, _numbered(number) + each.content))
             for number, each in self.new_headers.items()
         ]
@@ -302,6 +310,9 @@ class Survey:
             changes += [
                 (each.start, each.end, each) for each in stream.restamps if each.start != cut_at
             ]
+        changed = {(start, end) for start, end, _ in changes}
+        moved = map(Rewrite, self._moved[::3], self._moved[1::3], self._moved[2::3])
+        changes += [(*each[:2], each) for each in moved if each[:2] not in changed]
         # Sorted by place only, so that a new header comes before the chunk at its place.
         yield from sorted(changes, key=lambda change: change[:2])
 
@@ -341,12 +352,15 @@ class _Surveyor:
         self._sorter = StreamSorter(KeptStream, fixes_headers=True, lost_headers=lost_headers)
         self._orphans: dict[int, Orphans] = {}
         self._dropped = array("q")
+        self._moved = array("q")
 
     def take(self, chunk: Chunk) -> None:
         count = self._sorter.orphans.total()
-        self._sorter.take(chunk)
+        taken = self._sorter.take(chunk)
         if self._sorter.orphans.total() > count:
             self._drop(chunk)
+        elif taken is not chunk:
+            self._moved.extend((chunk.start, chunk.end, taken.stream_id))
 
     def end(self, opened: OpenRecording, damages: tuple[Damage, ...]) -> Survey:
         streams = self._sorter.streams
@@ -363,7 +377,9 @@ class _Surveyor:
             damages,
             has_file_header,
             self._sorter.new_headers,
+            self._sorter.renumbered,
             self._dropped,
+            self._moved,
         )
 
     def _drop(self, chunk: Chunk) -> None:
