@@ -525,7 +525,7 @@ def test_a_code_that_cannot_be_one_and_a_computer_that_is_unknown(
 ) -> None:
     typed = run("--with", "127.0.0.1", "--code", "12", "--json")
     assert typed.code == 1
-    assert "'12' is no code" in typed.json["findings"][0]["what"]
+    assert "'12' is not a code" in typed.json["findings"][0]["what"]
     unknown = run("--with", "no-such-host.invalid", "--code", "123456", "--json")
     assert unknown.json["findings"][0]["what"] == "no-such-host.invalid has no IPv4 address"
     assert unknown.json["ends"] is None

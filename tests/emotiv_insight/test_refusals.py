@@ -262,7 +262,9 @@ async def test_a_search_returns_the_headsets_of_cortex(
         (first,) = await find([run.settings, run.settings])
     assert first.name == "blue"
     # It would be proposed for the settings, and then be refused.
-    assert [entry.get("headset") for entry in logs if "no Insight" in entry["event"]] == ["EPOCX-1"]
+    assert [entry.get("headset") for entry in logs if "not an Insight" in entry["event"]] == [
+        "EPOCX-1"
+    ]
     assert first.settings == {
         "unit": "INSIGHT-12341234", "headset": "INSIGHT-12341234", "url": cortex.url,
         "allow_remote": False, "ca_file": str(cortex.ca_file),

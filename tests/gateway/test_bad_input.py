@@ -112,7 +112,7 @@ def lab(
     [
         ("absent", "absent", "there is no such port"),
         ("held", "busy", "another program holds the port"),
-        ("noisy", "garbage", "what answers is no BioHarness"),
+        ("noisy", "garbage", "what answers is not a BioHarness"),
         ("mute", "no_reply", "the device does not answer"),
     ],
 )

@@ -229,7 +229,7 @@ async def test_a_time_that_cannot_be_is_refused(desk: Desk) -> None:
     for at in (now - MAX_AGE_S, now, now + MAX_LEAD_S):
         await desk.ask("mark", marker="m", at=at)
     await asyncio.sleep(0.002)
-    assert "no LSL time" in str(await desk.refusal("mark", marker="m", at=now - MAX_AGE_S))
+    assert "not an LSL time" in str(await desk.refusal("mark", marker="m", at=now - MAX_AGE_S))
 
 
 @pytest.mark.parametrize("number", ["1", 1.0, True, [1]])
@@ -293,7 +293,7 @@ async def test_a_marker_that_nobody_receives_is_said(
 ) -> None:
     with capture_logs() as logs:
         assert (await desk.ask("mark", marker="m"))["received"] is False
-        assert [each["event"] for each in logs] == ["a marker was sent that nobody receives"]
+        assert [each["event"] for each in logs] == ["a marker was sent that no program receives"]
         await listened_to(desk, inlet, eventually)
         assert "received" not in await desk.ask("mark", marker="m")
         assert len(logs) == 1

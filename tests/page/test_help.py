@@ -180,7 +180,7 @@ def test_both_computers_try_the_network_together(
     panel.get_by_label("Address of that computer").fill(OTHER)
     wrong = f"{(int(code) + 1) % 1_000_000:06d}"
     for typed, sentence in (
-        (wrong, f"{OTHER} shows another code; type the one that stands there now"),
+        (wrong, f"{OTHER} shows another code; type the one that is there now"),
         (code, "a test stream is found when asked for directly, and received"),
     ):
         panel.get_by_label("Code").fill(typed)
@@ -245,7 +245,7 @@ def test_what_is_no_computer_is_refused_in_one_sentence(server: Server) -> None:
     answer = server.tell("POST", "network-check", cookie, {"host": OTHER, "code": "12"})
     assert answer.status == 200
     (finding,) = json.loads(answer.body)["findings"]
-    assert "'12' is no code" in finding["what"]
+    assert "'12' is not a code" in finding["what"]
 
 
 # The page's server keeps to few arenas of malloc, however many threads it has had.

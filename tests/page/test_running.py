@@ -98,7 +98,7 @@ def test_a_time_that_is_none_is_refused_in_one_sentence(programs: Programs) -> N
         command, env=programs.environment, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 2
-    assert "nan is no time; give minutes, such as 2" in " ".join(ended.stderr.split())
+    assert "nan is not a time; give minutes, such as 2" in " ".join(ended.stderr.split())
 
 
 def test_it_is_ended_by_a_command_and_its_windows_say_so(

@@ -745,7 +745,7 @@ def test_what_a_person_adds_to_the_table_stays(tmp_path: Path, root: Path) -> No
 def test_a_folder_of_something_else_is_no_study(tmp_path: Path, root: Path) -> None:
     root.mkdir()
     (root / "notes.txt").write_text("mine\n")
-    with pytest.raises(ConfigError, match="is no BIDS data set"):
+    with pytest.raises(ConfigError, match="is not a BIDS data set"):
         Study(root)
     assert not (root / ADDED).exists()
 

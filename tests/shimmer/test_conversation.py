@@ -220,7 +220,7 @@ async def test_a_device_that_says_nothing_is_silent() -> None:
 
 async def test_another_device_on_the_port_is_no_shimmer() -> None:
     async with talking(lambda _: b"$GPGGA,12") as talk:
-        with pytest.raises(ProtocolError, match="no Shimmer") as caught:
+        with pytest.raises(ProtocolError, match="not a Shimmer") as caught:
             await talk.conversation.ask(messages.GET_HARDWARE, Hardware)
     assert caught.value.reason is ProtocolReason.GARBAGE
 

@@ -131,7 +131,7 @@ async def test_what_was_never_calibrated_is_said(world: World) -> None:
 async def test_an_exg_that_is_wanted_of_another_board_is_said(world: World) -> None:
     with SimulatedImuUnit(world) as device, capture_logs() as logs:
         await streams_of(device, sensors="ecg")
-    assert "the expansion board is no ExG board" in {each["event"] for each in logs}
+    assert "the expansion board is not an ExG board" in {each["event"] for each in logs}
 
 
 async def test_a_test_of_the_device_misses_nothing_that_is_off(world: World) -> None:

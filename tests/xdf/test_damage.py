@@ -152,7 +152,7 @@ def test_one_bad_chunk_costs_itself_only() -> None:
         (x.stream_header(7, "none", fmt="float16"), "channel format"),
         (x.chunk(6, b"\x01\0\0\0</info>"), "not well-formed"),
         (x.chunk(3, b"\x01\0\0\0\x05\0"), "a length in it"),
-        (x.chunk(3, b"\x01\0\0\0\x01\x01" + b"\x03" + bytes(16)), "told apart"),
+        (x.chunk(3, b"\x01\0\0\0\x01\x01" + b"\x03" + bytes(16)), "distinguished"),
         (x.chunk(3, b"\x01\0\0\0\x01\x01" + b"\0" + bytes(9)), "do not fill it"),
         (x.chunk(3, b"\x02\0\0\0\x01\x01" + b"\0\x01\xffab"), "longer than the chunk"),
         (x.chunk(3, b"\x02\0\0\0\x01\x01" + b"\0\x01\x01ab"), "do not fill it"),

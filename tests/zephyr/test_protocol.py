@@ -365,7 +365,7 @@ def silence(_number: int) -> bytes:
     ("frames", "reason", "what"),
     [
         (hxm, ProtocolReason.UNSUPPORTED, "a Zephyr HxM, which is not read"),
-        (gps, ProtocolReason.GARBAGE, "no BioHarness"),
+        (gps, ProtocolReason.GARBAGE, "not a BioHarness"),
         (silence, ProtocolReason.NO_REPLY, "does not answer"),
     ],
 )

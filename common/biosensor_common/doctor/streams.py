@@ -85,7 +85,7 @@ def _places(used: Path | None) -> Iterator[Finding]:
     if named and not is_there(Path(named)):
         yield warning(
             f"the environment variable LSLAPICFG names {named}, which is not there",
-            "LSL goes on to the other places, silently.",
+            "LSL silently continues with the other places.",
             "correct it where it is set, or remove it: the variable LSLAPICFG",
         )
     ignored = [place for place in places if is_there(place) and not _is_same(place, used)]
@@ -252,7 +252,7 @@ def _unicast(found: bool, config: str) -> Finding:
     return error(
         "a stream of this computer is not even found here when it is asked for directly",
         "Programs of this computer, LabRecorder too, see no streams: a firewall or another "
-        "security program stands between them.",
+        "security program is between them.",
         opening(api_file.ports(config)),
     )
 

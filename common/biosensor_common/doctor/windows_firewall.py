@@ -366,7 +366,7 @@ def judge_network(name: str, network: Network) -> Finding:
         return ok(f"Windows takes the network {name} for {network.name.lower()}")
     return warning(
         f"Windows takes the network {name}, the latest one, for public",
-        "There it lets nobody in, and the rule of the installer does not hold.",
+        "There it lets nobody in, and the rule of the installer has no effect.",
         "Settings > Network & internet > the network's properties > Private network",
     )
 

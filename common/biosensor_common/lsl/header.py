@@ -38,7 +38,7 @@ def read_core(info: pylsl.StreamInfo) -> CoreFields:
         message = f"LSL stream {info.name()!r}: {info.channel_count()} channels are not usable"
         raise SpecError(SpecReason.INVALID, message)
     if not 0 <= info.nominal_srate() <= MAX_RATE_HZ:
-        message = f"LSL stream {info.name()!r}: {info.nominal_srate()} Hz is no possible rate"
+        message = f"LSL stream {info.name()!r}: {info.nominal_srate()} Hz is not a possible rate"
         raise SpecError(SpecReason.INVALID, message)
     if info.channel_format() not in _FORMATS:
         message = f"LSL stream {info.name()!r}: its format {info.channel_format()} is unknown"

@@ -84,7 +84,9 @@ class MarkerCommands:
         if not sent.received:
             people = Refusal.UNHEARD_MARKER.message()
             # nothing is dropped: the stream keeps it for a later receiver and has reported it
-            _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
+            _log.warning(
+                "a marker was sent that no program receives", id=sent.id, for_people=people
+            )
         answer = {"id": sent.id, "lsl_time": sent.lsl_time}
         return answer if sent.received else answer | {"received": False}
 
@@ -139,7 +141,7 @@ def _is_number(value: object) -> TypeGuard[float]:
 def _timing(arguments: Mapping[str, Any]) -> Timing:
     timed_by, uncertainty = arguments.get("timed_by"), arguments.get("uncertainty_s")
     if uncertainty is not None and not (_is_number(uncertainty) and 0 <= uncertainty < math.inf):
-        message = "the argument 'uncertainty_s' is no number of seconds"
+        message = "the argument 'uncertainty_s' is not a number of seconds"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     if not isinstance(timed_by, str) or timed_by not in set(TimedBy):
         message = f"the argument 'timed_by' is none of {', '.join(TimedBy)}"
@@ -153,7 +155,7 @@ def _time(arguments: Mapping[str, Any], oldest_s: float, now: float) -> float | 
         return None  # nothing is dropped: without a time it is now
     if not _is_number(at) or not now - oldest_s <= at <= now + MAX_LEAD_S:
         message = (
-            f"the argument 'at' is no LSL time from {oldest_s:g} s ago to {MAX_LEAD_S:g} s "
+            f"the argument 'at' is not an LSL time from {oldest_s:g} s ago to {MAX_LEAD_S:g} s "
             f"ahead; now is {now:.3f}"
         )
         raise ConfigError(ConfigReason.WRONG_VALUE, message)

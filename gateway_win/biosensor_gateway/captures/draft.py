@@ -260,7 +260,7 @@ class CaptureDesk:
             ``NOT_FOUND`` if there is nothing to save; others as for `Draft.save`.
         """
         if self.draft is None:
-            message = "there is no capture to save; begin one"
+            message = "there is no capture to save; start one"
             raise ConfigError(ConfigReason.NOT_FOUND, message)
         file = self.draft.save(path, note)
         self.draft, self._begun = None, Progress()

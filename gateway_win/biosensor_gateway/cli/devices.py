@@ -168,7 +168,7 @@ def lead(path: Path) -> str:
         if any(each.enabled for each in devices):
             names = ", ".join(_title(each) for each in devices if each.enabled)
             choices.insert(0, (f"Stream what the settings name: {names}", lambda: ""))
-            question = "Biosensor Gateway. What is to be done?"
+            question = "Biosensor Gateway. What do you want to do?"
         else:
             question = f"Biosensor Gateway. No sensor is set up yet (settings: {path})."
         chosen = menu(question, [text for text, _ in choices])

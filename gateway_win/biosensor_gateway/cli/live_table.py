@@ -218,7 +218,7 @@ def running_foot(running_s: int) -> Sequence[str]:
 LOOK_S = 0.25
 _LAST_LINES_S = 1.0
 _NO_DEVICE = "the agent runs, and no device is enabled in its settings"
-_END = "Press Ctrl-C to end the watch; the agent goes on."
+_END = "Press Ctrl-C to end the watch; the agent continues."
 
 
 class _View(Protocol):

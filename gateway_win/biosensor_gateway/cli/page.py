@@ -33,7 +33,7 @@ SHARE_PORT = 8719
 def _checked_minutes(minutes: float) -> float:
     # Written this way round to refuse NaN as well.
     if not minutes >= 0:
-        raise typer.BadParameter(f"{minutes:g} is no time; give minutes, such as 2")
+        raise typer.BadParameter(f"{minutes:g} is not a time; give minutes, such as 2")
     return minutes
 
 
@@ -42,7 +42,7 @@ EndAfterOption = Annotated[
     typer.Option(
         metavar="MINUTES",
         callback=_checked_minutes,
-        help="End after so many minutes without a window, an agent and a recording.",
+        help="End after this many minutes without a window, an agent and a recording.",
         show_default="never",
     ),
 ]
@@ -76,7 +76,7 @@ def page(
     ] = SHARE_PORT,
     lsl: LslOption = False,
     end: Annotated[
-        bool, typer.Option("--end", help="End the page that runs; the agent goes on.")
+        bool, typer.Option("--end", help="End the running page; the agent continues.")
     ] = False,
 ) -> None:
     """Show the agent, its devices and their traces in the browser, until Ctrl-C.
@@ -160,7 +160,7 @@ def _serve(
                 typer.echo(f"  {each}")
             typer.echo("Their browser asks about the certificate, whose SHA-256 begins with")
             typer.echo(f"  {server.share.fingerprint[:47]}")
-        typer.echo("Press Ctrl-C to end the page; the agent goes on.")
+        typer.echo("Press Ctrl-C to end the page; the agent continues.")
 
     # The page starts short-lived threads as long as it is open, and malloc would keep an arena
     # for each.

@@ -55,7 +55,7 @@ def start_text(started: Started) -> str:
         )
     streams = f"{len(started.streams)} streams seen from here"
     if not started.verified:
-        return f"LabRecorder was told to record ({streams}); not verified"
+        return f"LabRecorder was asked to record ({streams}); not verified"
     return (
         f"recording to {started.file}: {started.bytes} bytes and growing "
         f"after {started.took_s:.1f} s ({streams})"
@@ -65,7 +65,7 @@ def start_text(started: Started) -> str:
 def stop_text(stopped: Stopped) -> str:
     """Return sentences about a recording that was ended, with its verdict."""
     if not stopped.verified:
-        return "LabRecorder was told to stop; not verified"
+        return "LabRecorder was asked to stop; not verified"
     closed = (
         f"{stopped.file} is closed: {stopped.bytes} bytes, {stopped.streams} streams, "
         f"{stopped.with_samples} of them with samples"

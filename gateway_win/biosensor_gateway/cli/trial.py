@@ -195,7 +195,7 @@ class Trial:
         self._programs.may_end = {"agent", _PAGE}
         until = None if self._seconds is None else begun + self._seconds
         if until is None:
-            say("The page goes on until you press Ctrl-C here.")
+            say("The page continues until you press Ctrl-C here.")
         if has_ros():
             left = None if until is None else max(_LEAST_TABLE_S, until - time.monotonic())
             topics = expected_topics(left, CHUNK_LENGTH, devices)

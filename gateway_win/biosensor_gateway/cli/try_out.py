@@ -15,7 +15,7 @@ def try_out(
         float | None,
         typer.Option(
             min=1,
-            help="End so many seconds after the sensors stream, though not before the recording.",
+            help="End this many seconds after the sensors stream, though not before the recording.",
             show_default="Ctrl-C",
         ),
     ] = None,
@@ -48,7 +48,7 @@ def try_out(
 def demo(
     seconds: Annotated[
         float | None,
-        typer.Option(min=10, help="End after so many seconds, counted from the first sample."),
+        typer.Option(min=10, help="End this many seconds after the first sample."),
     ] = None,
 ) -> None:
     """Show all virtual devices on their way to ROS topics.

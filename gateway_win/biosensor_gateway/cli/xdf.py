@@ -195,7 +195,7 @@ def _rates(typed: Sequence[str]) -> dict[str, float]:
         except ValueError:
             rate_hz = 0.0
         if not 0 < rate_hz < math.inf:
-            message = f"--rate {each}: {number!r} is no rate in Hz; use 256 or NAME=256"
+            message = f"--rate {each}: {number!r} is not a rate in Hz; use 256 or NAME=256"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
         found[name or "*"] = rate_hz
     # What is of one stream comes before what is of all.

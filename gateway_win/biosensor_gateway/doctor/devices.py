@@ -158,7 +158,7 @@ def bluetooth(context: Context) -> Iterator[Finding]:
         yield ok(UNSEEN_ON_WINDOWS)
     if needing and not heard:
         yield note(
-            "nothing at all is heard by Bluetooth",
+            "no Bluetooth device at all was found",
             "A device that is connected elsewhere, to a phone for instance, or that is off, "
             "cannot be heard.",
             "switch the sensor on, wear it, disconnect it from phones, then: biosensor-gateway "

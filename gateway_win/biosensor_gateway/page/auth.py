@@ -341,7 +341,7 @@ def _body_refusal(headers: Headers, most: int) -> Refusal | None:
     length = headers.get("content-length", "")
     # The server enforces this length.
     if not length.isdecimal():
-        return Refusal(411, "The length of what is sent must be said: Content-Length.")
+        return Refusal(411, "The length of the request is missing: Content-Length.")
     if int(length) > most:
         return Refusal(413, f"What is sent here has at most {most} bytes.")
     return None

@@ -258,7 +258,7 @@ class MarkerStream:
         self, marker: str, kind: MarkerKind, happened: float, facts: Mapping[str, object]
     ) -> int:
         if self._outlet is None:
-            message = "there is no stream of markers; the agent starts or ends, or its log says why"
+            message = "there is no stream of markers: the agent starts or ends, or its log says why"
             raise TransportError(TransportReason.UNAVAILABLE, message)
         number = self._count + 1
         content = {

@@ -88,7 +88,7 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
         was_held, self._is_held = self._is_held, self.writer.held_for_s > HELD_AFTER_S
         if self._is_held and not was_held:
             _log.warning(
-                f"the {self.writer.name} takes no output; streaming goes on, and lines that "
+                f"the {self.writer.name} takes no output; streaming continues, and lines that "
                 "do not fit are left out there"
             )
         return handled
@@ -220,7 +220,7 @@ class _LogFile(RotatingFileHandler):
             self._is_failing = True
             _log.warning(
                 f"cannot write the log file {self.baseFilename}: {error.strerror or error}; "
-                "streaming goes on without it"
+                "streaming continues without it"
             )
         self._has_failed = True
 

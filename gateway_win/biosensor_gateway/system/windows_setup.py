@@ -36,7 +36,7 @@ if sys.platform == "win32":
         """
         name = _of_session(_USER_NAME)
         if not name:
-            raise NoUserError("nobody is logged on in this session")
+            raise NoUserError("no user is logged on in this session")
         domain = _of_session(_DOMAIN_NAME)
         return _sid(f"{domain}\\{name}" if domain else name)
 

@@ -143,7 +143,7 @@ _REASONS: dict[int | None, tuple[TransportReason, str]] = {
     errno.ETIMEDOUT: (TransportReason.ABSENT, _OFF),
     errno.EHOSTUNREACH: (TransportReason.ABSENT, _OFF),
     errno.EHOSTDOWN: (TransportReason.ABSENT, _OFF),
-    errno.ENETUNREACH: (TransportReason.ABSENT, "there is no way to that network; is it up?"),
+    errno.ENETUNREACH: (TransportReason.ABSENT, "there is no route to that network; is it up?"),
     errno.EACCES: (TransportReason.DENIED, "the system refuses; allow it in the firewall"),
     errno.EPERM: (TransportReason.DENIED, "the system refuses; allow it in the firewall"),
 }
@@ -298,6 +298,6 @@ def _tcp_link(port: str) -> ByteLink:
     except ValueError:
         host, number = None, None
     if not host or not number:
-        message = f"port {port!r} is no address; write socket://HOST:NUMBER"
+        message = f"port {port!r} is not an address; write socket://HOST:NUMBER"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return tcp_link(host, number)

@@ -65,7 +65,7 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
     except RuntimeError as error:
         # rcl's error has no class that could be imported.
         reason = str(error).split(", at ")[0].splitlines()[0]
-        refuse(f"what stands behind --ros-args cannot be read: {reason}")
+        refuse(f"the arguments after --ros-args cannot be read: {reason}")
     stopping = threading.Event()
 
     def stop(_number: int, _frame: FrameType | None) -> None:

@@ -66,7 +66,7 @@ def read_code(text: str) -> str:
     code = text.replace(" ", "").replace("-", "")
     if len(code) != DIGITS or not (code.isascii() and code.isdecimal()):
         raise _rejected(
-            f"{text!r} is no code; type the {DIGITS} digits that the other computer shows"
+            f"{text!r} is not a code; type the {DIGITS} digits that the other computer shows"
         )
     return code
 
@@ -183,7 +183,7 @@ def greet_as_asking(channel: Channel, code: str) -> None:
     channel.send({"proof": _seal(key, _ASKING)})
     reply = channel.receive(GREETING_S)
     if "refused" in reply or not _proves(reply, key, _ANSWERING):
-        raise _rejected(f"{channel.name} shows another code; type the one that stands there now")
+        raise _rejected(f"{channel.name} shows another code; type the one that is there now")
     channel.secure(key, _ASKING, _ANSWERING)
 
 

@@ -87,7 +87,7 @@ def _ports(one: Party, other: Party) -> Iterator[Finding]:
         if left != right:
             yield error(
                 f"LSL's port of {what} is {left} on {one.name} and {right} on {other.name}",
-                "LSL programs ask at their own number, where nobody answers.",
+                "LSL programs ask at another port, where nobody answers.",
                 f"have the same {key} below [ports] in lsl_api.cfg on both, or none",
             )
 

@@ -234,7 +234,7 @@ class Answerer:
                 continue
             return connection, address
         if self._is_given_up.is_set():
-            what = "nobody has asked; this computer does not answer any more"
+            what = "no computer has asked; this computer no longer answers"
             raise TransportError(TransportReason.SILENT, what)
         raise TransportError(
             TransportReason.SILENT,

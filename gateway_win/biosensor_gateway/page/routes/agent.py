@@ -59,7 +59,7 @@ def add_agent(router: APIRouter, session: Session) -> None:
     async def stop() -> Outcome:
         """End the agent; every stream ends with it."""
         await asked(session, "stop", {})
-        return Outcome(sentence="The agent has been told to end.")
+        return Outcome(sentence="The agent has been asked to end.")
 
 
 _LOOK_S = 0.2
@@ -107,7 +107,7 @@ def _left(session: Session) -> list[str]:
     if session.agent is not AgentState.ABSENT:
         said.append("The agent streams on.")
     if session.recording.is_running:
-        said.append("The recording goes on.")
+        said.append("The recording continues.")
     return said
 
 

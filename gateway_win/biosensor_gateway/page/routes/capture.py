@@ -163,7 +163,7 @@ class Capturing:
             ``NOT_FOUND`` if nothing was captured.
         """
         if self._desk.draft is None:
-            raise ConfigError(ConfigReason.NOT_FOUND, "there is no capture to show; begin one")
+            raise ConfigError(ConfigReason.NOT_FOUND, "there is no capture to show; start one")
         return list(self._desk.draft.whole())
 
     async def start(self, wanted: NewCapture) -> Outcome:

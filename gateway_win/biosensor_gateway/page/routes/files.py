@@ -139,7 +139,7 @@ class Exports:
             relative path; ``NOT_FOUND`` if there is no recording.
         """
         if self.view.is_running:
-            raise ConfigError(ConfigReason.IN_USE, "an export goes on; wait for its end")
+            raise ConfigError(ConfigReason.IN_USE, "an export is running; wait for its end")
         for each in wanted.formats:
             if each not in FORMATS:
                 message = f"there is no format {each!r}; there is {', '.join(FORMATS)}"
@@ -147,7 +147,7 @@ class Exports:
         output = whole_path(wanted.output) if wanted.output else None
         recordings, left_out = recordings_in([whole_path(wanted.path)])
         if output is not None and "bids" not in wanted.formats and not output.is_dir():
-            message = f"there is no folder {output}; make it first"
+            message = f"there is no folder {output}; create it first"
             raise ConfigError(ConfigReason.NOT_FOUND, message)
         said = [f"{each} is left out, for it was salvaged beside it" for each in left_out]
         self._is_unwanted = False

@@ -211,7 +211,7 @@ class Recorder:
         salvaged = str(outcome.written or file)
         self._verdict = verdict.model_copy(update={"salvaged": salvaged})
         await self._show()
-        return Outcome(sentence=f"All that can be read of it is in {salvaged}.")
+        return Outcome(sentence=f"Everything that can be read of it is in {salvaged}.")
 
     async def _show(self) -> None:
         """Update the view, except while a recording starts, when streams are still missing."""

@@ -170,7 +170,7 @@ class Replaying:
         await self._begun.wait()
         if self._last.phase is Phase.REFUSED:
             raise ReplayError(ReplayReason.REFUSED, self._last.said[0])
-        return Outcome(sentence=f"{file.name} is played; it is no person that is seen now.")
+        return Outcome(sentence=f"{file.name} is being played; it does not show a person now.")
 
     async def stop(self) -> Outcome:
         """End the replay; none of its streams is on the network when this returns.

@@ -118,7 +118,7 @@ def _clock(content: dict[str, Any]) -> RecordedClock:
 def _stream(content: dict[str, Any]) -> RecordedStream:
     offsets = tuple((float(at), float(offset)) for at, offset in content["clock_offsets"])
     if not np.isfinite(np.array(offsets)).all():
-        raise ValueError("its clock offsets are no numbers")
+        raise ValueError("its clock offsets are not numbers")
     return RecordedStream(
         number=int(content["number"]),
         stamped=str(content["stamped"]),
@@ -342,7 +342,7 @@ def _message_type(raw_type: str, form: ChannelFormat, labels: Sequence[str]) -> 
 def _rate(text: str) -> float:
     rate = float(text)
     if not 0 <= rate < math.inf:
-        raise ValueError("it is no rate")
+        raise ValueError("it is not a rate")
     return rate
 
 

@@ -160,7 +160,7 @@ def read_mcap(path: Path, note: Note) -> Iterator[Message]:
     """
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
-            message = f"{path} is no bag: it does not begin as an MCAP file does"
+            message = f"{path} is not a bag: it does not begin like an MCAP file"
             raise BagError(BagReason.NOT_A_BAG, message)
         yield from _File(path, note).read(file)
 
@@ -320,7 +320,7 @@ def read_sqlite(path: Path, note: Note) -> Iterator[Message]:
         try:
             topics = _topics(database)
         except _UNREADABLE as error:
-            message = f"{path} is no bag: {error}"
+            message = f"{path} is not a bag: {error}"
             raise BagError(BagReason.NOT_A_BAG, message) from error
         try:
             rows = database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
@@ -377,7 +377,7 @@ def bag_files(path: Path) -> list[Path]:
         raise BagError(BagReason.NOT_FOUND, f"there is no file or folder {path}")
     if not path.is_dir():
         if _unpacked_path(path).suffix not in _READERS:
-            message = f"{path} is no bag: that is a folder, or a file that ends in .mcap or .db3"
+            message = f"{path} is not a bag: that is a folder, or a file that ends in .mcap or .db3"
             raise BagError(BagReason.NOT_A_BAG, message)
         return [path]
     # A recorder that crashed while compressing a file leaves both; the uncompressed one is used.
@@ -416,7 +416,7 @@ def read_bag(path: Path, note: Note) -> Iterator[Message]:
                 raise
             # The error names the temporary decompressed file, so it is replaced by the file's
             # name.
-            note(f"{file.name}: nothing of it can be read ({error.reason.name.lower()})")
+            note(f"{file.name}: it cannot be read at all ({error.reason.name.lower()})")
         except OSError as error:
             text = f"cannot read {file}: {error.strerror or error}"
             raise BagError(BagReason.UNREADABLE, text) from error

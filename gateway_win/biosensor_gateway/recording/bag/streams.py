@@ -287,7 +287,7 @@ class StampedTopic:
         except (ValueError, RecursionError):
             told = None
         if not isinstance(told, list) or len(told) != self._columns:  # pyright: ignore[reportUnknownArgumentType]
-            raise MessageError(f"its text is no list of {self._columns} texts")
+            raise MessageError(f"its text is not a list of {self._columns} texts")
         return [tuple(map(str, told))]  # pyright: ignore[reportUnknownArgumentType]
 
 

@@ -175,7 +175,7 @@ def _moment(text: str, contents: Contents) -> float:
         date = datetime.fromisoformat(text)
     except ValueError:
         message = (
-            f"{text!r} is no time in a recording; "
+            f"{text!r} is not a time in a recording; "
             "use seconds as 90.5, 1:30.5, or a date as 2026-03-14T10:30:00"
         )
         raise ConfigError(ConfigReason.WRONG_VALUE, message) from None

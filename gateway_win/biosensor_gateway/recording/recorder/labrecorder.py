@@ -272,7 +272,7 @@ class LabRecorder:
             return Stopped(by=By.WINDOW, verified=False, file=None, verdict=None, warnings=warnings)
         seen = wait_until_closed(file, STILL_S, CLOSING_S)
         if seen is None:
-            message = f"{file} still grows {CLOSING_S:g} s after LabRecorder was told to stop"
+            message = f"{file} still grows {CLOSING_S:g} s after LabRecorder was asked to stop"
             raise RecorderError(RecorderReason.STILL_GROWING, message)
         if not seen.is_closed:
             raise RecorderError(RecorderReason.NOT_CLOSED, _not_closed(file, seen))

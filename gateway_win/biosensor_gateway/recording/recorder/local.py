@@ -230,7 +230,9 @@ class LocalRecorder:
         output = ProgramOutput(self._folder.printed())
         expected = [ExpectedStream(each, each) for each in saved.required]
         if seen is None:
-            message = f"{file} still grows, though nobody keeps it; record stop --file looks again"
+            message = (
+                f"{file} still grows, though its recorder has ended; record stop --file looks again"
+            )
             raise RecorderError(RecorderReason.NOT_CLOSED, message)
         if not seen.is_closed:
             verdict = None
@@ -423,7 +425,7 @@ def take_file(files: Iterator[Path]) -> Path:
             # Otherwise a file has the name of a folder.
             if file.parent.is_dir():
                 continue
-            message = f"{file.parent} is no folder; choose another one"
+            message = f"{file.parent} is not a folder; choose another one"
             raise RecorderError(RecorderReason.UNWRITABLE, message) from None
         except OSError as error:
             message = f"{file} cannot be written ({error.strerror or error}); choose another folder"
@@ -466,7 +468,7 @@ def _ask_to_stop(folder: RecorderFolder) -> None:
         folder.ask_to_stop()
     except OSError as error:
         message = (
-            f"the recording cannot be told to end: {folder.path} cannot be written "
+            f"the recording cannot be asked to end: {folder.path} cannot be written "
             f"({error.strerror or error})"
         )
         raise RecorderError(RecorderReason.UNWRITABLE, message) from error

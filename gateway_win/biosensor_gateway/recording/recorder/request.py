@@ -255,7 +255,7 @@ def _require_sense(request: RecordingRequest, *, is_local: bool) -> None:
         )
     if is_local and file is None and request.folder is None:
         raise _wrong(
-            "say where to record, else nobody could look whether it does: --file FILE, or "
+            "say where to record, so that it can be checked: --file FILE, or "
             "--folder FOLDER, best with --participant"
         )
 
@@ -263,7 +263,7 @@ def _require_sense(request: RecordingRequest, *, is_local: bool) -> None:
 def _require_tellable(text: str) -> None:
     if not text.isprintable() or "{" in text or "}" in text:
         raise _wrong(
-            f"{text!r} cannot be told to LabRecorder: leave out braces and control characters"
+            f"{text!r} cannot be sent to LabRecorder: leave out braces and control characters"
         )
 
 

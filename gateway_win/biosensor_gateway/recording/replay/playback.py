@@ -152,7 +152,7 @@ def left_out(player: Player) -> Iterator[str]:
         name = each.header.title
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
-            yield f"warning: {name}: {samples} not played, for their stamps are no number"
+            yield f"warning: {name}: {samples} not played, because their stamps are not numbers"
         if each.steps_far_back:
             yield (
                 f"warning: {name}: its time steps back {_times(each.steps_far_back)}; what follows "

@@ -137,7 +137,7 @@ def _sample_offsets(body: memoryview, count: int, value_bytes: int) -> NDArray[n
             offsets.append(position)
             position += steps[body[position]]
     except (IndexError, KeyError):
-        raise ChunkError("its samples cannot be told apart") from None
+        raise ChunkError("its samples cannot be distinguished") from None
     if position != len(body):
         raise ChunkError("its samples do not fill it")
     return np.array(offsets, np.int64)
@@ -202,7 +202,7 @@ def _text_stamp(
         return last_stamp + period, position + 1
     end = position + 1 + _STAMP_BYTES
     if size != _STAMP_BYTES or end > len(body):
-        raise ChunkError("its samples cannot be told apart")
+        raise ChunkError("its samples cannot be distinguished")
     return float(np.frombuffer(body[position + 1 : end], "<f8")[0]), end
 
 
@@ -230,5 +230,5 @@ def decode_clock_offset(content: memoryview) -> tuple[float, float] | None:
         raise ChunkError("it does not have the size of a clock offset")
     taken_at, offset = _CLOCK_OFFSET.unpack(content)
     if not (math.isfinite(taken_at) and math.isfinite(offset)):
-        raise ChunkError("its times are no numbers")
+        raise ChunkError("its times are not numbers")
     return (taken_at, offset) if taken_at else None

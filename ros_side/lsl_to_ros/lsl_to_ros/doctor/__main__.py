@@ -55,7 +55,7 @@ def main() -> int:
 
 def _port(text: str) -> int:
     if not (text.isdecimal() and 1024 <= int(text) <= 65535):
-        raise argparse.ArgumentTypeError(f"{text} is no port from 1024 to 65535")
+        raise argparse.ArgumentTypeError(f"{text} is not a port from 1024 to 65535")
     return int(text)
 
 

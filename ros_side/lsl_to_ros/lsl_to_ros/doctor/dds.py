@@ -139,7 +139,7 @@ def _domain(text: str) -> Finding:
     why = "Nodes see only those of their own domain."
     if not text.isdecimal() or int(text) > MAX_DOMAIN:
         return error(
-            f"{DOMAIN} is {text!r}, which is no number from 0 to {MAX_DOMAIN}",
+            f"{DOMAIN} is {text!r}, which is not a number from 0 to {MAX_DOMAIN}",
             f"{why} With such a value most nodes do not even start.",
             f"export {DOMAIN}=0, or the number that the other computers have, {_SHELL}",
         )
@@ -180,7 +180,7 @@ def _range(text: str, peers: list[str]) -> Finding:
     if text == "OFF":
         return error(
             f"{RANGE} is OFF",
-            "No node finds any other, not even on this computer: the topics reach nobody.",
+            "No node finds any other, not even on this computer: the topics do not reach anybody.",
             wide,
         )
     if text == "LOCALHOST" and not peers:

@@ -188,9 +188,9 @@ def unknown(name: str, known: Iterable[str]) -> str:
     """Return the sentence about a parameter that a node does not have."""
     similar = get_close_matches(name, known, n=1)
     if similar:
-        return f"{name} is no parameter of this node; {similar[0]} is"
+        return f"{name} is not a parameter of this node; {similar[0]} is"
     return (
-        f"{name} is no parameter of this node; --help lists those that are, and what a file has for"
+        f"{name} is not a parameter of this node; --help lists those that are, and what a file has for"
         " another node belongs below that node's name, not below /**"
     )
 

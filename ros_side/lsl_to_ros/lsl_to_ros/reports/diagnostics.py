@@ -297,7 +297,7 @@ def away_sentence(state: str) -> str:
     if not state:
         return ""
     if state == PAUSED:
-        return "its sensor is paused, and nothing of it is sent"
+        return "its sensor is paused, and none of its data is sent"
     return f"its sensor is not connected ({state}), and what came last is of the past"
 
 

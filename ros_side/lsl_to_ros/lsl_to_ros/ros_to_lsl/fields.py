@@ -42,7 +42,7 @@ def message_class(name: str) -> type[Any]:
     package, _, rest = name.partition("/")
     kind = rest.removeprefix("msg/")
     if not (package.isidentifier() and kind.isidentifier()):
-        message = f"{name!r} is no message type such as std_msgs/msg/String"
+        message = f"{name!r} is not a message type such as std_msgs/msg/String"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     try:
         return getattr(import_module(f"{package}.msg"), kind)

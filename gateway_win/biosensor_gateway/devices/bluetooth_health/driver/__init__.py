@@ -111,7 +111,7 @@ class HealthDeviceDriver:
         info = await self._strap.identify()
         errors = {row: await self._subscribe(row) for row in rows}
         denied = {
-            row.stream: f"its service lets nobody subscribe: ATT error 0x{error.code:02X}"
+            row.stream: f"its service does not allow subscriptions: ATT error 0x{error.code:02X}"
             for row, error in errors.items()
             if error is not None
         }

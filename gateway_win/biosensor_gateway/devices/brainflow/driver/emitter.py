@@ -87,7 +87,7 @@ def _read(kind: bytes, preset: int, content: bytes) -> Rows | Told:
 
 
 def _garbage() -> ProtocolError:
-    message = "what reads the board sent something that is no frame; it is started again"
+    message = "what reads the board sent something that is not a frame; it is restarted"
     return ProtocolError(ProtocolReason.GARBAGE, message)
 
 

@@ -344,7 +344,9 @@ async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
             if is_insight(each):
                 found.append(_found(url, ca_file, each))
             else:
-                _log.warning("a headset is no Insight and cannot be used", headset=each.headset_id)
+                _log.warning(
+                    "a headset is not an Insight and cannot be used", headset=each.headset_id
+                )
     return found
 
 

@@ -168,7 +168,7 @@ def _require_insight(headset: Headset) -> None:
     own = headset.electrodes
     channels = f" ({len(own)} electrodes: {', '.join(own)})" if own else ""
     message = (
-        f"{headset.headset_id} is no Insight{channels}; only the Insight's channels are known "
+        f"{headset.headset_id} is not an Insight{channels}; only the Insight's channels are known "
         "here, so set headset to an Insight"
     )
     raise ProtocolError(ProtocolReason.UNSUPPORTED, message)

@@ -19,7 +19,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _TWICE = "they came twice or out of order"
-_NO_PLACE = "their count or their time is no number"
+_NO_PLACE = "their count or their time is not a number"
 _KEPT_LINES = 1.5
 LEAP_S = 10.0
 LEAP = 1000

@@ -49,7 +49,7 @@ def checked_format(text: str) -> str:
         If it contains anything but numbers.
     """
     if not _FORMAT.fullmatch(text):
-        message = f"{text!r} is no format; write < or > and letters of b B h H i I q Q e f d ? x"
+        message = f"{text!r} is not a format; write < or > and letters of b B h H i I q Q e f d ? x"
         raise ValueError(message)
     return text if text[0] in "<>" else f"<{text}"
 
@@ -139,7 +139,7 @@ class FrameProtocol:
         if begins and self._sum.size:
             why, flaw = "has another checksum than it should", Flaw.CHECKSUM
         elif self._start:
-            why, flaw = f"is no record, which begins with {self._start.hex()}", Flaw.NO_FRAME
+            why, flaw = f"is not a record, which begins with {self._start.hex()}", Flaw.NO_FRAME
         else:
             why, flaw = f"is no whole record of {self._size} bytes", Flaw.NO_FRAME
         return [BadLine(flaw, raw[:_SHOWN], len(raw), why)]

@@ -99,7 +99,7 @@ class LineSettings(DeviceSettings):
         "json (an object or array in each line) or struct (bytes).",
     )
     separator: Literal["comma", "semicolon", "tab", "space"] = Field(
-        default="comma", description="What stands between the values of csv."
+        default="comma", description="Separator of the values of csv."
     )
     columns: tuple[Annotated[str, AfterValidator(_column)], ...] = Field(
         strict=False,

@@ -239,4 +239,4 @@ class BroadcastEmitter:
             self._sink.emit_at("rssi", [rssi_dbm], [arrival_s])
         if not broadcast.battery_ok and (self._last is None or self._last.battery_ok):
             # nothing is dropped: it is about the battery
-            _log.warning("says that its battery is to be changed or charged")
+            _log.warning("reports that its battery should be changed or charged")

@@ -116,7 +116,7 @@ class PolarSession:
                 firmware=info.firmware_version,
             )
         else:
-            message = f"{self._link.what} is no heart-rate sensor; choose another `device`"
+            message = f"{self._link.what} is not a heart-rate sensor; choose another `device`"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         return info
 

@@ -282,7 +282,7 @@ async def _set_exg_up(
     board = await expansion_board(talk, name)
     if board is not None and board not in EXG_BOARDS:
         # It measures, but the values are meaningless.
-        _log.warning("the expansion board is no ExG board", port=name, board=board)
+        _log.warning("the expansion board is not an ExG board", port=name, board=board)
     gain = wanted.gain or exg.DEFAULT_GAIN[use]
     rate_hz = messages.TICKS_PER_S / present.divisor
     right = exg.registers_for(use, gain, rate_hz, lead_off=wanted.lead_off)

@@ -257,7 +257,9 @@ class Conversation:
             message = f"{self._name}: the device says nothing; switch it off and on"
             return TransportError(TransportReason.SILENT, message)
         if not self._has_heard_messages:
-            message = f"{self._name}: what answers is no Shimmer; choose its port in the settings"
+            message = (
+                f"{self._name}: what answers is not a Shimmer; choose its port in the settings"
+            )
             return ProtocolError(ProtocolReason.GARBAGE, message)
         message = f"{self._name}: the device does not answer; switch it off and on"
         return ProtocolError(ProtocolReason.NO_REPLY, message)

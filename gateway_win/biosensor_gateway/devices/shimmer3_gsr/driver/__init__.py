@@ -104,7 +104,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
     board = await expansion_board(talk, name)
     if board is not None and board not in GSR_BOARDS:
         # It measures, but the values are meaningless.
-        _log.warning("the expansion board is no GSR+ board", port=name, board=board)
+        _log.warning("the expansion board is not a GSR+ board", port=name, board=board)
     denied = await ask_for_the_state(talk, kind)
     present = await make_right(talk, lambda inquiry: _changes(inquiry, wanted), name)
     layout = kind.layout(present.channels)

@@ -182,6 +182,6 @@ def choose_channels(channels: Sequence[Channel]) -> BeltChannels:
     rate = [each for each in channels if each.description.casefold() == "respiration rate"]
     if not force or not rate:
         names = ", ".join(each.description for each in channels) or "nothing"
-        message = f"the device measures {names}: it is no respiration belt; set another `device`"
+        message = f"the device measures {names}: it is not a respiration belt; set another `device`"
         raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
     return BeltChannels(force[0], rate[0])

@@ -151,7 +151,7 @@ class ZephyrDriver:
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         if self._protocol.dropped_bytes and not self._has_heard:
             message = (
-                f"{self._port}: what answers is no BioHarness; choose its port in the settings"
+                f"{self._port}: what answers is not a BioHarness; choose its port in the settings"
             )
             raise ProtocolError(ProtocolReason.GARBAGE, message)
         message = f"{self._port}: the device does not answer; switch it off and on"

@@ -52,7 +52,7 @@ export function State({ recording }) {
 // Of a recording that was cut off, as on a full disk. For who only looks on, only what came of it.
 function Salvage({ verdict, act }) {
   const [isUnderWay, once] = useOneAtATime(act);
-  if (verdict.salvaged) return html`<p class="small file">All that can be read of it is in ${verdict.salvaged}</p>`;
+  if (verdict.salvaged) return html`<p class="small file">Everything that can be read of it is in ${verdict.salvaged}</p>`;
   if (!act || !verdict.can_be_salvaged) return null;
   return html`
     <div class="buttons">

@@ -149,4 +149,4 @@ def _coordinate_system(stream: Stream) -> tuple[str, str]:
     text = ", ".join(sorted(each.strip() for each in told if each.strip()))
     if "world" in text.lower():
         return "gaze-in-world", text
-    return "custom", text or "as the sender has it; no header tells more than units and labels"
+    return "custom", text or "as the sender sends it; the header only has units and labels"

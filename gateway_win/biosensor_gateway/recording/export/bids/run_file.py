@@ -295,7 +295,7 @@ def _describe(
     content = {
         **file.described(),
         "EMGPlacementScheme": "Other",
-        "EMGPlacementSchemeDescription": "not known, no header tells it; please fill it in",
+        "EMGPlacementSchemeDescription": "unknown, because no header has it; please fill it in",
         "EMGReference": NOTHING,
         "EMGChannelCount": types.count("EMG"),
         "StartTime": round(file.start_s, 6),

@@ -57,7 +57,7 @@ class Study:
     def __init__(self, root: Path) -> None:
         is_empty = root.is_dir() and not any(root.iterdir())
         if os.path.lexists(root) and not is_dataset(root) and not is_empty:
-            message = f"{root} is no BIDS data set; give a new folder, or that of a data set"
+            message = f"{root} is not a BIDS data set; give a new folder, or that of a data set"
             raise ConfigError(ConfigReason.EXISTS, message)
         self._root = root
 
