@@ -105,7 +105,7 @@ WRONG: list[tuple[dict[str, Any], ConfigReason, str]] = [
     ({"topics": ["/a//b"]}, ConfigReason.WRONG_VALUE, "no name of a topic"),
     ({"topics": ["/a/{ns}"]}, ConfigReason.WRONG_VALUE, "no name of a topic"),
     ({"topics": ["/" + "a" * 300]}, ConfigReason.WRONG_VALUE, "no name of a topic"),
-    ({"topics": ["/a"], "topic": ["/b"]}, ConfigReason.UNKNOWN_KEY, "topic is no parameter"),
+    ({"topics": ["/a"], "topic": ["/b"]}, ConfigReason.UNKNOWN_KEY, "topic is not a parameter"),
     ({"topics": ["/a"], "/b.rate": 5.0}, ConfigReason.UNKNOWN_KEY, "/b is not among"),
     ({"topics": ["/a"], "a.rate": 5.0}, ConfigReason.UNKNOWN_KEY, "spelt alike"),
     ({"topics": ["/a"], "/a.rates": 5.0}, ConfigReason.UNKNOWN_KEY, "no 'rates'"),

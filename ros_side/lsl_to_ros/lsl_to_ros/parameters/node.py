@@ -190,8 +190,8 @@ def unknown(name: str, known: Iterable[str]) -> str:
     if similar:
         return f"{name} is not a parameter of this node; {similar[0]} is"
     return (
-        f"{name} is not a parameter of this node; --help lists those that are, and what a file has for"
-        " another node belongs below that node's name, not below /**"
+        f"{name} is not a parameter of this node; --help lists those that are, and what a file has "
+        "for another node belongs below that node's name, not below /**"
     )
 
 
