@@ -181,6 +181,25 @@ def test_a_marker_that_is_published_once_is_in_the_stream_at_its_time(
     assert before - 0.001 < stamp < after + 0.001
 
 
+def test_the_text_of_a_latched_topic_reaches_who_comes_later_once(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    latched = ros.node.create_publisher(String, "/condition", LATCHED)
+    event = ros.node.create_publisher(String, "/event", 1)
+    latched.publish(String(data="night"))
+    start_node(*arguments("/condition, /event"), module=MODULE)
+    ros.until(lambda: event.get_subscription_count() == 1, "a subscriber")
+    event.publish(String(data="over"))
+    for topic in ("/condition", "/event"):
+        ros.until(lambda name=topic: ros_value(ros, name, "pushed") == "1", "a marker")
+    condition, events = streams.open("condition"), streams.open("event")
+    condition.until(lambda: ["night"] in condition.samples, "the condition that still holds")
+    assert condition.samples == [["ros_to_lsl ready"], ["night"]]
+    event.publish(String(data="again"))
+    events.until(lambda: ["again"] in events.samples, "a marker")
+    assert ["over"] not in events.samples
+
+
 def test_a_clock_that_is_wrong_is_said_everywhere_and_not_used(
     ros: Ros, streams: Streams, start_node: Start
 ) -> None:

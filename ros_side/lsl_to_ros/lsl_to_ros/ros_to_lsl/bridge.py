@@ -18,7 +18,7 @@ from biosensor_common.ros.layout import is_part
 from lsl_to_ros.ros_to_lsl.fields import FramedList, framed_list, frames_of, has_header, type_name
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
-from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
+from lsl_to_ros.ros_to_lsl.senders import MarkerSender, NumberSender, Sender, senders_for
 from lsl_to_ros.ros_to_lsl.stamps import (
     ClockState,
     Doubt,
@@ -263,6 +263,8 @@ class Bridge:
             if self._held and not self.stamping.is_in_doubt:
                 self._send_held()
             for each in self._senders:
+                if isinstance(each, MarkerSender):
+                    each.outlet.is_state = self.is_latched
                 each.look(now)
                 if self.is_latched and isinstance(each, NumberSender) and each.has_new_receiver():
                     each.repeat(self.stamping.after_all(now))

@@ -108,7 +108,13 @@ class SampleOutlet:
 
 
 class MarkerOutlet:
-    """An outlet of text markers."""
+    """An outlet of text markers.
+
+    Attributes
+    ----------
+    is_state
+        Whether the newest marker still holds, so that the first receiver gets it, too.
+    """
 
     def __init__(self, name: str, origin: Origin) -> None:
         info = pylsl.StreamInfo(
@@ -127,7 +133,8 @@ class MarkerOutlet:
         self._outlet = LslOutlet(info)
         self.source_id = info.source_id()
         _note_own(self._outlet)
-        self._had_consumers = False
+        self._had_consumers = self.is_state = False
+        self._newest: str | None = None
         self.pushed = 0
 
     def push(self, text: str, stamp: float) -> None:
@@ -135,6 +142,7 @@ class MarkerOutlet:
         # A receiver of this marker needs no start marker.
         self._had_consumers = self.have_consumers()
         self._outlet.push_sample([text], stamp)
+        self._newest = text
         self.pushed += 1
 
     def look(self, stamp: float) -> None:
@@ -142,6 +150,8 @@ class MarkerOutlet:
         had_consumers, self._had_consumers = self._had_consumers, self.have_consumers()
         if self._had_consumers and not had_consumers:
             self._outlet.push_sample([READY], stamp)
+            if self.is_state and self._newest is not None:
+                self.push(self._newest, stamp)
 
     def have_consumers(self) -> bool:
         """Whether anybody receives the stream."""

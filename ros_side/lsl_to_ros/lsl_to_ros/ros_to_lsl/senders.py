@@ -169,6 +169,7 @@ class TextSender:
         """See :class:`Sender`."""
         if self.outlet is None:
             self.outlet = MarkerOutlet(self.name, origin())
+            self.outlet.is_state = True
         text = self._read(message)
         if text != self._newest:
             self._newest = text
