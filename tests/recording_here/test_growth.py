@@ -243,6 +243,17 @@ def _recording(*content: bytes) -> bytes:
     return xdf(*headers, own_header(9, AGENT, "events"), *content)
 
 
+def test_a_sensor_that_a_restarted_agent_has_no_longer_is_red(written: Written) -> None:
+    written.write(_recording(_told(_beat(1000.5)), _acc(1, (1000, 1005)), _acc(2, (1000, 1005))))
+    assert list(written.growth.gone()) == []
+    written.write(_told(_beat(1004.0) | {"devices": {"polar_h10/A1": "streaming"}}))
+    (found,) = written.growth.gone()
+    assert found.level is Level.ERROR
+    assert found.text.startswith("polar_h10/A2 (P02) is not among the agent's sensors any more")
+    written.write(_told(_beat(1005.0)))
+    assert list(written.growth.gone()) == []
+
+
 def test_a_pause_is_told_as_a_pause_while_it_is_recorded(written: Written) -> None:
     written.write(_recording(_told(_beat(1000.5)), _acc(1, (1000, 1005)), _acc(2, (1000, 1005))))
     written.write(_told(event("paused", 1005.0)) + _acc(2, (1005, 1007), (1007.5, 1009)))

@@ -179,6 +179,17 @@ def test_a_sensor_that_was_renamed_or_removed_meanwhile_is_red() -> None:
     assert text.startswith("polar_h10/A1 of P01 was removed or renamed in the settings at 12.0 s")
 
 
+def test_a_sensor_that_the_agent_has_no_longer_after_a_restart_is_red() -> None:
+    both = heartbeat(polar_h10__A1="streaming", polar_h10__A2="streaming")
+    one = {**heartbeat(polar_h10__A1="streaming"), "lsl_time": 1012.0}
+    sensors = strap("P01"), strap("P02", "A2")
+    report = judged("group1", *sensors, events=[both, one])
+    assert codes(report, Level.ERROR) == {("removed", "")}
+    text = text_of(report, "removed")
+    assert text.startswith("polar_h10/A2 of P02 was removed or renamed in the settings at 12.0 s")
+    assert judged("group1", *sensors, events=[both, one, both]).is_good
+
+
 def test_a_sensor_that_comes_back_under_its_name_is_all_right() -> None:
     events: list[object] = [change("device_removed", "P01", 1012.0),
                             change("device_added", "P01", 1012.5), "no event"]  # fmt: skip

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import clock_time, names
+from biosensor_gateway.agent.selection import described
 from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, ChunkError, Frame, Tag
 from biosensor_gateway.recording.xdf.counters import (
     NEAR_S,
@@ -461,8 +462,20 @@ class Growth:
             As for `other_agents`.
         """
         yield from self.other_agents(source_id, own_started_s)
+        yield from self.gone()
         yield from self.gaps()
         yield from self.was_away()
+
+    def gone(self) -> Iterator[Finding]:
+        """Yield which devices their agent has no longer, as after a restart with other settings."""
+        for log in (each.log for each in self._streams.values() if each.log):
+            for device, since_s in log.gone.items():
+                text = (
+                    f"{described(device)} is not among the agent's sensors any more since "
+                    f"{_clock_time(since_s, log)}, and nothing of it is recorded; bring it back, "
+                    "or stop and record again"
+                )
+                yield Finding(Level.ERROR, "removed", "", text)
 
     def gaps(self) -> Iterator[Finding]:
         """Yield the gaps of each device so far, from its stream with the longest ones."""

@@ -175,7 +175,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
         elif event.get("event") == EventKind.DEVICE_ADDED:
             # A device added again under the same name is recorded again.
             ended.pop(identity, None)
-    for identity, at in ended.items():
+    for identity, at in (EventLog.of(events.stream.texts, recorded).gone | ended).items():
         text = (
             f"{_named(identity)} was removed or renamed in the settings at "
             f"{extent.since_begin(at, events):.1f} s, and nothing of it was recorded since"
@@ -325,6 +325,9 @@ class EventLog:
     def __init__(self) -> None:
         self._now: dict[DeviceIdentity, tuple[str, float | None]] = {}
         self._over: dict[DeviceIdentity, list[Spell]] = {}
+        self._had: set[DeviceIdentity] = set()
+        self.gone: dict[DeviceIdentity, float] = {}
+        """Recorded devices that the agent has no longer, as after a restart, and since when."""
         self._agents: list[_AgentRun] = []
         self._clock: tuple[float, float] | None = None
 
@@ -347,6 +350,7 @@ class EventLog:
             self._take_spells(event, recorded)
             if event.get("event") == EventKind.HEARTBEAT:
                 self._take_heartbeat(event)
+                self._take_gone(event, recorded)
 
     @property
     def spells(self) -> Mapping[DeviceIdentity, list[Spell]]:
@@ -398,6 +402,19 @@ class EventLog:
             self._now[device] = how, _time(event) if device in self._now else None
             if before:
                 self._over.setdefault(device, []).append(Spell(before, since, _time(event)))
+
+    def _take_gone(self, event: Mapping[str, Any], recorded: Sequence[DeviceIdentity]) -> None:
+        devices: object = event.get("devices")
+        if not isinstance(devices, dict):
+            return
+        here = {
+            each for name in cast("dict[str, object]", devices) for each in holders(name, recorded)
+        }
+        for device in self._had - here:
+            self.gone.setdefault(device, _time(event))
+        for device in here & self.gone.keys():
+            del self.gone[device]
+        self._had |= here
 
     def _take_heartbeat(self, event: Mapping[str, Any]) -> None:
         now_s, started_s = _time(event), _number(event, "agent_started")
