@@ -375,6 +375,10 @@ def reports(until: Until, folder: Path, state: str) -> None:
 needs_linux = pytest.mark.skipif(
     sys.platform != "linux", reason="the stand-in is the program of Linux"
 )
+needs_systemd = pytest.mark.skipif(
+    not (shutil.which("dbus-daemon") and shutil.which("systemd-inhibit")),
+    reason="dbus-daemon and systemd-inhibit are needed",
+)
 
 
 @pytest.mark.nightly
@@ -498,10 +502,7 @@ def awake(login: Login) -> Generator[KeepAwake]:
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(
-    not (shutil.which("dbus-daemon") and shutil.which("systemd-inhibit")),
-    reason="dbus-daemon and systemd-inhibit are needed",
-)
+@needs_systemd
 async def test_systemd_inhibit_understands_what_it_is_told(
     login: Login, awake: KeepAwake, eventually: Eventually
 ) -> None:
@@ -514,10 +515,7 @@ async def test_systemd_inhibit_understands_what_it_is_told(
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(
-    not (shutil.which("dbus-daemon") and shutil.which("systemd-inhibit")),
-    reason="dbus-daemon and systemd-inhibit are needed",
-)
+@needs_systemd
 async def test_a_refusal_of_logind_is_quoted(
     login: Login, awake: KeepAwake, eventually: Eventually
 ) -> None:
@@ -529,10 +527,7 @@ async def test_a_refusal_of_logind_is_quoted(
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(
-    not (shutil.which("dbus-daemon") and shutil.which("systemd-inhibit")),
-    reason="dbus-daemon and systemd-inhibit are needed",
-)
+@needs_systemd
 async def test_the_lock_ends_with_an_agent_that_is_killed(
     login: Login, cli_process: StartCli, eventually: Eventually, tmp_path: Path
 ) -> None:

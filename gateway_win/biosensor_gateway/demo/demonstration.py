@@ -352,7 +352,6 @@ def show_topics(
             time.sleep(_POLL_S)
     except KeyboardInterrupt:
         # The table prints its summary, whether it got the same Ctrl-C or not.
-        interrupt(table)
         stop(table, programs.begin_to_end())
     finally:
         stop(table)
