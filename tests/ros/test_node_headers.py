@@ -275,7 +275,7 @@ FORMATS: list[tuple[str, type[Any], list[float]]] = [
     ("int32", Int32MultiArray, [-(2**31), 2**31 - 1, 0, 16777217]),
     ("int64", Int64MultiArray, [-(2**63), 2**63 - 1, 2**53 + 1, 1]),
 ]
-SAID = "came back"
+SAID = "was restarted as"
 TEXTS = ["", "two\nlines", '"quoted"', "\N{SNOWMAN}" * 10_000]
 
 
