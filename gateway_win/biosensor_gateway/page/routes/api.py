@@ -71,9 +71,8 @@ async def misformed(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"][1:])
-    return JSONResponse(
-        Problem(problem=f"{place or 'the request'}: {first['msg']}").model_dump(), 422
-    )
+    what = first["msg"].removeprefix("Value error, ")
+    return JSONResponse(Problem(problem=f"{place or 'the request'}: {what}").model_dump(), 422)
 
 
 async def _refused(_request: Request, error: Exception) -> JSONResponse:
