@@ -26,6 +26,7 @@ from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedReco
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
     VisibleStream,
+    doubles,
     expected_devices,
 )
 from biosensor_gateway.recording.xdf.findings import Level
@@ -71,6 +72,13 @@ def test_an_agent_in_another_session_is_not_recorded(tmp_path: Path, is_ours: bo
     with pytest.raises(RecorderError, match="the LSL session before-the-change, and") as refused:
         expected_devices(GatewaySettings(), tmp_path)
     assert refused.value.reason is RecorderReason.OTHER_SESSION
+
+
+def test_two_streams_of_one_name_are_told_when_it_begins() -> None:
+    ours, other = VisibleStream("P01-a", "P01@a", "here"), VisibleStream("b", "b-id", "there")
+    assert list(doubles(Presence((ours, other, other), (other,), ()))) == []
+    (sentence,) = doubles(Presence((ours, ours, other), (other,), ()))
+    assert sentence.startswith("there are two streams each of P01-a (here): another agent uses")
 
 
 AWAY = "polar_h10/A1 of P01 was paused the whole time, and "

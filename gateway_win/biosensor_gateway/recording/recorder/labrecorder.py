@@ -42,6 +42,7 @@ from biosensor_gateway.recording.recorder.result import By, Started, Status, Sto
 from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
+    doubles,
     recorded_without,
     require_startable,
     titles,
@@ -317,6 +318,7 @@ def _require_free(target: Target) -> None:
 
 def _warnings(presence: Presence, request: RecordingRequest) -> Iterator[str]:
     yield from recorded_without((*presence.away, *presence.missing))
+    yield from doubles(presence)
     if presence.foreign and not request.all_streams:
         yield (
             "started by remote control, LabRecorder records every stream that it sees; these are "

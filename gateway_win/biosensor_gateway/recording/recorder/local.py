@@ -44,6 +44,7 @@ from biosensor_gateway.recording.recorder.streams import (
     Presence,
     VisibleStream,
     away_findings,
+    doubles,
     excused,
     own_events,
     recorded_without,
@@ -141,7 +142,11 @@ class LocalRecorder:
             failed.pop_all()
         recorded = tuple(each for each in wanted if each not in missed)
         foreign = tuple(each for each in recorded if each in presence.foreign)
-        left_out = (*recorded_without(presence.missing), *_missed(missed))
+        left_out = (
+            *recorded_without(presence.missing),
+            *_missed(missed),
+            *doubles(presence),
+        )
         return LocalStarted(
             by=By.GATEWAY,
             verified=True,

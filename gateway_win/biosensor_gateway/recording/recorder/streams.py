@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -253,6 +254,18 @@ def recorded_without(what: Sequence[str]) -> Iterator[str]:
     """Yield a sentence about what is missing in a recording that starts anyway."""
     if what:
         yield f"recorded without: {'; '.join(what)}"
+
+
+def doubles(presence: Presence) -> Iterator[str]:
+    """Yield a sentence if streams of the agent are visible twice, of which one is another's."""
+    ours = Counter(each for each in presence.visible if each not in presence.foreign)
+    twice = [each for each, count in ours.items() if count > 1 and each.source_id]
+    if twice:
+        yield (
+            f"there are two streams each of {titles(twice)}: another agent uses the same names, "
+            "and its data may be another person's; end it, or give its sensors another "
+            "participant, and record again"
+        )
 
 
 def excused(devices: Devices | None, started: float) -> frozenset[str]:
