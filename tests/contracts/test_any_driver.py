@@ -225,6 +225,9 @@ async def test_each_signal_that_is_refused_is_a_reason(
             await until(lambda: run.supervisor.state is State.STREAMING)
             await until(lambda: run.supervisor.last_error is None)
     assert len(found) >= device.expected.deniable
+    # It is worn all the time, also where nobody measures what that is told from.
+    for data_name, column, _ in declaration(device.sensor).channels_of(ChannelRole.CONTACT):
+        assert 0 not in [row[column] for row in run.sink.rows[data_name]], data_name
 
 
 @every(FaultKind.UNREADABLE)

@@ -122,6 +122,23 @@ def test_the_best_thermometer_is_taken(sender: Sender, there: list[str], best: s
     assert set(values) == {30 + there.index(best)}
 
 
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e400", "ovf", ""])
+@pytest.mark.parametrize(("tag", "data_name"), [("HR", "hr"), ("BI", "ibi"), ("B%", "bat")])
+def test_what_is_no_number_is_not_sent_and_its_bytes_are_counted(
+    sender: Sender, tag: str, data_name: str, text: str
+) -> None:
+    sender.send(1000, ("EA", 0.5), (tag, text), (tag, 60))
+    assert len(sender.sink.rows[data_name]) == 1
+    # Nothing at all is no value that came.
+    assert sender.sink.dropped_bytes == len(text)
+
+
+@pytest.mark.parametrize("interval_ms", [0, -800, 1e9, 20])
+def test_an_interval_that_no_heart_has_is_refused(sender: Sender, interval_ms: float) -> None:
+    sender.send(1000, ("EA", 0.5), ("BI", interval_ms))
+    assert sum(each.count(Refusal.IMPLAUSIBLE) for each in sender.sink.refused.values()) == 1
+
+
 def test_intervals_of_one_packet_end_one_after_another(sender: Sender) -> None:
     sender.send(1000, ("EA", 0.5))
     sender.send(3000, ("EA", 0.5), ("BI", 800.0, 900.0), ("HR", 71))

@@ -425,16 +425,22 @@ class EmotiBitEmitter:
         self._times.forget()
 
     def _add(self, data_name: str, channel: int, packet: Packet, time_s: float) -> None:
-        values = packet.values()
-        if values is None:
+        values = self._numbers(packet)
+        if packet.payload and not values:
             # The next packet of this channel shows a gap, which is counted.
-            self._sink.dropped_bytes += sum(map(len, packet.payload))
             self._gaps += 1
             return
         gap = self._gaps_before.get(packet.tag, self._gaps) != self._gaps
         self._gaps_before[packet.tag] = self._gaps
         if values:
             self._sensors[data_name].add(channel, values, time_s, gap=gap)
+
+    def _numbers(self, packet: Packet) -> Sequence[float]:
+        """Return a packet's values; none if they are not all numbers, whose bytes are counted."""
+        values = packet.values()
+        if values is None:
+            self._sink.dropped_bytes += sum(map(len, packet.payload))
+        return values or ()
 
     def _take_temperature(self, packet: Packet, time_s: float) -> None:
         """Emit the temperature of the best thermometer, once known which ones exist."""
@@ -452,7 +458,7 @@ class EmotiBitEmitter:
         """Emit irregular data."""
         match packet.tag:
             case Tag.HEART_RATE:
-                rates = packet.values() or ()
+                rates = self._numbers(packet)
                 self._sink.emit("hr", [[each] for each in rates], [time_s] * len(rates))
             case Tag.INTERVAL:
                 self._tell_intervals(packet, time_s)
@@ -468,13 +474,12 @@ class EmotiBitEmitter:
 
     def _tell_intervals(self, packet: Packet, time_s: float) -> None:
         """Emit the intervals of a packet; the last one ends at the packet's time."""
-        intervals = [each / 1000 for each in packet.values() or ()]
-        if intervals and min(intervals) > 0:
-            ends = [time_s - sum(intervals[at + 1 :]) for at in range(len(intervals))]
-            self._sink.emit("ibi", [[each] for each in intervals], ends)
+        intervals = [each / 1000 for each in self._numbers(packet)]
+        ends = [time_s - sum(intervals[at + 1 :]) for at in range(len(intervals))]
+        self._sink.emit("ibi", [[each] for each in intervals], ends)
 
     def _tell_battery(self, packet: Packet, time_s: float) -> None:
-        values = packet.values()
+        values = self._numbers(packet)
         if values and values[-1] != self._battery:
             self._battery = values[-1]
             self._sink.emit_value("bat", self._battery, time_s)
