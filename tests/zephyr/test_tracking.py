@@ -9,8 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr.driver.emitter import BeatDetector, PacketTrack, Placed
+from biosensor_common.refusal import Refusal
+from biosensor_gateway.devices.zephyr.driver.emitter import (
+    BeatDetector,
+    PacketTrack,
+    Placed,
+    ZephyrEmitter,
+)
 from biosensor_gateway.devices.zephyr.driver.messages import Header, RrIntervals
+from tests.rigs.emitter_sink import EmitterSink
 
 SAMPLES, PERIOD_S = 63, 0.004
 DURATION_S = SAMPLES * PERIOD_S
@@ -227,11 +234,14 @@ def test_the_first_reading_is_no_beat_nor_the_first_after_a_gap() -> None:
     assert beats.beats(readings(760)) == [(0, 0.76)]
 
 
-@given(st.integers(-12_498, 12_498).filter(lambda value: not 250 <= abs(value) <= 1500))
-def test_an_implausible_interval_is_no_beat_and_hides_none(reading: int) -> None:
-    beats = BeatDetector()
-    beats.beats(readings(800))
-    assert beats.beats(readings(800, reading, -900)) == [(2, 0.9)]
+@given(st.integers(-12_498, 12_498).filter(lambda value: abs(value) not in (0, 800, 900)))
+def test_an_implausible_interval_is_counted_and_hides_no_beat(reading: int) -> None:
+    sink = EmitterSink("zephyr")
+    ZephyrEmitter(sink).take(readings(800, 800, reading, -900), sink.clock())
+    # Also of a heart that beats 24 times a minute.
+    is_plausible = 250 <= abs(reading) <= 2500
+    assert sink.values("ibi") == [*([abs(reading) / 1000] if is_plausible else []), 0.9]
+    assert sink.refusals.count(Refusal.LEFT_OUT) == (not is_plausible)
 
 
 @given(st.lists(st.integers(250, 1500), min_size=1, max_size=60))

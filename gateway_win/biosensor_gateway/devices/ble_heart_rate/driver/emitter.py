@@ -106,8 +106,7 @@ class StrapEmitter:
 
     def _emit(self, placed: Sequence[PlacedBeat]) -> None:
         for beat, time_s in placed:
-            if beat.interval_s:
-                self._sink.emit_at("ibi", [beat.interval_s], [time_s])
+            self._sink.emit_at("ibi", [beat.interval_s], [time_s])
 
     def _in_contact(self, measured: HeartRateMeasurement, arrival_s: float) -> bool:
         if measured.intervals or self._interval_seen_s is None:

@@ -262,8 +262,8 @@ class MovesenseEmitter:
             return False
         if measured.bpm:
             self._sink.emit_on_arrival("hr", measured.bpm, packet.arrival_s)
-        beats = [Beat(interval_ms / 1000) for interval_ms in measured.intervals_ms if interval_ms]
-        if beats:
+        beats = [Beat(interval_ms / 1000) for interval_ms in measured.intervals_ms]
+        if any(measured.intervals_ms):
             self._beat_s = packet.arrival_s
         placed = self._beats.place(beats, packet.arrival_s)
         self._emit_beats(placed)

@@ -31,8 +31,12 @@ from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _SEQUENCE_MODULUS = 256
-# With bad contact the device reports intervals from 24 to 12 498 ms.
-_RR_RANGE_MS = range(250, 1501)
+# With bad contact the device reports intervals from 24 to 12 498 ms; a heart at rest beats 24 times
+# a minute or more.
+_RR_RANGE_S = (0.25, 2.5)
+_NO_INTERVAL = (
+    f"no interval between beats is below {_RR_RANGE_S[0]:g} or above {_RR_RANGE_S[1]:g} s"
+)
 _MAX_BRIDGED_S = 86_400.0
 _REMEMBERED = 16
 # Without a device clock, numbers have restarted if they show a gap longer than the arrivals allow
@@ -167,10 +171,10 @@ class BeatDetector:
         self._last = None
 
     def beats(self, packet: RrIntervals) -> list[tuple[int, float]]:
-        """Return (index of the reading, R-R interval in s) of each plausible new beat."""
+        """Return (index of the reading, R-R interval in s) of each new beat."""
         found: list[tuple[int, float]] = []
         for index, reading in enumerate(packet.samples):
-            if self._last is not None and reading != self._last and abs(reading) in _RR_RANGE_MS:
+            if self._last is not None and reading not in (0, self._last):
                 found.append((index, abs(reading) / 1000))
             self._last = reading
         return found
@@ -263,7 +267,10 @@ class ZephyrEmitter:
             # The number of beats in the gap is unknown, so none is counted as lost.
             self._beats.reset()
         for index, interval_s in self._beats.beats(message):
-            self._sink.emit_value("ibi", interval_s, times[index])
+            if _RR_RANGE_S[0] <= interval_s <= _RR_RANGE_S[1]:
+                self._sink.emit_value("ibi", interval_s, times[index])
+            else:
+                self._sink.left_out(1, _NO_INTERVAL)
 
     def _emit_vitals(
         self, header: Header, values: dict[str, float | None], arrival_s: float
