@@ -427,9 +427,8 @@ class EmotiBitEmitter:
     def _add(self, data_name: str, channel: int, packet: Packet, time_s: float) -> None:
         values = self._numbers(packet)
         if packet.payload and not values:
-            # The next packet of this channel shows a gap, which is counted.
             self._gaps += 1
-            return
+            return  # nothing is dropped: the next packet of this channel shows a gap
         gap = self._gaps_before.get(packet.tag, self._gaps) != self._gaps
         self._gaps_before[packet.tag] = self._gaps
         if values:
