@@ -156,7 +156,8 @@ def test_files_are_replaced_and_what_is_not_its_own_stays(
         installed.user_folder / LOG: b'{"event": "earlier"}\n',
         foreign: b"of the user\r\n",
     }
-    installed.user_folder.mkdir(parents=True)
+    # The tests before have left settings and a log there.
+    installed.user_folder.mkdir(parents=True, exist_ok=True)
     for path, content in {stale: b"MZ", **own}.items():
         path.write_bytes(content)
     before = own_registry(installed)
