@@ -25,7 +25,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_gateway.settings.editor import template, write_template
-from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.settings.file import load_or_defaults, load_settings
 from biosensor_gateway.settings.models import (
     DeviceSettings,
     EventSettings,
@@ -547,6 +547,7 @@ def test_the_environment_overrides_the_file(load: Loader, monkeypatch: pytest.Mo
 def test_a_bad_override_is_named_by_its_variable(
     refuse: Refusal,
     monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
     *,
     variable: str,
     value: str,
@@ -559,6 +560,10 @@ def test_a_bad_override_is_named_by_its_variable(
     assert str(error).startswith(f"environment variable BIOSENSOR_GATEWAY_{variable}: ")
     assert said in str(error)
     assert "\n" not in str(error)
+    # Virtual devices need no file, and its absence makes no difference.
+    with pytest.raises(ConfigError) as caught:
+        load_or_defaults(tmp_path / "none.toml", {})
+    assert str(caught.value) == str(error)
 
 
 def test_a_mistake_in_the_file_is_not_blamed_on_the_environment(

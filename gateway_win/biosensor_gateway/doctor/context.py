@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from biosensor_common.doctor import check
 from biosensor_common.doctor.check import Finding, Guide, error, note, ok, warning
-from biosensor_common.errors import ConfigError, ConfigReason, SpecError
+from biosensor_common.errors import ConfigError, SpecError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import declared
@@ -91,9 +91,9 @@ def read_context(
     try:
         # Imported here, because the models need all drivers with their libraries.
         from biosensor_gateway.devices.registry import settings_models
-        from biosensor_gateway.settings.file import load_settings
+        from biosensor_gateway.settings.file import load_or_defaults
 
-        loaded = load_settings(settings_path, settings_models())
+        loaded = load_or_defaults(settings_path, settings_models())
     except Exception as problem:  # noqa: BLE001 - a model of another package may raise anything
         return replace(context, overrides=_default_lsl().overrides, problem=problem)
     return replace(
@@ -127,14 +127,14 @@ def settings(context: Context) -> Iterator[Finding]:
 
 def _file(context: Context) -> Iterator[Finding]:
     path, problem = context.settings_path, context.problem
+    if problem is None and not path.exists():
+        yield note(
+            f"there is no settings file {path}",
+            _NOTHING_STREAMS,
+            "biosensor-gateway config init\nbiosensor-gateway scan",
+        )
+        return
     if isinstance(problem, ConfigError):
-        if problem.reason is ConfigReason.NOT_FOUND:
-            yield note(
-                f"there is no settings file {path}",
-                _NOTHING_STREAMS,
-                "biosensor-gateway config init\nbiosensor-gateway scan",
-            )
-            return
         for line in str(problem).splitlines():
             yield error(
                 line.strip(),

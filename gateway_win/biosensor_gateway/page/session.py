@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.single_instance import is_held
@@ -68,7 +68,7 @@ class Session:
         self._status: AgentStatus | None = None
         self._skipped = 0
         self._started_s = -STARTING_S
-        self._loaded: tuple[object, GatewaySettings | ConfigError] = None, GatewaySettings()
+        self._loaded: tuple[object, GatewaySettings | ConfigError | None] = None, None
 
     def take_status(self, status: AgentStatus | None) -> None:
         """Note the agent's status; None if there is no agent."""
@@ -97,7 +97,7 @@ class Session:
     def configured(self) -> Sequence[DeviceSettings]:
         """Return the devices of the settings; empty if there is no file, or it is wrong."""
         try:
-            return self._load().devices
+            return self.loaded().devices
         except ConfigError:
             return ()
 
@@ -166,14 +166,22 @@ class Session:
         Raises
         ------
         ConfigError
-            If the file is wrong.
+            If the file or an environment variable is wrong.
         """
-        try:
-            return self._load()
-        except ConfigError as error:
-            if error.reason is not ConfigReason.NOT_FOUND:
-                raise
-            return GatewaySettings()
+        version = _version(self.settings)
+        if self._loaded[0] != version or self._loaded[1] is None:
+            outcome: GatewaySettings | ConfigError
+            try:
+                outcome = settings_file.load_or_defaults(self.settings, settings_models())
+            except ConfigError as error:
+                outcome = error
+            self._loaded = version, outcome
+        else:
+            outcome = self._loaded[1]
+        if isinstance(outcome, ConfigError):
+            # Otherwise the traceback would grow each time that the error is raised.
+            raise outcome.with_traceback(None)
+        return outcome
 
     def status(self) -> StatusView:
         """Return the status of the agent, its devices, the recording and the replay."""
@@ -203,31 +211,15 @@ class Session:
     def _settings_facts(self) -> dict[str, Any]:
         problem, devices = "", ()
         try:
-            devices = self._load().devices
+            devices = self.loaded().devices
         except ConfigError as error:
-            if error.reason is not ConfigReason.NOT_FOUND:
-                problem = str(error)
+            problem = str(error)
         return {
             "settings_file": str(self.settings),
             "problem": problem,
             "configured": len(devices),
             "one_wearer": _can_be_one_persons(devices),
         }
-
-    def _load(self) -> GatewaySettings:
-        """Read the settings if the file has changed since the last time."""
-        version = _version(self.settings)
-        if self._loaded[0] != version:
-            outcome: GatewaySettings | ConfigError
-            try:
-                outcome = settings_file.load_settings(self.settings, settings_models())
-            except ConfigError as error:
-                outcome = error
-            self._loaded = version, outcome
-        if isinstance(self._loaded[1], ConfigError):
-            # Otherwise the traceback would grow each time that the error is raised.
-            raise self._loaded[1].with_traceback(None)
-        return self._loaded[1]
 
 
 def _can_be_one_persons(devices: Iterable[DeviceSettings]) -> bool:

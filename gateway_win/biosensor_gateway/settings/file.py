@@ -50,16 +50,13 @@ def load_or_defaults(
 ) -> GatewaySettings:
     """Read the settings, or the defaults if there is no file; see `load_settings`."""
     try:
-        return load_settings(path, device_models)
+        text = read_text(path)
     except ConfigError as error:
         if error.reason is not ConfigReason.NOT_FOUND:
             raise
-    try:
-        return GatewaySettings()
-    except ValidationError as error:
-        # Only the environment's overrides can be wrong here.
-        problems = list(from_validation(error, GatewaySettings))
-        raise report(path, {}, problems) from None
+        # The environment's overrides hold all the same, and can be wrong.
+        text = ""
+    return settings_of(path, text, device_models)
 
 
 def settings_of(
