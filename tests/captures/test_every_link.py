@@ -38,6 +38,7 @@ from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.transports.tap import Passed, What
 from tests.docs.worked_with import captures
 from tests.emotibit import recorded_capture as recorded_emotibit
 from tests.rigs.kept_logging import kept_logging
@@ -155,6 +156,31 @@ def test_what_cannot_be_captured_says_why_and_what_to_send_instead(sensor: str, 
     )
     with pytest.raises(ConfigError, match=f"{why}.*send a recording instead"):
         recorder.taken(recorder.Recorder(), device, DeviceTest(info=DeviceInfo()))
+
+
+def test_a_name_in_a_column_is_replaced_where_it_stands_and_where_it_passes(
+    tmp_path: Path,
+) -> None:
+    fields = {"sensor": "line_sensor", "unit": "U1", "port": "/dev/ttyUSB0", "format": "json"}
+    columns = ("ecg/Renate_left [mV]", "gsr/Renates skin [uS]")
+    device = driver("line_sensor").settings.model_validate({**fields, "columns": columns})
+    tapped = recorder.Recorder()
+    link = tapped.opened(None, ())
+    for second in range(5):
+        line = b'{"Renate_left": %d, "Renates skin": 2.5}\n' % second
+        tapped.passed(link, Passed(What.CAME, "", line, second, second))
+    taken = recorder.taken(tapped, device, DeviceTest(info=DeviceInfo()))
+    text = "\n".join(Draft(taken).whole())
+    came = b"".join(each.bytes for each in taken.capture.events)
+    assert "Renate" not in text
+    assert b"Renate" not in came
+    # What tells what is measured stays, and the driver still reads it.
+    kept = taken.capture.header.settings["columns"]
+    assert [each.split("/")[0] for each in kept] == ["ecg", "gsr"]
+    assert {each.secret for each in taken.replaced} == {"Renate", "Renates"}
+    # A serial link's first line may be the rest of one.
+    report = replay(read(Draft(taken).save(tmp_path)))
+    assert {name: each.samples for name, each in report.streams.items()} == {"ecg": 4, "gsr": 4}
 
 
 EXCERPT = Path(__file__).parents[1] / "emotibit" / "vectors" / "real_channels_read_apart.csv"

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, NamedTuple, cast, get_args, get_origin
 
 from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.captures.file import Advertised, Capture, Event, Header, Row
-from biosensor_gateway.captures.redaction import Redaction, Replaced, is_address
-from biosensor_gateway.devices.registry import driver
+from biosensor_gateway.captures.redaction import LEAST_SEARCHED, Redaction, Replaced, is_address
+from biosensor_gateway.devices.registry import declaration, declaration_names, driver
 from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.settings.secrets import SecretName, find_secret
@@ -24,6 +25,8 @@ from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import Characteristic, Passed, What, tapped
 
 _OF_THE_LAB = frozenset(DeviceSettings.model_fields)
+_WORD = re.compile(r"[^\W\d_]+")
+_USUAL = ("time", "count", "number", "left", "right", "value", "heart", "rate", "skin", "channel")
 
 
 class Recorder:
@@ -176,8 +179,10 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         entry.identifiers,
     )
     secrets = [*filter(None, map(_known, entry.secrets))]
-    redacted = redaction.of(events, [info.serial_number, *_addresses(settings)], secrets)
     kept, left_out = _own_settings(settings, entry.forms)
+    known = [info.serial_number, *_addresses(settings)]
+    redacted = redaction.of(events, known, secrets, _own_words(kept))
+    kept = json.loads(redaction.text(json.dumps(kept, ensure_ascii=False)))
     header = Header(
         sensor=settings.sensor,
         manufacturer=redaction.text(info.manufacturer),
@@ -256,6 +261,21 @@ def _own_settings(
         else:
             left_out.append(name)
     return kept, tuple(left_out)
+
+
+def _own_words(kept: Mapping[str, Any]) -> list[str]:
+    """Return the words in lists of the settings, such as columns, that no declaration has."""
+    lists = (cast("tuple[object, ...]", e) for e in kept.values() if isinstance(e, tuple))
+    words = {word for each in lists for text in each for word in _WORD.findall(str(text))}
+    usual = set(_USUAL)
+    for name in declaration_names():
+        for stream in declaration(name).streams:
+            told = (stream.data_name, stream.content_type, *(e.label for e in stream.channels))
+            units = (each.unit for each in stream.channels)
+            usual |= {word.lower() for each in (*told, *units) for word in _WORD.findall(each)}
+    return sorted(
+        each for each in words if len(each) >= LEAST_SEARCHED and each.lower() not in usual
+    )
 
 
 def _system() -> str:

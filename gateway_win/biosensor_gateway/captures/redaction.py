@@ -87,7 +87,11 @@ class Redaction:
         ]
 
     def of(
-        self, events: Sequence[Event], known: Iterable[str], secrets: Iterable[str] = ()
+        self,
+        events: Sequence[Event],
+        known: Iterable[str],
+        secrets: Iterable[str] = (),
+        names: Iterable[str] = (),
     ) -> list[Event]:
         """Return events with pseudonyms instead of identifiers.
 
@@ -97,9 +101,13 @@ class Redaction:
             Serial numbers and addresses from the settings or from the driver.
         secrets
             Secrets of the driver's service.
+        names
+            Words of the settings that may be somebody's name.
         """
         for secret in secrets:
             self._pseudonym("secret", secret)
+        for name in names:
+            self._pseudonym("name", name)
         for secret in filter(None, map(self._own_part, known)):
             self._pseudonym("address" if is_address(secret) else "serial number", secret)
         redacted = [self._known_places(event) for event in events]
@@ -230,10 +238,12 @@ class Redaction:
         for header in range(_HEADERS):
             pieces = [bytes(payload[header:]) for payload in payloads]
             ends = list(accumulate(map(len, pieces)))
-            text = b"".join(pieces)
+            text = bytearray().join(pieces)
             for secret in sorted(self._pseudonyms, key=len, reverse=True):
                 for before, after in _forms(secret, self._pseudonyms[secret][1]):
                     for position in _positions(text, before):
+                        # A shorter secret that is part of this one is not found in it again.
+                        text[position : position + len(after)] = after
                         self._counts[secret] = self._counts.get(secret, 0) + 1
                         for offset, byte in enumerate(after, position):
                             piece = bisect_right(ends, offset)
@@ -297,7 +307,7 @@ def _joined(texts: Sequence[str], mark: str) -> tuple[str, str]:
     return first, second
 
 
-def _positions(text: bytes, wanted: bytes) -> Iterator[int]:
+def _positions(text: bytes | bytearray, wanted: bytes) -> Iterator[int]:
     position = text.find(wanted)
     while position >= 0:
         yield position
