@@ -87,7 +87,16 @@ def read_physio(file: Path) -> Read:
     table = pandas.read_csv(file, sep="\t", header=None, names=columns, na_values="n/a")
     if "timestamp" in columns:
         table = table[table["timestamp"].notna()]
-    return told(table.drop(columns=[each for each in ("timestamp",) if each in columns]))
+    times = [each for each in ("timestamp", "onset") if each in columns]
+    return told(table.drop(columns=times))
+
+
+def read_motion(file: Path) -> Read:
+    """Read a table of motion by the table of its channels."""
+    channels = pandas.read_csv(str(file).removesuffix("motion.tsv") + "channels.tsv", sep="\t")
+    table = pandas.read_csv(file, sep="\t", header=None, na_values="n/a")
+    values = table.loc[:, (channels["type"] != "LATENCY").to_numpy()]
+    return told(values[values.notna().any(axis=1)])
 
 
 def read_events(file: Path) -> Read:
@@ -132,7 +141,8 @@ READERS: list[tuple[str, Callable[[Path], Read]]] = [
     ("rec_kubios/*.txt", read_numbers),
     ("rec_ledalab/*.txt", read_conductance),
     ("rec_bids/**/*physio.tsv.gz", read_physio),
-    ("rec_bids/**/*motion.tsv", read_physio),
+    ("rec_bids/**/*physioevents.tsv.gz", read_physio),
+    ("rec_bids/**/*motion.tsv", read_motion),
     ("rec_bids/**/*_events.tsv", read_events),
     ("rec_bids/**/*.vhdr", read_brain_vision),
     ("rec_bids/**/*_emg.bdf", read_brain_vision),

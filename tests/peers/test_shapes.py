@@ -42,8 +42,12 @@ class Exported:
     """What is in a recording, what its exports said, and what others read of them."""
 
     notes: str
+    lacking: set[str] = field(default_factory=set[str])
+    """Formats that say that they lack something."""
     counts: list[int] = field(default_factory=list[int])
     sums: list[list[float]] = field(default_factory=list[list[float]])
+    kinds: list[str] = field(default_factory=list[str])
+    """Type of each of these streams; empty for markers."""
     marked: int = 0
     """Samples of markers that are numbers, which are annotations in EDF."""
     markers: list[str] = field(default_factory=list[str])
@@ -68,6 +72,8 @@ def _export(shape: str, folder: Path) -> Exported | None:
     notes = [note for each in outcome.written for note in each.notes]
     notes += [each.why for each in outcome.without]
     found = Exported(" ".join([*notes, *outcome.clock_notes]))
+    found.lacking = {each.format for each in outcome.without}
+    found.lacking |= {each.format for each in outcome.written if not each.is_whole}
     with open_contents(path) as contents:
         for stream in contents.streams:
             blocks = list(stream.blocks())
@@ -82,6 +88,8 @@ def _export(shape: str, folder: Path) -> Exported | None:
                 found.counts.append(count)
                 found.marked += count * stream.header.is_markers
                 found.sums.append(finite.sum(axis=0).tolist())
+                is_markers = stream.header.is_markers
+                found.kinds.append("" if is_markers else str(stream.header.content_type))
     import_bag(folder / "rec_bag", folder / "again.xdf")
     path.unlink()
     return found
@@ -150,6 +158,28 @@ def test_signals_have_each_value_or_it_is_said(exported: dict[str, Exported]) ->
         if shape not in IN_VOLTS and sum(read["count"] for read in bdf) == sum(each.counts):
             # Of 24 bits, each value is half a step off at most.
             _same_sums(shape, [read["sums"] for read in bdf], each.sums, 1e-3, 0.05)
+
+
+def test_a_data_set_has_each_value(exported: dict[str, Exported]) -> None:
+    for shape, each in exported.items():
+        tables = [read for read in each.of("rec_bids/") if read["sums"]]
+        due = [all_ for all_, kind in zip(each.sums, each.kinds, strict=True) if kind]
+        if "bids" in each.lacking:
+            continue
+        assert bool(tables) == bool(due), shape
+        if shape not in IN_VOLTS:
+            _same_sums(shape, [read["sums"] for read in tables], due, 1e-3, 0.05)
+
+
+def test_kubios_has_each_value(exported: dict[str, Exported]) -> None:
+    for shape, each in exported.items():
+        files = [read for read in each.of("rec_kubios/") if read["sums"]]
+        streams = zip(each.sums, each.kinds, strict=True)
+        due = [all_ for all_, kind in streams if kind in ("ECG", "RR")]
+        if "kubios" in each.lacking:
+            continue
+        assert bool(files) == bool(due), shape
+        _same_sums(shape, [read["sums"] for read in files], due, 1e-6)
 
 
 def test_each_marker_is_in_each_format(exported: dict[str, Exported]) -> None:

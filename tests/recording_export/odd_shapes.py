@@ -235,6 +235,7 @@ def _huge_rate() -> list[bytes]:
 
 ODD_TEXTS = (
     'say "no", then\tstop',
+    '"not closed',
     "two\nlines\r\nand a third",
     "semi;colon",
     "=1+1",
@@ -487,6 +488,36 @@ def nameless(stamps: Array) -> list[bytes]:
     return [_signal(stamps, name="", source_id="", clock=clock), _events()]
 
 
+def _of_one_name() -> list[bytes]:
+    """As some programs name all streams of a headband."""
+    kinds = [("EEG", 256, 5), ("ACC", 52, 3), ("GYRO", 52, 3), ("PPG", 64, 3)]
+    signals = [
+        _signal(
+            _even(rate=rate, count=20 * rate),
+            number,
+            "Muse",
+            kind=kind,
+            rate=float(rate),
+            channels=channels,
+            source_id="Muse1",
+        )
+        for number, (kind, rate, channels) in enumerate(kinds, 3)
+    ]
+    return [*signals, _events(name="Muse", source_id="Muse1")]
+
+
+def _game_clock() -> list[bytes]:
+    """A game stamps its markers with the seconds since it began."""
+    begin_s = 500_000.0
+    return [
+        _signal(_even(begin=begin_s)),
+        made.stream_header(2, "Game", kind="Markers", fmt="string", created_at=BEGIN_S + begin_s),
+        made.samples(2, "string", [["cut 1"], ["cut 2"]], [3.5, 9.25]),
+        made.offsets(2, (BEGIN_S + begin_s, BEGIN_S + begin_s + 20)),
+        made.footer(2, 2),
+    ]
+
+
 Made = Callable[[], list[bytes]]
 
 SHAPES: dict[str, Made] = {
@@ -574,6 +605,8 @@ SHAPES: dict[str, Made] = {
     ],
     "characters of Windows": _code_page,
     "a stream without a name": lambda: nameless(_even()),
+    "five streams of one name": _of_one_name,
+    "markers on a clock of their own": _game_clock,
     "a unit that is not ASCII": lambda: [
         _signal(_even(), desc=_channels(["lead"], ["µV"])),
         _events(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import math
 import sys
@@ -31,6 +32,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import check
 from tests.recording_export import odd_shapes
+from tests.xdf import xdf_file as made
 from tests.xdf.checking import read
 
 FILES = odd_shapes.files()
@@ -277,3 +279,45 @@ def test_no_room_for_temporary_files_is_no_fault_of_what_is_packed(
     assert str(caught.value).startswith(f"cannot write temporary files to {tmp_path}/temporary: ")
     assert str(caught.value).endswith("; the variable TMPDIR (on Windows TEMP) says where")
     assert not list((tmp_path / "temporary").iterdir())
+
+
+def test_markers_on_another_clock_are_events_of_a_data_set(tmp_path: Path) -> None:
+    """Their onsets are on that clock, which is said; left out, they would be lost."""
+    path = _written("markers on a clock of their own", tmp_path)
+    outcome = export(path, Task(["bids"], Selection()), lambda _name, _s: lambda _done: None)
+    assert not outcome.is_whole
+    assert any("away from the LSL clock" in each for each in outcome.clock_notes)
+    (table,) = outcome.written[0].path.rglob("*_events.tsv")
+    rows = [line.split("\t") for line in table.read_text().splitlines()[1:]]
+    assert [(float(row[0]), row[2]) for row in rows] == [
+        (3.5 - 501_000, "cut 1"),
+        (9.25 - 501_000, "cut 2"),
+    ]
+
+
+def test_a_quote_in_a_marker_hides_none_behind_it(tmp_path: Path) -> None:
+    path = _written("odd texts", tmp_path)
+    outcome = export(path, Task(["bids"], Selection()), lambda _name, _s: lambda _done: None)
+    (table,) = outcome.written[0].path.rglob("*_events.tsv")
+    with table.open(encoding="utf-8", newline="") as file:
+        told = [row["value"] for row in csv.DictReader(file, delimiter="\t")]
+    assert len(told) == len(odd_shapes.ODD_TEXTS)
+    assert '"not closed' in told
+
+
+def test_more_channels_than_others_open_are_said(tmp_path: Path) -> None:
+    path = tmp_path / "many.xdf"
+    header = made.stream_header(1, "grid", kind="EMG", rate=10.0, channels=640, fmt="int16")
+    samples = made.samples(
+        1, "int16", [[each] * 640 for each in range(20)], [1.0 + each / 10 for each in range(20)]
+    )
+    path.write_bytes(made.xdf(header, samples, made.footer(1, 20)))
+    outcome = export(path, Task(["edf"], Selection()), lambda _name, _s: lambda _done: None)
+    assert any("opens no file of 640" in each for each in outcome.written[0].notes)
+
+
+def test_samples_that_a_data_set_leaves_out_are_missing(tmp_path: Path) -> None:
+    path = _written("stamps beyond all clocks", tmp_path)
+    outcome = export(path, Task(["bids"], Selection()), lambda _name, _s: lambda _done: None)
+    assert not outcome.is_whole
+    assert any("1600 samples" in each for each in outcome.written[0].notes)

@@ -173,6 +173,7 @@ def test_behind_another_header_of_a_number_is_another_stream() -> None:
     assert counts == {"numbers": 4 * before, "other": 160 - 4 * before, "events": 40}
     assert codes(report, Level.WARNING) >= {("one-number", "other")}
     assert not report.recording.damages
+    assert report.can_be_salvaged
 
 
 def test_behind_another_header_that_cannot_be_read_is_nobodys() -> None:

@@ -216,7 +216,7 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
         for span in each.clock.doubtful_spans:
             yield f"{each.header.title}: {span.text(chosen.contents.begin_s)}"
         if each.clock_error:
-            yield (
+            yield Missing(
                 f"{each.header.title}: {each.clock_error}, so its time relative to the "
                 "other streams is unknown"
             )

@@ -101,14 +101,14 @@ class Report:
 
     @property
     def can_be_salvaged(self) -> bool:
-        """Whether the file is truncated or damaged, but samples can be read.
+        """Whether the file is truncated, damaged or joined, but samples can be read.
 
         A last sample with a timestamp far away counts as damage.
         """
         recording = self.recording
         is_open = any(each.is_unclosed for each in recording.streams)
         damages = [each for each in recording.damages if not each.is_foreign]
-        is_broken = bool(damages or recording.orphans)
+        is_broken = bool(damages or recording.orphans or recording.renumbered)
         ends = (each.figures.pace for each in self.streams)
         is_broken |= any(pace is not None and pace.ends_astray for pace in ends)
         return (is_broken or is_open) and any(each.sample_count for each in recording.streams)

@@ -97,7 +97,7 @@ def _damaged(recording: Recording) -> Iterator[Finding]:
     for stream in recording.renumbered:
         text = (
             "it follows another stream of its number, as if two recordings had been joined; other "
-            "programs mix the two up, and `xdf salvage` gives each a number"
+            "programs mix the two up, and xdf salvage gives each a number of its own"
         )
         yield Finding(Level.WARNING, "one-number", stream.header.title, text)
     if not recording.streams:

@@ -188,7 +188,10 @@ class _Dataset:
     def __init__(
         self, chosen: Chosen, options: ExportOptions, root: Path, progress: Progress
     ) -> None:
-        chosen, self._away = on_one_clock(chosen)
+        chosen, away = on_one_clock(chosen)
+        # A table of events has a place for them; one of samples has none.
+        self._away = [each for each in away if not each.header.is_markers]
+        markers_away = [each for each in away if each.header.is_markers]
         self._chosen = chosen
         self._options = options
         self._root = root
@@ -200,7 +203,7 @@ class _Dataset:
         # Invalid labels typed by the user raise an error instead of being changed.
         BidsLabels(UNKNOWN, task=task, session=session or UNKNOWN)
         self._entities = Entities("", task, session, told.get("acq", ""), told.get("run", ""))
-        streams = [each for each in chosen.streams if not is_left_out(each)]
+        streams = [each for each in (*chosen.streams, *markers_away) if not is_left_out(each)]
         self._signals = [each for each in streams if not each.header.is_markers]
         self._markers = [each for each in streams if each.header.is_markers]
         self._subjects = find_subjects(chosen, streams, told.get("sub", ""))
@@ -352,7 +355,7 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
             f"timestamp has the time, the sidecar how many and how far: {_listed(remarks.moved)}"
         )
     if remarks.unplaced:
-        yield f"{remarks.unplaced} samples have stamps of no clock and were left out"
+        yield Missing(f"{remarks.unplaced} samples have stamps of no clock and were left out")
 
 
 def _listed(names: Sequence[str]) -> str:

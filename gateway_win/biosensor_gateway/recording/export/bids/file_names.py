@@ -192,4 +192,6 @@ def line(cells: Sequence[str]) -> str:
 def cell(text: str) -> str:
     """Return text as one cell of a table."""
     clean = "".join(each if each.isprintable() else " " for each in text)
-    return " ".join(clean.split()) or NOTHING
+    clean = " ".join(clean.split()) or NOTHING
+    # Behind a quote that is left open, pandas and R would take the next rows for the same cell.
+    return '"' + clean.replace('"', '""') + '"' if clean.startswith('"') else clean

@@ -56,6 +56,8 @@ INSTEAD = "the smallest value of the channel, below all measured ones, is writte
 _LABEL = 16
 # The header has no room for more.
 _MOST_CHANNELS = 4000
+# In EDFlib, with the annotations.
+_MOST_SIGNALS = 640
 _MOST_TOLD = 1000
 
 
@@ -149,6 +151,11 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
         left_out |= set(without)
         if channels and _has_rate(job, stream, stretch):
             kept.append((stretch, path, channels))
+    if any(len(channels) >= _MOST_SIGNALS for _, _, channels in kept):
+        job.notes.append(
+            f"{name}: pyEDFlib, and what else is made with EDFlib, opens no file of "
+            f"{_MOST_SIGNALS} channels or more; MNE does"
+        )
     happened = _dealt(job, stream, [each for each, _, _ in kept])
     for (stretch, path, channels), dealt_out in zip(kept, happened, strict=True):
         numbers = range(stretch.first, stretch.first + len(stretch.runs))
