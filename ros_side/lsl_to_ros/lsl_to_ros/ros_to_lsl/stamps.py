@@ -71,7 +71,7 @@ class PublisherClock:
         self._newest_s = self._period_begin_s = 0.0
         self._was_right = False
         self._moment = 0
-        # The smallest delay of each moment.
+        # The smallest delay of each moment; nothing is dropped: these are delays.
         self._delays: deque[float] = deque(maxlen=MOMENTS)
         self._usual_s = 0.0
 
