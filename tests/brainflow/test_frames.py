@@ -67,7 +67,7 @@ def test_no_bytes_are_anything_but_frames_or_one_reason(data: bytes) -> None:
     ],
 )
 def test_what_is_no_frame_is_said(bad: bytes) -> None:
-    with pytest.raises(ProtocolError, match="started again"):
+    with pytest.raises(ProtocolError, match="restarted"):
         list(Frames().feed(bad))
 
 

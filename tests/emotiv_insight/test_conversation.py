@@ -324,11 +324,11 @@ EPOC = ("AF3", "F7", "F3", "FC5", "T7", "P7", "O1", "O2", "P8", "T8", "FC6", "F4
 @pytest.mark.parametrize(
     ("headset_id", "sensors", "said"),
     [
-        ("MN8-12341234", MN8, "MN8-12341234 is no Insight (2 electrodes: T7, T8);"),
-        ("EPOCX-12341234", EPOC, "EPOCX-12341234 is no Insight (14 electrodes: AF3, F7,"),
-        ("EPOCFLEX-12341234", (), "EPOCFLEX-12341234 is no Insight;"),
+        ("MN8-12341234", MN8, "MN8-12341234 is not an Insight (2 electrodes: T7, T8);"),
+        ("EPOCX-12341234", EPOC, "EPOCX-12341234 is not an Insight (14 electrodes: AF3, F7,"),
+        ("EPOCFLEX-12341234", (), "EPOCFLEX-12341234 is not an Insight;"),
         # Whatever its id is: its own list decides.
-        ("INSIGHT-12341234", EPOC, "INSIGHT-12341234 is no Insight (14 electrodes:"),
+        ("INSIGHT-12341234", EPOC, "INSIGHT-12341234 is not an Insight (14 electrodes:"),
     ],
 )
 async def test_a_headset_with_other_channels_is_refused_and_draws_no_session(

@@ -225,7 +225,7 @@ async def test_a_time_that_cannot_be_is_refused(desk: Desk) -> None:
     now = desk.stream.clock()
     for at in (now - MAX_AGE_S - 0.001, now + MAX_LEAD_S + 0.001):
         refused = str(await desk.refusal("mark", marker="m", at=at))
-        assert "no LSL time from 60 s ago to 0.1 s ahead" in refused
+        assert "not an LSL time from 60 s ago to 0.1 s ahead" in refused
     for at in (now - MAX_AGE_S, now, now + MAX_LEAD_S):
         await desk.ask("mark", marker="m", at=at)
     await asyncio.sleep(0.002)

@@ -143,7 +143,7 @@ def test_one_bad_chunk_costs_itself_only() -> None:
     [
         (x.chunk(3, b"\x01"), "too short"),
         (x.chunk(4, b"\x01\0\0\0\0"), "size of a clock offset"),
-        (x.clock_offset(1, float("nan"), 0), "no numbers"),
+        (x.clock_offset(1, float("nan"), 0), "not numbers"),
         (x.chunk(5, b"0123456789abcdef"), "not the one"),
         (x.chunk(2, b"\x07\0\0\0<info>"), "not well-formed"),
         (x.chunk(2, b"\x07\0\0\0<!DOCTYPE a><info/>"), "document type"),

@@ -71,8 +71,10 @@ class Revolutions:
             return 0.0 if arrival_s - self._turned_s > STANDSTILL_S else math.nan
         self._turned_s = arrival_s
         elapsed_s = self._elapsed_s(last, now)
-        # Nothing turns in no time, or back in time: no bounds let that through, and it is told.
-        return turns / elapsed_s if elapsed_s > 0 else -math.inf
+        if elapsed_s > 0:
+            return turns / elapsed_s
+        # No bounds accept a negative rate, so that time without progress or back is reported.
+        return -abs(turns / elapsed_s) if elapsed_s else -math.inf
 
     def _elapsed_s(self, last: _Event, now: _Event) -> float:
         """Return the time between two events; arrivals show how often the ticks overflowed."""
