@@ -215,7 +215,7 @@ def test_an_answer_is_cancelled_and_given_once_at_a_time(
     assert second.status == 409
     assert "this computer answers already" in json.loads(second.body)["problem"]
     cancel.click()
-    expect(panel.get_by_role("status")).to_contain_text("does not answer any more")
+    expect(panel.get_by_role("status")).to_contain_text("no longer answers")
     expect(panel.locator("dd .code")).to_have_count(0)
 
     with socket.create_server(("", ANSWER_PORT)):
