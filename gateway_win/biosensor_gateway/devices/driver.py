@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo, SensorSpec
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.silence import PATIENCE_S
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ class DriverEntry(NamedTuple):
     """
 
     settings: type[DeviceSettings]
-    make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
+    make: Callable[[DeviceSettings, Sink], Callable[[], Driver]]
     recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
     find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
     secrets: tuple[SecretName, ...] = ()

@@ -32,8 +32,8 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
 )
 from biosensor_gateway.devices.ble_session import BleConnection, optional_request
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, AttError, Pairing, PairSetting
@@ -115,7 +115,7 @@ class HeartRateStrapDriver:
             raise CredentialError(CredentialReason.REJECTED, message) from error
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HeartRateStrapDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(HeartRateStrapSettings, settings)
     emitter = StrapEmitter(sink)

@@ -14,7 +14,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     parse_battery_level,
     parse_measurement,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 NO_INTERVAL_LIMIT_S = 5.0
 """A beating heart produces an interval within this time."""
@@ -46,7 +46,7 @@ class StrapEmitter:
 
     def __init__(
         self,
-        sink: DeviceSink,
+        sink: Sink,
         *,
         quality: Callable[[bool], Sequence[float]] = _contact_alone,
         trusts_contact: bool = True,

@@ -44,8 +44,8 @@ from biosensor_gateway.devices.brainflow.driver.emitter import (
     own_clock,
 )
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings, ShortText
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.link import Early, Received
 from biosensor_gateway.transports.threads import Traffic, in_daemon_thread
 
@@ -321,7 +321,7 @@ class BrainFlowDriver:
 
     silence_limit_s = 10.0
 
-    def __init__(self, settings: BrainFlowSettings, sink: DeviceSink, *, is_declared: bool) -> None:
+    def __init__(self, settings: BrainFlowSettings, sink: Sink, *, is_declared: bool) -> None:
         self._settings, self._sink = settings, sink
         self._is_declared = is_declared
         self._link = ProcessLink(settings)
@@ -414,7 +414,7 @@ def _streams(
     return board_streams(found, settings.electrodes, settings.rate_hz)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], BrainFlowDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], BrainFlowDriver]:
     own = own_settings(BrainFlowSettings, settings)
     is_declared = bool(_declare(own).streams)
     return lambda: BrainFlowDriver(own, sink, is_declared=is_declared)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from biosensor_common.device_clock import DeviceClock
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.brainflow import BoardStream, Description
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 _HEAD = struct.Struct("<cBI")
 _SAMPLES = struct.Struct("<dI")
@@ -148,7 +148,7 @@ class _Stamps(Protocol):
 class _OwnClock:
     """The clock of a preset other than the board's first, which has its own rate."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink, self._clock = sink, DeviceClock()
 
     def observe(self, device_s: float, arrival_s: float) -> None:
@@ -177,7 +177,7 @@ class PresetEmitter:
         description: Description,
         rate_hz: float,
         turns_over_at: int,
-        sink: DeviceSink,
+        sink: Sink,
         stamps: _Stamps,
     ) -> None:
         self._streams, self._rate_hz = streams, rate_hz
@@ -244,6 +244,6 @@ class PresetEmitter:
             self._sink.remark(f"rate of {[each.spec.data_name for each in self._streams]}", text)
 
 
-def own_clock(sink: DeviceSink) -> _Stamps:
+def own_clock(sink: Sink) -> _Stamps:
     """Return a separate clock for a preset."""
     return _OwnClock(sink)

@@ -31,8 +31,8 @@ from biosensor_gateway.devices.emotibit.driver.link import (
     connect,
 )
 from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, Packet, Tag
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.link import Address, Early
 
 PATIENCE_S = 3.0
@@ -135,9 +135,7 @@ class EmotiBitDriver:
 
     silence_limit_s = 8.0
 
-    def __init__(
-        self, settings: EmotiBitSettings, sink: DeviceSink, emitter: EmotiBitEmitter
-    ) -> None:
+    def __init__(self, settings: EmotiBitSettings, sink: Sink, emitter: EmotiBitEmitter) -> None:
         self._settings = settings
         self._sink = sink
         self._emitter = emitter
@@ -274,7 +272,7 @@ def _answer(link: Link, request: Packet, to: Address) -> None:
     link.answer(Tag.ACK, (str(request.number), Tag.REQUEST_DATA), to)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotiBitDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotiBitDriver]:
     """Share one emitter between all connections, to count losses across them."""
     own = own_settings(EmotiBitSettings, settings)
     emitter = EmotiBitEmitter(sink, own.ppg_rate)

@@ -21,7 +21,7 @@ from biosensor_gateway.devices.emotibit.driver.protocol import (
     Packet,
     Tag,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 TOGETHER_S = 0.006
 """Largest difference between timestamps of channels that were read together."""
@@ -339,7 +339,7 @@ class EmotiBitEmitter:
         Rate of the pulse, which depends on the firmware.
     """
 
-    def __init__(self, sink: DeviceSink, ppg_hz: float) -> None:
+    def __init__(self, sink: Sink, ppg_hz: float) -> None:
         self._sink = sink
         self._order, self._times = InOrder(), PacketTimeline(TIMES_MS)
         self._is_first = False

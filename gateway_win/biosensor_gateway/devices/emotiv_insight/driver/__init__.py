@@ -47,8 +47,8 @@ from biosensor_gateway.devices.emotiv_insight.driver.session import (
     reach,
     search,
 )
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.tap import text_link_of
 from biosensor_gateway.transports.websocket import WebSocketLink
 
@@ -130,7 +130,7 @@ class EmotivInsightDriver:
     def __init__(
         self,
         settings: EmotivInsightSettings,
-        sink: DeviceSink,
+        sink: Sink,
         emitter: EmotivEmitter,
         account: Account,
     ) -> None:
@@ -285,7 +285,7 @@ def _has_gyroscope(subscription: Subscription) -> bool:
     return motion is not None and not motion.labels.isdisjoint(GYROSCOPE)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsightDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotivInsightDriver]:
     """Share the token and the emitter between all connections."""
     own = own_settings(EmotivInsightSettings, settings)
     emitter = EmotivEmitter(sink)

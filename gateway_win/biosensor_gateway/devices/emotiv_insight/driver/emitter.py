@@ -10,7 +10,7 @@ import structlog
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import names_in_log
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
@@ -157,7 +157,7 @@ class EmotivEmitter:
     keeps its offset of about 4200 uV.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._counts = {
             "eeg": SampleCount(EEG_RATE_HZ),

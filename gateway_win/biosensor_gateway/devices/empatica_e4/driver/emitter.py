@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from math import inf
 
 from biosensor_gateway.devices.empatica_e4.driver.protocol import Sample, Stream
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.link import Early
 
@@ -107,7 +107,7 @@ class E4Emitter:
         Log of the device; its once-only messages appear once, not once per connection.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self.log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)
         self._anchored = False

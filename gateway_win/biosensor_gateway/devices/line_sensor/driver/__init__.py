@@ -28,8 +28,8 @@ from biosensor_gateway.devices.line_sensor.driver.protocol import (
     checked_format,
 )
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import DeviceLog, Once
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.link import Address, ByteLink, Early, Received
@@ -174,7 +174,7 @@ _SOME_LINES = 3.0
 class LineDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    def __init__(self, settings: LineSettings, sink: DeviceSink, emitter: LineEmitter) -> None:
+    def __init__(self, settings: LineSettings, sink: Sink, emitter: LineEmitter) -> None:
         self._settings = settings
         self._where = _where(settings)
         self._sink = sink
@@ -312,7 +312,7 @@ def _where(settings: LineSettings) -> str:
     return settings.url or settings.port or ""
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], LineDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], LineDriver]:
     """Share one emitter between all connections, to follow the count across them."""
     own = own_settings(LineSettings, settings)
     emitter = LineEmitter(own, sink)

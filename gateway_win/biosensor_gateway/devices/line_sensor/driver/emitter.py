@@ -15,7 +15,7 @@ from biosensor_gateway.devices.line_sensor.driver.protocol import (
     turns_over_at,
 )
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _TWICE = "they came twice or out of order"
@@ -146,7 +146,7 @@ class LineEmitter:
         Settings and sink of the device.
     """
 
-    def __init__(self, settings: LineSettings, sink: DeviceSink) -> None:
+    def __init__(self, settings: LineSettings, sink: Sink) -> None:
         self._sink = sink
         self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
         self._rate_hz = settings.rate_hz

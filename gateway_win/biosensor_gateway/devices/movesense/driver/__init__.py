@@ -33,8 +33,8 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     movement,
     parse_message,
 )
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import Pairing
@@ -198,7 +198,7 @@ class MovesenseDriver:
         self,
         link: BleLink,
         emitter: MovesenseEmitter,
-        sink: DeviceSink,
+        sink: Sink,
         wanted: Sequence[Measurement],
         rates: Mapping[str, float],
     ) -> None:
@@ -304,7 +304,7 @@ def _measurements(settings: MovesenseSettings) -> Sequence[Measurement]:
     return found
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], MovesenseDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(MovesenseSettings, settings)
     silent = _REGULAR - own.wanted

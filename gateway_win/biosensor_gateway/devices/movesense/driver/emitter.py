@@ -29,8 +29,7 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     parse_temperature,
     parse_vectors,
 )
-from biosensor_gateway.devices.restart_check import RestartCheck
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import RestartCheck, Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 1.0
@@ -168,7 +167,7 @@ class MovesenseEmitter:
         Data names that the settings switch off; some share a packet with wanted streams.
     """
 
-    def __init__(self, sink: DeviceSink, silent: Collection[str]) -> None:
+    def __init__(self, sink: Sink, silent: Collection[str]) -> None:
         self.strap = StrapEmitter(sink)
         self.log = DeviceLog("biosensor_gateway.movesense", sink.identity)
         self.silent = silent

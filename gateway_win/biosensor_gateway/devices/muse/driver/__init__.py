@@ -30,8 +30,8 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     Answers,
     text_of,
 )
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError
@@ -236,7 +236,7 @@ class MuseDriver:
     silence_limit_s = 30.0
 
     def __init__(
-        self, link: BleLink, emitter: MuseEmitter, sink: DeviceSink, settings: MuseSettings
+        self, link: BleLink, emitter: MuseEmitter, sink: Sink, settings: MuseSettings
     ) -> None:
         self._link = link
         self._emitter = emitter
@@ -371,7 +371,7 @@ class MuseDriver:
                 self._emitter.take(notification)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], MuseDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MuseDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(MuseSettings, settings)
     emitter = MuseEmitter(sink)

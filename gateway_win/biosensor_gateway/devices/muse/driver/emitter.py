@@ -45,8 +45,7 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     parse_motion,
 )
 from biosensor_gateway.devices.muse.driver.sample_clock import PacketSeries, SampleClock
-from biosensor_gateway.devices.restart_check import RestartCheck
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import RestartCheck, Sink
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import Notification
 
@@ -141,7 +140,7 @@ class _Numbered:
     """One series of packets or blocks, which contains one or more streams."""
 
     def __init__(
-        self, sink: DeviceSink, log: DeviceLog, modulus: int, samples: int, rate_hz: float
+        self, sink: Sink, log: DeviceLog, modulus: int, samples: int, rate_hz: float
     ) -> None:
         self.series = PacketSeries(modulus, samples, rate_hz)
         self._sink, self._log, self._samples = sink, log, samples
@@ -183,7 +182,7 @@ class ClassicEmitter:
     arrivals.
     """
 
-    def __init__(self, sink: DeviceSink, log: DeviceLog) -> None:
+    def __init__(self, sink: Sink, log: DeviceLog) -> None:
         self._sink = sink
         self._eeg = _Numbered(sink, log, NUMBERS, EEG_SAMPLES, EEG_HZ)
         self._light = _Numbered(sink, log, NUMBERS, LIGHT_SAMPLES, LIGHT_HZ)
@@ -283,7 +282,7 @@ _SAMPLES = {
 class AthenaEmitter:
     """Emits the data of an Athena, over all its connections."""
 
-    def __init__(self, sink: DeviceSink, log: DeviceLog) -> None:
+    def __init__(self, sink: Sink, log: DeviceLog) -> None:
         self._sink, self._log = sink, log
         self._wanted: frozenset[str] = frozenset()
         self._kinds = {
@@ -402,7 +401,7 @@ def _streams(blocks: Sequence[Block]) -> dict[str, Floats]:
 class MuseEmitter:
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._log = DeviceLog("biosensor_gateway.muse", sink.identity)
         self._classic = ClassicEmitter(sink, self._log)

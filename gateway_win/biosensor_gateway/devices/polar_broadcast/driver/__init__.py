@@ -24,8 +24,8 @@ from biosensor_gateway.devices.polar_broadcast.driver.protocol import (
     Broadcast,
     parse,
 )
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import Clock
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_scanner import Sighting, sightings
@@ -117,7 +117,7 @@ class PolarBroadcastDriver:
         return ProtocolError(ProtocolReason.UNSUPPORTED, message)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarBroadcastDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarBroadcastDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarBroadcastSettings, settings)
     emitter = BroadcastEmitter(sink)
@@ -174,7 +174,7 @@ class BroadcastEmitter:
         meaningless.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self.feels_skin = True
         self._data = b""

@@ -36,8 +36,8 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     parse_indication,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, Pairing, PairSetting
@@ -383,7 +383,7 @@ def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
     return [*([ecg] if settings.ecg else []), *([acceleration] if settings.acc else [])]
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarH10Settings, settings)
     emitter = PolarEmitter(sink)

@@ -17,8 +17,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     measurement_of,
     parse_frame,
 )
-from biosensor_gateway.devices.restart_check import RestartCheck
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import RestartCheck, Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _NS = 1_000_000_000
@@ -232,7 +231,7 @@ class PolarEmitter:
 
     def __init__(
         self,
-        sink: DeviceSink,
+        sink: Sink,
         data_names: Mapping[Measurement, str] = DATA_NAMES,
         *,
         strap: StrapEmitter | None = None,

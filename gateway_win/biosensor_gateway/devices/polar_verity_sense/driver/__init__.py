@@ -30,8 +30,8 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     stop,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import PulseInterval, PulseIntervals
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
@@ -241,7 +241,7 @@ def _asked_rates(own: PolarVeritySenseSettings) -> Mapping[str, float]:
     }
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarVeritySenseSettings, settings)
     emitter = OpticalEmitter(sink)
@@ -279,7 +279,7 @@ class OpticalEmitter(PolarEmitter):
     counts. The contact flag is ignored, because its vendor calls it unreliable.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         strap = StrapEmitter(sink, quality=self._quality, trusts_contact=False)
         super().__init__(sink, DATA_NAMES, strap=strap, doubted=DOUBTED)
         self.on_intervals = self._intervals

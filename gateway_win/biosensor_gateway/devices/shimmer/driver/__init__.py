@@ -60,8 +60,8 @@ from biosensor_gateway.devices.shimmer.driver.signals import (
     sensor,
     status_places,
 )
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 
 EXG_BOARDS = frozenset({37, 47, 59})
 
@@ -389,7 +389,7 @@ def _connected(measurement: Measurement) -> Connected:
     return Connected(rates=rates, silent=off, denied=measurement.denied)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections, to follow the device's clock across them."""
     own = own_settings(Shimmer3Settings, settings)
     emitter = ShimmerEmitter(sink)
@@ -450,7 +450,7 @@ class _Told:
 class ShimmerEmitter(PacketEmitter):
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         super().__init__(sink, "shimmer")
         self._measurement: Measurement | None = None
         self._told = _Told()

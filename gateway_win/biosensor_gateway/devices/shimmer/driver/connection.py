@@ -24,7 +24,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     StatusFlag,
 )
 from biosensor_gateway.devices.shimmer.driver.packets import PacketEmitter
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.byte_links import byte_link
 
 BATTERY_PERIOD_S = 60.0
@@ -70,7 +70,7 @@ class ShimmerDriver:
     def __init__(
         self,
         port: str,
-        sink: DeviceSink,
+        sink: Sink,
         emitter: PacketEmitter,
         prepare: Callable[[Conversation, Kind], Awaitable[Prepared]],
     ) -> None:

@@ -13,7 +13,7 @@ from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.shimmer.driver.calibration import ADC_MAX, ADC_VOLTS
 from biosensor_gateway.devices.shimmer.driver.messages import TICKS_PER_S, BatteryReading, Packet
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _DIVIDER = 1.988
@@ -142,7 +142,7 @@ class PacketEmitter(ABC):
         Name of the sensor, for the log.
     """
 
-    def __init__(self, sink: DeviceSink, name: str) -> None:
+    def __init__(self, sink: Sink, name: str) -> None:
         self._sink = sink
         self._log = DeviceLog(f"biosensor_gateway.{name}", sink.identity)
         self._timeline = TickTimeline()

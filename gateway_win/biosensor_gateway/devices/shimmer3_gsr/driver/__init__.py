@@ -36,9 +36,9 @@ from biosensor_gateway.devices.shimmer.driver.conversation import (
 from biosensor_gateway.devices.shimmer.driver.messages import AUTO_RANGE, TICKS_PER_S, Inquiry
 from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketEmitter
 from biosensor_gateway.devices.shimmer3_gsr import SPEC
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.pulses import Pulses
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 
 GSR_BOARDS = frozenset({14, 48})
 
@@ -133,7 +133,7 @@ def _wanted(settings: ShimmerSettings) -> Wanted:
     return Wanted(messages.divisor_for(settings.rate_hz), setting)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections, to follow the device's clock across them."""
     own = own_settings(ShimmerSettings, settings)
     emitter = GsrEmitter(sink)
@@ -321,7 +321,7 @@ class Measurement:
 class GsrEmitter(PacketEmitter):
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         super().__init__(sink, "shimmer3_gsr")
         self._measurement: Measurement | None = None
         self._quality: list[float] = []

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_session import BleSession
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     COMMAND_UUID,
     REFUSED,
@@ -21,7 +22,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     encode,
     fragments,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.dialogue import Heard
 
@@ -63,7 +63,7 @@ class Conversation(BleSession[Heard[Message], _Command]):
         Its ``dropped_bytes`` are increased here.
     """
 
-    def __init__(self, link: BleLink, sink: DeviceSink) -> None:
+    def __init__(self, link: BleLink, sink: Sink) -> None:
         super().__init__(link, self._receive, self._send, "press its button")
         self._sink = sink
         self._protocol = VernierProtocol()

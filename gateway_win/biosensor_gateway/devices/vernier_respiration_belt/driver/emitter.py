@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import ClockState
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Measurement,
@@ -18,7 +19,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Notice,
     Status,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import DeviceLog
 
 HELD_PACKETS = 5
@@ -304,7 +304,7 @@ class _Fit:
 class VernierEmitter:
     """Converts messages to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self.log = DeviceLog("biosensor_gateway.vernier", sink.identity)
         self._numbering = Numbering(lambda: sink.clock_state)

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_port_name, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Message,
@@ -25,7 +26,6 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     enable,
 )
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.dialogue import Dialogue, Heard
 
@@ -76,7 +76,7 @@ class ZephyrDriver:
     # The device sends a lifesign every 3 s, whatever is enabled.
     silence_limit_s = 10.0
 
-    def __init__(self, settings: ZephyrSettings, sink: DeviceSink, emitter: ZephyrEmitter) -> None:
+    def __init__(self, settings: ZephyrSettings, sink: Sink, emitter: ZephyrEmitter) -> None:
         self._port = settings.port
         self._link = byte_link(settings.port)
         self._sink = sink
@@ -190,7 +190,7 @@ class ZephyrDriver:
             self._enabled.append(Request.GENERAL)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
     """Share one emitter between all connections, to detect gaps across them."""
     own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)

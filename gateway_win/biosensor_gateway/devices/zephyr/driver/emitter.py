@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import PacketTimeline, SampleTimeline
 from biosensor_common.device_clock import LONGEST_DELAY_S
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
     Event,
@@ -27,7 +28,6 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     RR_PERIOD_S,
     MessageId,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _SEQUENCE_MODULUS = 256
@@ -188,7 +188,7 @@ _NAN = math.nan
 class ZephyrEmitter:
     """Converts messages to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._log = DeviceLog("biosensor_gateway.zephyr", sink.identity)
         self._tracks = {
