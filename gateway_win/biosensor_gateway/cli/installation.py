@@ -161,7 +161,7 @@ EXIT_HELD = 4
 
 @app.command("add-to-path")
 def add_to_path(folder: FolderArgument) -> None:
-    """Let every terminal find the program."""
+    """Add the program's folder to the user's PATH."""
     _changed(windows_setup.add_to_path, folder)
 
 

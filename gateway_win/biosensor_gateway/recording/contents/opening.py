@@ -125,7 +125,7 @@ def estimated_rate(stream: Stream) -> float | None:
 
 
 def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list[str]]:
-    """Return streams as if headers named the rates that they have, and what is to be said of it.
+    """Return the streams with corrected nominal rates, and a note for each correction.
 
     Other than `with_rates`, it also replaces a rate of another program's header that is wrong.
     """
@@ -157,7 +157,7 @@ def _true_rate(stream: Stream) -> float | None:
 def with_rates(
     streams: Sequence[Stream], wanted: Mapping[str, float]
 ) -> tuple[tuple[Stream, ...], list[str]]:
-    """Return streams as if headers named the rates that they have, and what is to be said of it.
+    """Return the streams with rates for those whose header has none, and a note for each.
 
     Parameters
     ----------

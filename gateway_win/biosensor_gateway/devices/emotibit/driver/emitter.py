@@ -164,7 +164,7 @@ class Oscillator:
 
     @property
     def rate_hz(self) -> float:
-        """The rate as it is known by now."""
+        """Present estimate of the rate."""
         return 1 / self._period_s
 
 
