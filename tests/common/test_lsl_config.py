@@ -18,11 +18,14 @@ from hypothesis import strategies as st
 from biosensor_common import liblsl
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError
 from biosensor_common.lsl.api_file import (
+    LslApiFile,
     LslOverrides,
     config_places,
     effective_config,
     home_config_file,
+    ports,
     user_config_file,
+    value,
 )
 from biosensor_common.lsl.inlet import MOST_BUFFERED, buffer_length
 from biosensor_common.lsl.network import matches_query
@@ -170,6 +173,16 @@ def test_an_empty_value_an_indented_line_and_peers_without_braces_cost_no_settin
     own = "[ports]\nIPv6 =\n[lab]\nSessionID = theirs\n  KnownPeers = 10.0.0.1, 10.0.0.2\n"
     found = overlaid(own, LslOverrides(session_id="lab7"), tmp_path)
     assert found["lab"] == {"SessionID": "lab7", "KnownPeers": "{10.0.0.1, 10.0.0.2}"}
+
+
+def test_a_comment_behind_a_number_or_peers_is_none_of_them(tmp_path: Path) -> None:
+    own = "[ports]\nBasePort = 16700 ; ours\n[lab]\nKnownPeers = {10.0.0.1} ; the robot\n"
+    path = tmp_path / "lsl_api.cfg"
+    path.write_text(own)
+    config = effective_config(path, LslOverrides())
+    assert ports(config).first == LslApiFile(own, str(path)).ports.first == 16700
+    assert value(config, "lab", "KnownPeers") == "{10.0.0.1}"
+    assert LslApiFile(own, str(path)).known_peers == ("10.0.0.1",)
 
 
 def test_a_place_that_may_not_be_looked_into_has_no_file(tmp_path: Path) -> None:

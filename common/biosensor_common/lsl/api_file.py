@@ -39,7 +39,8 @@ _CHOICES = {
 }
 _GROUPS = ("Machine", "Link", "Site", "Organization", "Global")
 _ADDRESSES = {*(f"{group}Addresses" for group in _GROUPS), "AddressesOverride"}
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)")
+# liblsl reads a number up to what is none, so that a comment may follow.
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:\s*[;#].*)?")
 _NUMBERS = {
     **{("ports", key): (0, 65535) for key in ("MulticastPort", "BasePort", "PortRange")},
     ("multicast", "TTLOverride"): (-1, 255),
@@ -205,7 +206,8 @@ def _wanted_instead(section: str, key: str, text: str) -> str:
         wanted = "" if text in choices else f"one of {', '.join(choices)}"
     elif (section, key) in _NUMBERS:
         least, most = _NUMBERS[section, key]
-        if not (_NUMBER.fullmatch(text) and least <= float(text) <= most):
+        number = _NUMBER.fullmatch(text)
+        if number is None or not least <= float(number[1]) <= most:
             wanted = (
                 f"a number {'such as 0.5' if section == 'tuning' else f'from {least} to {most}'}"
             )
@@ -250,7 +252,12 @@ def _read(parser: configparser.ConfigParser, path: Path) -> None:
                 parser.remove_option(section, key)
     peers = parser.get(*PEERS, fallback="")
     if peers and not has_braces(peers):
-        _set(parser, *PEERS, f"{{{peers}}}")
+        _set(parser, *PEERS, f"{{{_in_braces(peers)}}}")
+
+
+def _in_braces(text: str) -> str:
+    """Return a list without its braces, which may be missing, and what follows them."""
+    return text.removeprefix("{").partition("}")[0]
 
 
 def _own_port_range(parser: configparser.ConfigParser) -> int:
@@ -258,8 +265,10 @@ def _own_port_range(parser: configparser.ConfigParser) -> int:
 
 
 def whole_number(text: str, default: int) -> int:
-    """Parse a number of a configuration; the default if it is not a C integer."""
-    return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else default
+    """Parse a number before a comment, if any; the default if it is not a C integer."""
+    number = _NUMBER.fullmatch(text)
+    digits = number[1] if number else ""
+    return int(digits) if digits.isdecimal() and len(digits) <= _MOST_DIGITS else default
 
 
 def _set_default(parser: configparser.ConfigParser, section: str, key: str, value: str) -> None:
@@ -327,7 +336,7 @@ class LslApiFile:
     @property
     def known_peers(self) -> tuple[str, ...]:
         """Hosts that liblsl asks directly."""
-        names = self._get(PEERS).removeprefix("{").removesuffix("}").split(",")
+        names = _in_braces(self._get(PEERS)).split(",")
         return tuple(name.strip() for name in names if name.strip())
 
     @property
