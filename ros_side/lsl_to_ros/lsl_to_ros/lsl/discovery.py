@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count, filterfalse
 from time import monotonic
@@ -291,7 +291,7 @@ class Discovery:
 
     def senders(self, inlet: Inlet) -> list[str]:
         """Return the computers of all served senders with this stream's identity."""
-        others = [other for other in self.inlets if other.continues_as(inlet.info)]
+        others = _continued_as(inlet.info, self.inlets)
         return sorted(other.info.hostname() for other in others) if len(others) > 1 else []
 
     def set_predicate(self, predicate: str) -> None:
@@ -376,7 +376,7 @@ class Discovery:
 
     def _admit(self, info: pylsl.StreamInfo, found: Collection[str]) -> list[Inlet]:
         """Open an inlet once the stream may be served; return the inlets that it replaces."""
-        before = [other for other in self.inlets if other.continues_as(info)]
+        before = _continued_as(info, self.inlets)
         waited_s = monotonic() - self._seen_s.setdefault(info.uid(), monotonic())
         is_opening = any(other.state is InletState.OPENING for other in before)
         live = [other for other in before if _is_of_another(other) and other.uid in found]
@@ -431,7 +431,7 @@ class Discovery:
         """
         uid = info.uid()
         later = [inlet for inlet in self.inlets if self._order[inlet.uid] > self._order[uid]]
-        if not any(inlet.continues_as(info) for inlet in later):
+        if not _continued_as(info, later):
             return False
         self._left_out.setdefault(uid, monotonic())
         return True
@@ -475,3 +475,11 @@ def _is_of_another(inlet: Inlet) -> bool:
     """Whether an inlet's stream is another program's, and not lost."""
     is_foreign = inlet.header is None or inlet.header.foreign
     return inlet.state is InletState.READY and is_foreign
+
+
+def _continued_as(info: pylsl.StreamInfo, inlets: Iterable[Inlet]) -> list[Inlet]:
+    """Return the inlets of which *info* is an announcement."""
+    # Asked for each stream about all others: liblsl would have to copy its source_id each time.
+    source_id = info.source_id()
+    alike = [inlet for inlet in inlets if inlet.source_id == source_id]
+    return [inlet for inlet in alike if inlet.continues_as(info)]
