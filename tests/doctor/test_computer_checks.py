@@ -19,7 +19,7 @@ from biosensor_common.doctor.check import Finding, Level
 from biosensor_common.doctor.network import Interface
 from biosensor_common.doctor.windows_firewall import Network
 from biosensor_common.lsl.api_file import Ports
-from biosensor_gateway.doctor import power
+from biosensor_gateway.doctor import devices
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 
@@ -130,7 +130,7 @@ def test_a_computer_whose_sleep_is_masked_stays_awake(
 
     monkeypatch.setattr(child, "output_of", output_of)
     monkeypatch.setattr(sys, "platform", "linux")
-    found = [each.what for each in power.power(context)]
+    found = [each.what for each in devices.power(context)]
     assert any("this computer goes to sleep" in each for each in found) is goes
     assert any("nothing is known to send" in each for each in found) is not goes
 
@@ -147,7 +147,7 @@ def test_a_computer_that_knows_no_batteries_is_judged(
 
     monkeypatch.setattr(psutil, "sensors_battery", sensors_battery)
     monkeypatch.setattr(child, "output_of", output_of)
-    assert not any("battery" in each.what for each in power.power(context))
+    assert not any("battery" in each.what for each in devices.power(context))
 
 
 def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
@@ -159,10 +159,10 @@ def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
         (usb / "power/control").write_text(f"{control}\n")
         (tmp_path / "bluetooth" / name).mkdir(parents=True)
         (tmp_path / "bluetooth" / name / "device").symlink_to(usb / "interface")
-    (found,) = power.adapters(tmp_path / "bluetooth")
+    (found,) = devices.adapters(tmp_path / "bluetooth")
     assert (found.level, "hci0" in found.what) == (Level.NOTE, True)
     assert f"tee {tmp_path / 'usb-hci0/power/control'}" in found.fix
-    assert not list(power.adapters(tmp_path / "none"))
+    assert not list(devices.adapters(tmp_path / "none"))
 
 
 @pytest.mark.parametrize(

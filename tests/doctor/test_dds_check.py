@@ -18,7 +18,7 @@ from lsl_to_ros.doctor import GUIDE, dds
 from lsl_to_ros.doctor.dds import judge_environment as judge
 from tests.doctor.conftest import above_ok, only
 
-PROBE = (sys.executable, "-m", "lsl_to_ros.doctor.graph_probe")
+PROBE = (sys.executable, "-m", "lsl_to_ros.doctor.dds")
 LIFE_S = 60.0
 
 Stay = Callable[[str], None]

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from biosensor_common.doctor.check import AGENT, NODE, Context, Finding, Level
+from biosensor_common.doctor.network_check import CHECK, check_with, sides
+from biosensor_common.doctor.network_check import Outcome as Checked
 from biosensor_common.doctor.network_check import channel as channels
-from biosensor_common.doctor.network_check import sides
 from biosensor_common.doctor.network_check.channel import (
     MAX_GREETING,
     MAX_LINE,
@@ -24,8 +25,6 @@ from biosensor_common.doctor.network_check.channel import (
     new_code,
     read_code,
 )
-from biosensor_common.doctor.network_check.command import CHECK, check_with
-from biosensor_common.doctor.network_check.command import Outcome as Checked
 from biosensor_common.doctor.network_check.diagnosis import judge, rows
 from biosensor_common.doctor.network_check.facts import (
     Arrivals,

@@ -227,9 +227,7 @@ CHECKS = (
         _COMPUTER,
     ),
     Check("clock", Category.COMPUTER, "what keeps the clock right", _COMPUTER),
-    _AGENTS(
-        "power", Category.COMPUTER, "sleep, battery, power saving of Bluetooth", f"{_AGENT}.power"
-    ),
+    _AGENTS("power", Category.COMPUTER, "sleep, battery, power saving of Bluetooth", _DEVICES),
 )
 """All checks, in the order in which they are shown."""
 

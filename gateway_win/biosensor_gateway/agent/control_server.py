@@ -12,7 +12,6 @@ import json
 import secrets
 from collections.abc import AsyncGenerator, Awaitable, Callable, Container, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, cast
 
 import structlog
@@ -101,12 +100,7 @@ class ControlServer:
             raise ConfigError(ConfigReason.UNREADABLE, message) from error
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_problem: object) -> None:
         with contextlib.suppress(OSError):
             self._path.unlink()
         self._server.close()

@@ -8,8 +8,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from biosensor_common.doctor import network_check
 from biosensor_common.doctor.check import AGENT, checks_of
-from biosensor_common.doctor.network_check import command
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
 from biosensor_common.errors import did_you_mean
@@ -95,9 +95,9 @@ def _network_check(
         raise typer.BadParameter("--answer, --with and --only exclude one another")
     context = read_context(settings or settings_path(), state_folder())
     if answering:
-        raise typer.Exit(command.answer(context, AGENT, port, as_json=as_json_))
+        raise typer.Exit(network_check.answer(context, AGENT, port, as_json=as_json_))
     code = code or typer.prompt(f"The code that {host} shows", err=True)
-    raise typer.Exit(command.ask(context, AGENT, host, port, code, as_json=as_json_))
+    raise typer.Exit(network_check.ask(context, AGENT, host, port, code, as_json=as_json_))
 
 
 def doctor_probe() -> None:

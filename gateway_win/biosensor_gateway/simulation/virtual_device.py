@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from enum import Enum, unique
 from math import isfinite
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self, TypedDict, Unpack
 
 from biosensor_gateway.simulation.faults import Effects, Fault, FaultKind, Kind, Untidiness
@@ -243,12 +243,7 @@ class VirtualDevice(ABC):
         self.world.await_(self._start())
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.world.await_(self._stop())
 
     def apply(self, fault: Fault) -> None:

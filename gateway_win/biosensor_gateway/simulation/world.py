@@ -9,7 +9,6 @@ import asyncio
 import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
@@ -31,12 +30,7 @@ class World:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.await_(self._cancel_all())
         self.loop.call_soon_threadsafe(self.loop.stop)
         self.clock.wait_for(self._ended, _TIMEOUT_S)

@@ -13,12 +13,12 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from biosensor_common.doctor.check import AGENT, checks_of
-from biosensor_common.doctor.network_check import diagnosis
-from biosensor_common.doctor.network_check.command import (
+from biosensor_common.doctor.network_check import (
     Outcome,
     WayHere,
     answer_one,
     check_with,
+    diagnosis,
     way_here,
 )
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT, Answerer

@@ -7,8 +7,8 @@ import os
 import sys
 
 from biosensor_common import liblsl
+from biosensor_common.doctor import network_check
 from biosensor_common.doctor.check import NODE, Context, checks_of
-from biosensor_common.doctor.network_check import command
 from biosensor_common.doctor.network_check.sides import ANSWER_PORT
 from biosensor_common.doctor.report import as_json, as_text, run_checks
 from biosensor_common.process_limits import INTERRUPTED, INTERRUPTED_S, end_within, raise_limit
@@ -33,11 +33,11 @@ def main() -> int:
     parser.add_argument("--port", type=_port, default=ANSWER_PORT, help="of --answer and --with")
     given = parser.parse_args()
     if given.answer:
-        return command.answer(Context(guide=GUIDE), NODE, given.port, as_json=given.json)
+        return network_check.answer(Context(guide=GUIDE), NODE, given.port, as_json=given.json)
     if given.host:
         if not given.code:
             parser.error(f"--with needs --code, and the code that {given.host} shows")
-        return command.ask(
+        return network_check.ask(
             Context(guide=GUIDE), NODE, given.host, given.port, given.code, as_json=given.json
         )
     chosen = [check for check in checks if not given.only or check.name in given.only]

@@ -4,20 +4,36 @@ The test uses two real nodes in separate processes, as any two nodes are. The
 variables are those of ROS 2 Jazzy; https://docs.ros.org/en/jazzy/Tutorials/Advanced/
 Improved-Dynamic-Discovery.html. What ROS does with values that are wrong was measured
 with rclpy 7.1 and Fast DDS 2.14.
+
+Run as a program, this module is one of the two processes: the node that is searched for (``stay``),
+or the one that searches::
+
+    {"role": "look", "name": "_doctor_5f", "search_s": 5, "settle_s": 2}
+    {"found": true, "seconds": 0.4, "middleware": "rmw_fastrtps_cpp", "nodes": ["/lsl_to_ros"]}
+
+A ROS context and its libraries cannot be unloaded from a process, and the middleware may end a
+process with an invalid environment.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import sys
+import time
 import uuid
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
+from types import FrameType
+from typing import Any
 
 from biosensor_common.doctor.check import Context, Finding, error, note, ok, warning
-from biosensor_common.doctor.probe import Probe, ProbeError
+from biosensor_common.doctor.probe import Probe, ProbeError, Request, answer, serve
+from lsl_to_ros import ros_environment
 
 DOMAIN, RANGE, PEERS = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 SERVER, LOCALHOST_ONLY = "ROS_DISCOVERY_SERVER", "ROS_LOCALHOST_ONLY"
@@ -29,6 +45,9 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _SAFE_ON_LINUX = (range(102), range(215, MAX_DOMAIN + 1))
 _FAST_DDS = "rmw_fastrtps"
 _SHELL = "in this shell and where it is set, ~/.bashrc for instance"
+PREFIX = "_biosensor_doctor_"
+"""Prefix of the nodes' names; ROS tools do not list names with a leading underscore."""
+_POLL_S = 0.05
 SEARCH_S = 7.0
 # Existing nodes announce themselves every 3 s.
 SETTLE_S = 3.5
@@ -45,8 +64,8 @@ def dds(_context: Context) -> Iterator[Finding]:
         # Without ROS, or before its setup file is sourced; the check versions reports that.
         return
     yield from judge_environment(os.environ)
-    name = f"_biosensor_doctor_{uuid.uuid4().hex}"
-    command = (sys.executable, "-P", "-m", "lsl_to_ros.doctor.graph_probe")
+    name = f"{PREFIX}{uuid.uuid4().hex}"
+    command = (sys.executable, "-P", "-m", __name__)
     with (
         Probe("stay", _LIMIT_S, command=command, name=name) as node,
         Probe(
@@ -221,3 +240,85 @@ def _server(text: str, middleware: str) -> Finding:
         f"if there is none: {unset}; else on all computers export {SERVER}={text!r}, and for "
         "ros2 topic, node and doctor besides: export ROS_SUPER_CLIENT=TRUE",
     )
+
+
+def main() -> None:
+    """Run the request from stdin."""
+    signal.signal(signal.SIGTERM, _leave)
+    serve({"stay": _stay, "look": _look})
+
+
+def _leave(_number: int, _frame: FrameType | None) -> None:
+    # Exits through the context managers, so that the node announces its end.
+    sys.exit(0)
+
+
+def _stay(request: Request) -> None:
+    """Run a node until this process is ended."""
+    with _node(request["name"]):
+        answer({"open": True})
+        time.sleep(request["life_s"])
+
+
+def _look(request: Request) -> None:
+    """Search for a node, and list all others until no new one has appeared for a while."""
+    search_s, settle_s = request["search_s"], request["settle_s"]
+    with _node(f"{PREFIX}{uuid.uuid4().hex}") as node:
+        begun = time.monotonic()
+        nodes, found_s, passed_s, changed_s = list[str](), None, 0.0, 0.0
+        while passed_s < search_s if found_s is None else passed_s < changed_s + settle_s:
+            time.sleep(_POLL_S)
+            passed_s = time.monotonic() - begun
+            before, nodes = nodes, sorted(_names(node))
+            if nodes != before:
+                changed_s = passed_s
+            if found_s is None and f"/{request['name']}" in nodes:
+                found_s = passed_s
+            if passed_s > search_s + settle_s:
+                break
+        answer(
+            {
+                "found": found_s is not None,
+                "seconds": found_s,
+                "middleware": _middleware(),
+                "nodes": [each for each in nodes if not each.startswith(f"/{PREFIX}")],
+            }
+        )
+
+
+@contextmanager
+def _node(name: str) -> Generator[Any]:
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    # Starts like the node itself, so that the result is valid for it.
+    middleware = _middleware()
+    ros_environment.configure_fast_dds(
+        os.environ, Path.cwd(), middleware, ros_environment.fast_dds_generation()
+    )
+    ros_environment.ensure_log_folder(os.environ)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(name)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        # Other nodes list a node that vanishes without notice for many seconds.
+        rclpy.try_shutdown()
+
+
+def _middleware() -> str:
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    return get_rmw_implementation_identifier()
+
+
+def _names(node: Any) -> Iterator[str]:  # noqa: ANN401 - rclpy's own annotations are partial
+    for name, namespace in node.get_node_names_and_namespaces():
+        yield f"{namespace.rstrip('/')}/{name}"
+
+
+if __name__ == "__main__":
+    main()
