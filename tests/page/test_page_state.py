@@ -7,12 +7,14 @@ import json
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pylsl
 import pytest
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
@@ -21,13 +23,15 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.api_file import LslOverrides
+from biosensor_common.lsl_header import append_children, describe, read_header
 from biosensor_common.naming import source_id
-from biosensor_common.spec import DeviceIdentity
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.selection import chosen, described
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.features.sources import judge, stream_info
 from biosensor_gateway.page import interface
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.auth import ViewKeys
@@ -108,6 +112,17 @@ STRAP = DeviceIdentity("polar_h10", "A1", "P01")
 SPEC = declaration("polar_h10")
 
 
+STREAM = StreamStatus(
+    pushed=1, lost=4, refused=0, last_stamp=NOW, withheld=0, waited=0, nominal_hz=130.0,
+    silent=False,
+)  # fmt: skip
+USUAL: dict[str, Any] = {
+    "sensor": "polar_h10", "unit": "A1", "participant": "P01", "label": "",
+    "state": "streaming", "paused": False, "worn": True, "connections": 1, "error": None,
+    "dropped_bytes": 0, "battery_percent": 80.0, "clock": None,
+}  # fmt: skip
+
+
 class Agent:
     """An agent with one strap that has sent everything once, some time ago."""
 
@@ -123,18 +138,14 @@ class Agent:
             self._history.add(samples)
 
     def shows(self, **changes: Any) -> DeviceView:
+        rates = {
+            e.data_name: e.rate if isinstance(e.rate, int | float) else 130.0 for e in SPEC.streams
+        }
         streams = {
-            source_id(STRAP, each.data_name): StreamStatus(
-                pushed=1, lost=4, refused=0, last_stamp=NOW, withheld=0, waited=0,
-                nominal_hz=each.rate if isinstance(each.rate, int | float) else 130.0, silent=False,
-            ) for each in SPEC.streams
-        }  # fmt: skip
-        usual: dict[str, Any] = {
-            "sensor": "polar_h10", "unit": "A1", "participant": "P01", "label": "",
-            "state": "streaming", "paused": False, "worn": True, "connections": 1, "error": None,
-            "dropped_bytes": 0, "battery_percent": 80.0, "clock": None, "streams": streams,
-        }  # fmt: skip
-        device = DeviceStatus(**(usual | changes))
+            source_id(STRAP, name): STREAM.model_copy(update={"nominal_hz": rate})
+            for name, rate in rates.items()
+        }
+        device = DeviceStatus.model_validate({**USUAL, "streams": streams, **changes})
         (shown,) = self._viewer.devices(AgentStatus(lsl_time=NOW, devices=[device]))
         return shown
 
@@ -304,8 +315,22 @@ class SeenFeatures:
         pass
 
 
+@asynccontextmanager
+async def _with_features(session: Session) -> AsyncGenerator[None]:
+    reading = asyncio.create_task(Features(session).run())
+    try:
+        yield
+    finally:
+        reading.cancel()
+        await asyncio.wait([reading])
+
+
+def _said(session: Session) -> list[str]:
+    return [each.sentence for each in session.unshown if each.now]
+
+
 @pytest.mark.nightly
-def test_features_are_of_the_agent_s_session_whatever_the_settings_say(
+async def test_features_are_of_the_agent_s_session_whatever_the_settings_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another group's strap may have the same source_id."""
@@ -315,18 +340,50 @@ def test_features_are_of_the_agent_s_session_whatever_the_settings_say(
     settings = tmp_path / "settings.toml"
     settings.write_text(SETTINGS)
     session = Session(tmp_path, settings)
-
-    async def run() -> None:
-        session.take_status(AgentStatus(session="before"))
-        reading = asyncio.create_task(Features(session).run())
+    session.take_status(AgentStatus(session="before"))
+    async with _with_features(session):
         await until(lambda: session.features)
+        assert not _said(session)
         session.take_status(AgentStatus(session="lab7"))
         await until(lambda: not session.features)
-        reading.cancel()
-        await asyncio.wait([reading])
-
-    asyncio.run(run())
+        session.take_status(AgentStatus(session="lab7"))
+        (shown,) = session.status().refusals
+        assert shown.now
+        assert "live features of this agent: they are not shown" in shown.sentence
+        assert "lab7" in shown.sentence
+        assert "looks in before" in shown.sentence
+        session.take_status(AgentStatus(session="before"))
+        await until(lambda: session.features and not _said(session))
     assert [each.session_id for each in told] == ["before"]
+
+
+@pytest.mark.nightly
+async def test_features_of_a_stream_that_two_agents_send_are_not_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody knows of which agent they are."""
+    monkeypatch.setattr(interface, "configure_lsl", lambda _overrides: None)  # pyright: ignore[reportUnknownLambdaType, reportUnknownArgumentType]
+    strap = DeviceIdentity("polar_h10", f"{time.time_ns():X}", "P01")
+    (ecg,) = (each for each in SPEC.streams if each.data_name == "ecg")
+    raw = pylsl.StreamInfo("P01-ecg", "ECG", 1, 130.0, "float32", source_id(strap, "ecg"))
+    append_children(raw.desc(), describe(ecg, strap, DeviceInfo()))
+    source = judge(raw.name(), raw.source_id(), read_header(raw.as_xml()))
+    assert source is not None
+    session = Session(tmp_path, tmp_path / "none.toml")
+    own: dict[str, Any] = {"unit": strap.unit, "streams": {raw.source_id(): STREAM}}
+    session.take_status(AgentStatus(devices=[DeviceStatus.model_validate({**USUAL, **own})]))
+    outlets = [pylsl.StreamOutlet(each) for each in (raw, stream_info(source, source.features[1]))]
+    async with _with_features(session):
+        await until(lambda: session.features)
+        assert not _said(session)
+        outlets.append(pylsl.StreamOutlet(raw))
+        await until(lambda: not session.features)
+        (why,) = _said(session)
+        assert why.startswith("P01-ecg: they are not shown, because they may be another person's")
+        assert "2 agents" in why
+        outlets.pop()
+        await until(lambda: session.features)
+        assert not _said(session)
 
 
 @pytest.mark.parametrize("virtual", [True, False])

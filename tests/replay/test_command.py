@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from biosensor_common.lsl.api_file import LslOverrides
+from biosensor_gateway.agent.status import AgentStatus
+from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.bag.types import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.exporter import Clock, Progress
 from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.replay.playback import elsewhere
 from biosensor_gateway.recording.replay.player import (
     BIN_S,
     Lateness,
@@ -251,3 +256,15 @@ def test_lateness_is_told_to_a_tenth_of_a_millisecond(late: NDArray[np.float64])
 
 def test_of_nothing_there_is_no_lateness() -> None:
     assert Lateness().percentile_s(99) == 0.0
+
+
+def test_a_replay_beside_an_agent_of_another_lsl_session_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
+    assert not list(elsewhere(LslOverrides("lab8")))
+    write_status(tmp_path, AgentStatus(session="lab7", written=time.time()).model_dump())
+    assert not list(elsewhere(LslOverrides("lab7")))
+    (sentence,) = elsewhere(LslOverrides("lab8"))
+    assert "played in the LSL session lab8" in sentence
+    assert "agent sends in lab7" in sentence

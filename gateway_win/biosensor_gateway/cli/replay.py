@@ -112,7 +112,7 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
 
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
-    work = asyncio.get_running_loop().run_in_executor(None, _play, wanted, stopping)
+    work = asyncio.get_running_loop().run_in_executor(None, _play, wanted, lsl, stopping)
     try:
         if not await asyncio.shield(work):
             raise typer.Exit(1)
@@ -122,13 +122,17 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
         raise
 
 
-def _play(wanted: Wanted, stopping: threading.Event) -> bool:
+def _play(wanted: Wanted, lsl: LslSettings, stopping: threading.Event) -> bool:
     """Play; return whether all requested streams were played."""
     from biosensor_gateway.recording.replay import playback
     from biosensor_gateway.recording.replay.playback import prepared
 
     with wrong_recording(), prepared(wanted, _ALLOWED_BY) as player:
-        for sentence in (*playback.damaged(player.damages), *playback.left_out(player)):
+        for sentence in (
+            *playback.elsewhere(lsl.overrides),
+            *playback.damaged(player.damages),
+            *playback.left_out(player),
+        ):
             say(sentence)
         if not stopping.is_set():
             say(playback.begun(wanted.file.name, player, wanted.options.speed))

@@ -10,8 +10,11 @@ from fastapi import APIRouter
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.api_file import LslOverrides
-from biosensor_common.lsl.network import configure_lsl
-from biosensor_gateway.features.outputs import feature_streams
+from biosensor_common.lsl.network import FORGET_AFTER_S, Network, configure_lsl
+from biosensor_common.lsl.predicates import any_of, equals
+from biosensor_common.refusal import Refusal, Refusals
+from biosensor_gateway.agent.status import RefusedStatus
+from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.models import Problem, SeenStreamView
 from biosensor_gateway.page.network.source import Reader, into
@@ -29,6 +32,8 @@ from biosensor_gateway.page.session import Session, Shutdown
 from biosensor_gateway.page.static_files import PREFIX
 
 _LOOK_S = 0.25
+_OF_ALL = "this agent"
+_BOTH_ALIVE_S = FORGET_AFTER_S + 2.0
 
 
 class Interface:
@@ -86,6 +91,9 @@ class Features:
         self._session = session
         self._wanted: frozenset[str] = frozenset()
         self._lsl_session = ""
+        self._refusals = Refusals(clock=session.now)
+        self._told: dict[str, str] = {}
+        self._seen_s: dict[str, float] = {}
 
     async def run(self) -> None:
         """Receive until cancelled."""
@@ -100,25 +108,67 @@ class Features:
             overrides = LslOverrides()
         try:
             configure_lsl(replace(overrides, session_id=self._lsl_session))
-        except ConfigError:
+        except ConfigError as error:
             # Unconfigured, LSL would find those of its default session.
+            self._tell({_OF_ALL: f"they are not shown: {error}"})
             return
         reader = await asyncio.to_thread(Reader, into(self._session.traces), feature_streams())
+        raw = await asyncio.to_thread(Network, any_of(*(equals("type", e) for e in READ_TYPES)))
         try:
             while True:
-                self._look(reader)
+                self._look(reader, raw)
                 await asyncio.sleep(_LOOK_S)
         finally:
             await asyncio.to_thread(reader.stop)
 
-    def _look(self, reader: Reader) -> None:
-        # An agent that was started again may be in another session, where this program is not.
-        devices = reader.view.devices if self._session.lsl_session == self._lsl_session else ()
-        features = [each for device in devices for each in device.streams if each.derived_from]
+    def _look(self, reader: Reader, raw: Network) -> None:
+        agent, own = self._session.lsl_session, self._lsl_session
+        found = [each for dev in reader.view.devices for each in dev.streams if each.derived_from]
+        features, untold = list[SeenStreamView](), dict[str, str]()
+        if agent == own:
+            doubled = self._doubled(raw)
+            features = [each for each in found if each.derived_from not in doubled]
+            untold = dict(doubled.values())
+        elif agent:
+            untold[_OF_ALL] = (
+                f"they are not shown: the agent now sends in the LSL session {agent}, and this "
+                f"page looks in {own}, where equal names are other people's; end the page and "
+                "open it again"
+            )
+        self._tell(untold)
         self._session.features = features
         wanted = self._of_the_agent(features) if self._session.traces.screens else frozenset[str]()
         self._session.traces.history.forget(self._wanted - wanted)
         self._wanted = reader.wanted = wanted
+
+    def _doubled(self, raw: Network) -> dict[str, tuple[str, str]]:
+        """Return whose features may be another agent's: LSL name and reason, by source_id."""
+        now, sources = self._session.now(), self._session.sources()
+        infos = [each for each in raw.streams() if each.source_id() in sources]
+        self._seen_s = {each.uid(): self._seen_s.get(each.uid(), now) for each in infos}
+        found: dict[str, tuple[str, str]] = {}
+        for source in {each.source_id() for each in infos}:
+            senders = [each for each in infos if each.source_id() == source]
+            hosts = sorted({each.hostname() for each in senders})
+            # An outlet that has ended is found for some seconds more beside its successor.
+            lasting = [e for e in senders if now - self._seen_s[e.uid()] > _BOTH_ALIVE_S]
+            if len(hosts) > 1 or len(lasting) > 1:
+                why = (
+                    f"they are not shown, because they may be another person's: {len(senders)} "
+                    f"agents, on {' and '.join(hosts)}, send this stream under one source_id; "
+                    "give the sensors of each another participant, or end one"
+                )
+                found[source] = senders[0].name(), why
+        return found
+
+    def _tell(self, untold: dict[str, str]) -> None:
+        """Report features that are not shown, by what they are of, with the reason."""
+        for about in self._told.keys() - untold.keys():
+            self._refusals.over(Refusal.NO_FEATURES, about)
+        for about, why in untold.items():
+            self._refusals.refuse(Refusal.NO_FEATURES, about=about, why=why)
+        self._told = untold
+        self._session.unshown = RefusedStatus.of(self._refusals)
 
     def _of_the_agent(self, features: list[SeenStreamView]) -> frozenset[str]:
         sources = self._session.sources()

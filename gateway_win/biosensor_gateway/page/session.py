@@ -12,9 +12,10 @@ from typing import Any
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent import feature_refusals
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
+from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, RefusedStatus
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.agent import Viewer
 from biosensor_gateway.page.live import Traces
@@ -46,6 +47,8 @@ class Session:
         How often an agent has come or gone.
     replay_view
         Returns the view of the replay; `Replaying` replaces it.
+    unshown
+        Features that are not shown, and why; `Features` sets it.
     told
         Set once a status was returned in which the agent is not starting.
     """
@@ -58,6 +61,7 @@ class Session:
         self.markers = MarkersView()
         self.replay_view: Callable[[], ReplayView] = ReplayView
         self.features: Sequence[SeenStreamView] = ()
+        self.unshown: Sequence[RefusedStatus] = ()
         self.has_ended = False
         self.turns = 0
         self.told = asyncio.Event()
@@ -76,6 +80,7 @@ class Session:
             self.turns += 1
         self._status = status
         if status is not None:
+            feature_refusals.add(status, self.unshown)
             self.came.set()
 
     def take_dropped(self, count: int) -> None:

@@ -7,7 +7,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from biosensor_common.errors import ConfigError
+from biosensor_common.lsl import api_file
+from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import search
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.replay.outlet import NAMELESS
 from biosensor_gateway.recording.replay.player import Player, PlayOptions, Progress
@@ -18,6 +22,7 @@ from biosensor_gateway.recording.replay.source import (
     opened,
 )
 from biosensor_gateway.recording.xdf.container import Damage
+from biosensor_gateway.settings.places import state_folder
 
 SEARCH_S = 2.0
 """LSL sends several queries in this time, because an answer may get lost."""
@@ -31,6 +36,20 @@ class Wanted:
     selection: Selection
     options: PlayOptions
     may_be_beside: bool
+
+
+def elsewhere(lsl: LslOverrides) -> Iterator[str]:
+    """Yield a sentence if the agent of this computer is in another LSL session than the replay."""
+    try:
+        status = status_file.read_status(state_folder())
+    except ConfigError:
+        return
+    if status_file.other_session(status, lsl):
+        yield (
+            f"it is played in the LSL session {api_file.session(api_file.config_here(lsl))} of the "
+            f"settings, while the agent sends in {status['session']}: programs of that session do "
+            "not receive it"
+        )
 
 
 @contextmanager

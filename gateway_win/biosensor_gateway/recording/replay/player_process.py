@@ -186,7 +186,11 @@ def play_for_another() -> int:
 def _play(job: ReplayJob, stopping: threading.Event, teller: _Teller) -> list[str]:
     """Play to the end; return sentences about the result."""
     with prepared(job.wanted, _ALLOWED_BY) as player:
-        known = [*playback.damaged(player.damages), *playback.left_out(player)]
+        known = [
+            *playback.elsewhere(job.lsl.overrides),
+            *playback.damaged(player.damages),
+            *playback.left_out(player),
+        ]
         player.watch(teller.put)
         with teller.following(player, known):
             teller.tell(Told(progress=teller.progress, streams=played_streams(player, job.speed)))
