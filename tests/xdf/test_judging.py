@@ -350,6 +350,27 @@ def test_channels_without_values() -> None:
     assert only(report).figures.nan_shares == (1.0, 0.25, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "length_s", "level"),
+    [
+        ("RespirationRate", 30, Level.NOTE),
+        ("RespirationRate", 60, Level.WARNING),
+        ("HeartRate", 30, Level.WARNING),
+    ],
+)
+def test_a_rate_of_breathing_takes_several_breaths(kind: str, length_s: int, level: Level) -> None:
+    count = int(length_s * RATE)
+    report = check(
+        x.xdf(
+            x.stream_header(1, "a", kind=kind, rate=RATE),
+            x.samples(1, "float32", [[float("nan")]] * count, _times(count)),
+            x.offsets(1, (1005, 1010)),
+            x.footer(1, count),
+        )
+    )
+    assert [each.level for each in report.findings if each.code == "no-values"] == [level]
+
+
 # A sensor that was paused or not connected is named in the verdict.
 STREAMING = {"polar_h10__A1": "streaming"}
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from biosensor_common.quantities import Unit
+from biosensor_common.quantities import ContentType, Unit
 from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
@@ -31,6 +31,8 @@ LATE_S = 5.0
 NAN_SHARE_TO_NOTE = 0.05
 # The agent reports once a second. Streams without a device clock are up to a second late anyway.
 HELD_UP_S = 2.0
+# Sensors count several breaths before they tell how often somebody breathes.
+_FIRST_BREATHS_S = 45.0
 _QUALIFIES = frozenset({Unit.BOOLEAN.value, Unit.FRACTION.value})
 # Shorter gaps are smoothed as jitter by default in pyxdf and in the loader for MATLAB.
 _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
@@ -300,6 +302,15 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     labels = ", ".join(label for label, _ in empty)
     if empty and window_s is not None and extent.length_s < window_s:
         text = f"no value yet in {labels}: they look back over up to {window_s:g} s"
+        yield Level.NOTE, "no-values", text
+    elif (
+        empty
+        and header.content_type == ContentType.RESPIRATION_RATE
+        and extent.length_s < _FIRST_BREATHS_S
+    ):
+        text = (
+            f"no value yet in {labels}: sensors need several breaths, up to {_FIRST_BREATHS_S:g} s"
+        )
         yield Level.NOTE, "no-values", text
     elif empty:
         yield Level.WARNING, "no-values", f"no value at all in {labels}"
