@@ -121,7 +121,10 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
     other = status_file.other_session(status, settings.lsl.overrides)
     if other:
         # In another session streams of equal source_ids are other people's.
-        message = f"{other}; start the agent again, or set session_id in [lsl] back"
+        message = (
+            f"{other}; start the agent again, set session_id in [lsl] back, or name the agent's"
+            " settings file with --settings"
+        )
         raise RecorderError(RecorderReason.OTHER_SESSION, message)
     away = {e.device: e.sentence for e in absences(status["devices"]) if not e.is_partial}
     return tuple(_of_status(device, away) for device in status["devices"])
