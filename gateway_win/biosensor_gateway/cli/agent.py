@@ -70,6 +70,11 @@ def run(
     if page and not restart_facts(os.environ):
         # Not after a restart: the first process has opened the page, and it is still there.
         open_page_beside(settings)
+        # The page's process has no terminal where it could print its address.
+        typer.echo(
+            "The page opens in your browser; if it does not: biosensor-gateway page --no-open",
+            err=True,
+        )
     from biosensor_gateway.cli.agent_process import stream  # takes a second
 
     stream(settings, virtual, fault or (), ask=ask, features=features, verbose=verbose)

@@ -14,7 +14,7 @@ const MOST_REFUSED = 10;
 const MOST_ASKED = 200;
 
 const AGENT = {
-  running: ["●", "good", "streaming agent runs"],
+  running: ["●", "good", "the agent runs"],
   starting: ["◌", "warn", "agent is starting"],
   absent: ["■", "bad", "agent does not run"],
 };
