@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import builtins
 import errno
+import subprocess
+import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,13 @@ from biosensor_gateway.agent.device_set import Device, DeviceChanges, DeviceSet
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.cli import agent as commands
 from biosensor_gateway.cli import app, config, record
-from biosensor_gateway.cli.app import EXIT_FAILED, refusal
+from biosensor_gateway.cli.app import EXIT_FAILED, EXIT_USAGE, refusal
 from biosensor_gateway.cli.config import edit
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.recorder.request import RecordingRequest, SensorsAwayError
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE
 from biosensor_gateway.streaming.room import Room
 
 # What the system refuses is one sentence, not a traceback.
@@ -37,7 +40,10 @@ from biosensor_gateway.streaming.room import Room
         (errno.EMFILE, "no more files can be opened: this computer lets a program open"),
     ],
 )
-def test_what_the_system_refuses_is_said_with_what_to_do(code: int, words: str) -> None:
+def test_what_the_system_refuses_is_said_with_what_to_do(
+    code: int, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(STATE_VARIABLE, "/home/x/.local/state/gateway")
     assert words in refusal(OSError(code, "refused", "/home/x/.local/state"))
 
 
@@ -54,12 +60,68 @@ def test_a_command_that_is_refused_a_file_ends_with_the_sentence(
         raise PermissionError(errno.EACCES, "Permission denied", "/home/x/settings.toml")
 
     monkeypatch.setattr(app, "app", lambda: refuse)
+    monkeypatch.setenv(SETTINGS_VARIABLE, "/home/x/settings.toml")
     with pytest.raises(SystemExit) as ended:
         app.main()
     assert ended.value.code == EXIT_FAILED
-    assert capsys.readouterr().err.startswith(
-        "biosensor-gateway: /home/x/settings.toml: Permission denied; have it allowed"
+    said = capsys.readouterr().err
+    assert said.startswith("biosensor-gateway: /home/x/settings.toml: Permission denied; ")
+    assert SETTINGS_VARIABLE in said
+
+
+ON_FILES = [
+    "xdf check",
+    "xdf salvage",
+    "xdf export --to csv",
+    "replay",
+    "features",
+    "bag import",
+    "capture replay",
+    "withdraw P07",
+]
+
+
+@pytest.mark.parametrize("command", ON_FILES)
+@pytest.mark.parametrize("name", ["x" * 300, "a_file/beside"])
+def test_a_name_that_cannot_be_a_file_is_one_sentence(
+    command: str,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "a_file").touch()
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *command.split(), str(tmp_path / name)])
+    with pytest.raises(SystemExit) as ended:
+        app.main()
+    assert ended.value.code in (EXIT_FAILED, EXIT_USAGE)
+    said = capsys.readouterr().err
+    assert said.count("biosensor-gateway: ") == 1
+    assert name in said
+
+
+@pytest.mark.seam
+@pytest.mark.parametrize("command", ["xdf check", "bag import", "withdraw P07"])
+def test_a_folder_that_may_not_be_looked_into_is_one_sentence(command: str, tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    (closed / "inside.xdf").touch()
+    closed.chmod(0)
+    # Root may look into every folder, unless these two capabilities are taken away.
+    as_user = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", "--"]
+    program = [sys.executable, "-m", "biosensor_gateway.cli"]
+    done = subprocess.run(
+        [*as_user, *program, *command.split(), str(closed / "inside.xdf")],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
+    closed.chmod(0o700)
+    assert done.returncode in (EXIT_FAILED, EXIT_USAGE)
+    assert "Traceback" not in done.stderr
+    assert str(closed) in done.stderr
 
 
 def test_nobody_runs_with_a_folder_that_may_not_be_looked_into() -> None:

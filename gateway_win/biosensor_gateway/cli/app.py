@@ -15,6 +15,7 @@ from functools import partial
 from importlib import import_module
 from importlib.abc import InspectLoader
 from importlib.util import find_spec
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -150,7 +151,13 @@ class Deferred(TyperCommand):
 
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
-_REFUSED = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC})
+# What the system refuses because of the file that was named, not because of a defect of ours.
+_REFUSED = frozenset(
+    {
+        *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT),
+        *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO),
+    }
+)
 
 
 def _command(name: str, place: str, *, hidden: bool = False) -> Deferred:
@@ -238,12 +245,17 @@ def refusal(error: OSError) -> str:
         return f"no more files can be opened: {process_limits.reason()}; {process_limits.fix()}"
     if error.errno not in _REFUSED or error.filename is None:
         return ""
-    from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE  # only then
+    from biosensor_gateway.settings import places  # only then
 
-    return (
-        f"{error.filename}: {error.strerror}; have it allowed, or let {STATE_VARIABLE} name "
-        f"another folder and {SETTINGS_VARIABLE} another file"
-    )
+    what = f"{error.filename}: {error.strerror}"
+    own = places.settings_path().parent, places.state_folder()
+    refused = Path(error.filename).absolute()
+    if any(refused.is_relative_to(each) or each.is_relative_to(refused) for each in own):
+        return (
+            f"{what}; get permission to use it, or let {places.STATE_VARIABLE} name "
+            f"another folder and {places.SETTINGS_VARIABLE} another file"
+        )
+    return f"{what}; choose another file or folder, or get permission to use this one"
 
 
 def _fail(error: GatewayError | str, code: int) -> None:
