@@ -301,3 +301,29 @@ def test_a_preview_says_what_a_change_would_do() -> None:
         kept=("polar_h10/1",),
     )
     assert [each.name for each in fleet] == ["polar_h10/1", "polar_h10/2", "polar_h10/3"]
+
+
+# An empty argument is a variable that a script did not set, not "as usual".
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "--simulate", ""], "'--simulate' is empty"),
+        (["record", "start", "--folder="], "'--folder' is empty"),
+        (["withdraw", "", "."], "'withdraw' is empty"),
+        (["doctor", "--with", ""], "'--with' is empty"),
+        (["doctor", "--code", "123456"], "--code needs --with"),
+    ],
+)
+def test_an_empty_or_lonely_argument_is_refused(
+    arguments: list[str],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        app.main()
+    assert ended.value.code == EXIT_USAGE
+    assert said in capsys.readouterr().err

@@ -361,6 +361,11 @@ def test_what_there_is_not_is_told_with_what_there_is(name: str) -> None:
         assert there_is in str(raised.value)
 
 
+def test_a_wearer_without_a_name_is_refused() -> None:
+    with pytest.raises(ConfigError, match="'polar_h10@' names nobody"):
+        virtual_devices.import_all(["polar_h10@"])
+
+
 @pytest.mark.parametrize("name", ["polarh10", "Polar_H10"])
 def test_of_a_misspelt_sensor_the_right_name_is_said(name: str) -> None:
     for look_up in (virtual_class, sensor):

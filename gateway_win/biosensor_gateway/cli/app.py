@@ -11,10 +11,12 @@ from __future__ import annotations
 import errno
 import inspect
 import sys
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 from importlib.abc import InspectLoader
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -215,6 +217,7 @@ def app() -> TyperGroup:
 
 def main() -> None:
     """Run the command line; every expected failure is one sentence on stderr."""
+    _refuse_empty(sys.argv)
     try:
         app()()
     except SystemExit as end:
@@ -237,6 +240,17 @@ def main() -> None:
         if not sentence:
             raise
         _fail(sentence, EXIT_FAILED)
+
+
+def _refuse_empty(arguments: Sequence[str]) -> None:
+    """Exit if an argument is empty, as where a script's variable is not set.
+
+    It would be taken for "not given": for real sensors instead of virtual ones, or this folder.
+    """
+    for before, argument in pairwise(arguments):
+        if not argument or (argument.startswith("--") and argument.endswith("=")):
+            name = argument.removesuffix("=") or before
+            _fail(f"what follows {name!r} is empty; leave it out, or set the variable", EXIT_USAGE)
 
 
 def refusal(error: OSError) -> str:

@@ -71,6 +71,8 @@ def doctor(
     configure_logs(LogSettings(level="error"), None)
     if answer or with_:
         _network_check(settings, only, answer, with_, code, port, as_json_)
+    if code:
+        raise typer.BadParameter("--code needs --with and the other computer")
     context = read_context(
         settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
     )

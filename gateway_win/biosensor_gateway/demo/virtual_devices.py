@@ -154,7 +154,7 @@ def import_all(names: Iterable[str]) -> None:
 
 def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
     """Return the requested devices, each once, because two would share their source_ids."""
-    typed = (Wanted(*name.split(_WORN_BY, 1)) for name in names)
+    typed = map(_wanted, names)
     expanded = (
         (Wanted(each, wanted.participant) for each in one_of_each())
         if wanted.name == ALL
@@ -162,6 +162,14 @@ def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
         for wanted in typed
     )
     return tuple(dict.fromkeys(chain.from_iterable(expanded)))
+
+
+def _wanted(text: str) -> Wanted:
+    name, worn, participant = text.partition(_WORN_BY)
+    if worn and not participant:
+        message = f"{text!r} names nobody; write {text}P01, or leave out the {_WORN_BY}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return Wanted(name, participant)
 
 
 def _start(
