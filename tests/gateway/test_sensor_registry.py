@@ -270,7 +270,6 @@ def test_a_fault_that_cannot_be_does_not_exist(kind: FaultKind, value: float) ->
 
 
 BAD_FAULTS = (
-    "",
     "drop",
     "drop:5s",
     "drop@",
