@@ -164,7 +164,7 @@ close:
   Pop $R1
   nsExec::Exec '"$Tools\${EXE}" page --end'
   Pop $R1
-  nsExec::Exec '"$Tools\${EXE}" stop'
+  nsExec::Exec '"$Tools\${EXE}" stop --while-recording'
   Pop $R1
   ; Its window, or a command in another one, may need a moment more.
   StrCpy $R2 0

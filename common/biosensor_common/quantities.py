@@ -163,6 +163,22 @@ TYPES_OF_DEVICE = frozenset(
 """Types of streams about the device, not the person."""
 
 
+CONSTANT_S = {
+    ContentType.ECG: 10.0,
+    ContentType.EEG: 10.0,
+    ContentType.EMG: 10.0,
+    ContentType.PPG: 10.0,
+    ContentType.GSR: 60.0,
+    ContentType.RESPIRATION: 60.0,
+}
+"""How long a channel of a regular stream of this type may have one value, in s.
+
+A body changes such a signal, and noise its last digit: one that stands still for longer comes from
+a dead electrode, a cable or a converter. Of other types a value may be right for as long as it
+likes: a charge, a count, the acceleration of a sensor with few digits that lies still.
+"""
+
+
 def waits_for_receivers(content_type: str, *, is_regular: bool, is_state: bool) -> bool:
     """Whether an outlet buffers its samples, with their stamps, until the first receiver connects.
 

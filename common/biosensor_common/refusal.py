@@ -215,6 +215,11 @@ class Refusal(Enum):
         "{samples} {were} refused: values outside {low}..{high}",
     )
     IMPLAUSIBLE = _passing("implausible", "{samples} {were} not sent: {why}")
+    FLAT = _standing(
+        "flat",
+        "{channels} not changed for {limit_s:g} s or longer, so this is not a signal of a body:"
+        " check electrode, contact with the skin, cable, and the settings of the device",
+    )
     PAUSED = _passing("paused", "{samples} {were} suppressed because of a pause")
     WAITED_TOO_LONG = _passing(
         "waited_too_long",

@@ -66,6 +66,9 @@ class ChannelSpec:
     plausible
         Lowest and highest possible value in `unit`; values outside are not sent. A text says
         why there are no bounds; None for a unit that is not physical.
+    may_rest
+        Whether it may have one value for long although its stream is a signal of the body: light of
+        a dark room, an input to which nothing is connected.
 
     Raises
     ------
@@ -78,6 +81,7 @@ class ChannelSpec:
     scale: NominalScale | None = None
     role: ChannelRole | None = None
     plausible: tuple[float, float] | str | None = None
+    may_rest: bool = False
 
     def __post_init__(self) -> None:
         units = [self.unit] if self.scale is None else [self.unit, self.scale.unit]

@@ -22,11 +22,12 @@ def channels(
     *labels: str,
     roles: Iterable[ChannelRole] = (),
     plausible: tuple[float, float] | str | None = None,
+    may_rest: bool = False,
 ) -> tuple[ChannelSpec, ...]:
     """Return channels with the same unit and bounds, in order; *roles* has one role per channel."""
     each = tuple(roles) or (None,) * len(labels)
     return tuple(
-        ChannelSpec(label, unit, role=role, plausible=plausible)
+        ChannelSpec(label, unit, role=role, plausible=plausible, may_rest=may_rest)
         for label, role in zip(labels, each, strict=True)
     )
 

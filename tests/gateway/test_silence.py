@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import source_id
 from biosensor_common.quantities import NOT_PHYSICAL, Unit
-from biosensor_common.refusal import LATELY_S
+from biosensor_common.refusal import LATELY_S, Refusals
 from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.supervisor import Supervisor
@@ -39,7 +39,7 @@ from biosensor_gateway.streaming.sink import (
     JumpReports,
     Jumps,
 )
-from biosensor_gateway.streaming.stages import AHEAD_LIMIT_S, RIGHT_AGAIN_S
+from biosensor_gateway.streaming.stages import AHEAD_LIMIT_S, RIGHT_AGAIN_S, Constants
 from biosensor_gateway.system.clock import LslClock
 from tests.rigs.virtual_time import SetClock
 
@@ -524,3 +524,66 @@ def test_a_clock_that_jumps_there_and_back_is_said_a_few_times_and_counted_alway
     told = [entry for entry in logs if "jumped" in entry["event"]]
     assert sink.clock_state.reanchors == 999
     assert [entry.get("times", 1) for entry in told] == [1] * JUMPS_SAID + [999 - JUMPS_SAID]
+
+
+# A signal of a body that has one value for long comes from a dead electrode, not from a body.
+RATE_HZ = 10
+
+
+def flat_of(
+    sensor: str, data_name: str, seconds: Sequence[Sequence[float]]
+) -> list[tuple[int, str]]:
+    """Send one row of values for each second; return from when on which sentence stands."""
+    constants, refusals = Constants(declaration(sensor)), Refusals(clock=lambda: 0.0)
+    told: list[tuple[int, str]] = []
+    for second, row in enumerate(seconds):
+        rows = np.tile(np.array(row, np.float64), (RATE_HZ, 1))
+        stamps = second + np.arange(RATE_HZ) / RATE_HZ
+        constants.note(data_name, rows, stamps.tolist(), refusals)
+        said = next((each.sentence for each in refusals.present), "")
+        if said != (told[-1][1] if told else ""):
+            told.append((second, said))
+    return told
+
+
+def test_a_dead_electrode_among_others_is_named_until_it_lives_again() -> None:
+    rows = [[0.0, second, -second, second % 2] for second in range(30)]
+    rows += [[second % 3, 7.0, 7.0, second] for second in range(30)]
+    told = flat_of("muse", "eeg", rows)
+    assert [said.partition(" not changed")[0] for _, said in told] == [
+        "TP9 (0 microvolts) has",
+        "",
+        "AF7 (7 microvolts), AF8 (7 microvolts) have",
+    ]
+    assert told[0][0] in (10, 11)
+    assert told[1][0] in (30, 31)
+    assert "check electrode" in told[0][1]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "data_name", "row"),
+    [
+        ("muse", "aux", [0.0] * 4),
+        ("polar_h10", "acc", [0.0, 0.0, 1.0]),
+        ("polar_h10", "hr", [64.0]),
+        ("polar_h10", "bat", [80.0]),
+        ("muse", "eeg", [math.nan] * 4),
+        ("empatica_e4", "st", [32.5]),
+    ],
+)
+def test_what_may_be_constant_is_no_remark(sensor: str, data_name: str, row: list[float]) -> None:
+    assert not flat_of(sensor, data_name, [row] * 200)
+
+
+def test_a_slow_signal_has_more_time() -> None:
+    assert not flat_of("empatica_e4", "gsr", [[0.0]] * 55)
+    ((second, said),) = flat_of("empatica_e4", "gsr", [[0.0]] * 70)
+    assert second in (60, 61)
+    assert "60 s or longer" in said
+
+
+def test_two_equal_values_around_a_gap_are_no_flat_signal() -> None:
+    constants, refusals = Constants(declaration("polar_h10")), Refusals()
+    for stamp in (0.0, 20.0, 40.0):
+        constants.note("ecg", [5.0], [stamp], refusals)
+    assert not refusals.present

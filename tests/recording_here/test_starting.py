@@ -12,6 +12,7 @@ import pytest
 
 from biosensor_common.lsl import api_file
 from biosensor_common.lsl.api_file import LslOverrides
+from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.recorder import local
@@ -22,7 +23,7 @@ from biosensor_gateway.recording.recorder.request import (
     RecorderReason,
     RecordingRequest,
 )
-from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording, lost_by_start
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
     VisibleStream,
@@ -31,7 +32,7 @@ from biosensor_gateway.recording.recorder.streams import (
 )
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
-from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from tests.recording_here.test_growth import HEAD, TWO, data
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
@@ -199,3 +200,23 @@ def test_streams_of_others_alone_need_no_agent(running: Running) -> None:
     # As at a computer that only records.
     found = [*running.findings(None), *running.findings([])]
     assert "no-agent" not in [code for _, code, _ in found]
+
+
+def test_a_start_of_the_agent_without_a_recorded_sensor_is_told_before(tmp_path: Path) -> None:
+    strap_of = {each: DeviceSettings(sensor="polar_h10", unit=each) for each in ("A1", "A2")}
+    required = [source_id(each.identity, "ecg") for each in strap_of.values()]
+    folder = RecorderFolder(tmp_path)
+    saved = SavedRecording(str(tmp_path / "a.xdf"), (*required, "gateway-vm-events"), time.time())
+    folder.hand_over(saved, "")
+    folder.save(saved)
+    # Nothing is said of a recording that is over.
+    assert not lost_by_start([], tmp_path)
+    lock = folder.try_lock()
+    assert lock is not None
+    with lock:
+        assert not lost_by_start(strap_of.values(), tmp_path)
+        sentence = lost_by_start([strap_of["A1"]], tmp_path)
+        assert f"to {tmp_path / 'a.xdf'}" in sentence
+        assert "no longer have polar_h10-A2, with which" in sentence
+        off = strap_of["A1"].model_copy(update={"enabled": False})
+        assert "polar_h10-A1 and polar_h10-A2" in lost_by_start([off], tmp_path)

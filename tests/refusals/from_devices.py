@@ -106,6 +106,16 @@ def implausible(patch: pytest.MonkeyPatch) -> Shown:
     return emitted(patch, "br", [500.0], NOW_S)
 
 
+@provokes(Refusal.FLAT)
+def flat(patch: pytest.MonkeyPatch) -> Shown:
+    zephyr = sink(patch)
+    for second in range(12):
+        zephyr.emit_at(
+            "ecg", np.full(250, 512.0), (NOW_S - 12 + second + np.arange(250) / 250).tolist()
+        )
+    return in_status(zephyr.refused["zephyr-U1-ecg"])
+
+
 @provokes(Refusal.PAUSED)
 def paused(patch: pytest.MonkeyPatch) -> Shown:
     zephyr = sink(patch)

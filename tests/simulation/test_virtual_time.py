@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.wearer import TURN_S, Wearer
+from biosensor_gateway.simulation.wearer import TURN_S, Floats, Wearer
 from biosensor_gateway.simulation.world import World
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until
@@ -169,3 +170,18 @@ def test_the_mean_rate_is_there_at_the_end_of_the_turn_and_stays() -> None:
 def test_of_two_turns_at_once_the_higher_one_holds() -> None:
     wearer = Wearer(heart_rate_bpm=64.0, turns=((30.0, 150.0), (30.0, 90.0)))
     assert wearer.heart_rate(np.array([100.0]))[0] == pytest.approx(150.0, rel=0.05)
+
+
+def test_what_is_flat_has_one_value_and_is_as_any_other_before_and_after() -> None:
+    flat, lasting = Wearer(flat=((30.0, 60.0),)), (T >= 30.0) & (T < 60.0)
+    measured: list[Callable[[Wearer], Floats]] = [
+        lambda wearer: wearer.ecg_uv(T),
+        lambda wearer: wearer.pulse(T),
+        lambda wearer: wearer.eeg_uv(T, "TP9"),
+        lambda wearer: wearer.skin_conductance_us(T),
+        lambda wearer: wearer.chest_force_n(T),
+    ]
+    for measure in measured:
+        values, others = measure(flat), measure(Wearer())
+        assert np.unique(values[lasting]).size == 1
+        assert np.array_equal(values[~lasting], others[~lasting])

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.agent import control
+from biosensor_gateway.agent import control, single_instance
 from biosensor_gateway.agent.control import USUAL_LIMIT_S, stop_agent
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
@@ -100,9 +101,25 @@ def stop(
     timeout: Annotated[
         float, typer.Option(min=1, help="How many seconds to wait until the agent has ended.")
     ] = USUAL_LIMIT_S,
+    while_recording: Annotated[
+        bool,
+        typer.Option("--while-recording", help="End it although a recording loses all sensors."),
+    ] = False,
 ) -> None:
-    """End the running agent; exit code 1 if none runs or it does not end in time."""
-    typer.echo(stop_agent(state_folder(), timeout))
+    """End the running agent; exit code 1 if none runs or it does not end in time.
+
+    During a recording it must be confirmed; without a terminal it is refused with exit code 2.
+    """
+    from biosensor_gateway.recording.recorder.state import file_going_on  # not for others
+
+    state = state_folder()
+    file = file_going_on(state)
+    if file is not None and not while_recording and single_instance.is_held(state):
+        _confirm(
+            f"a recording goes on, to {file}, and from then on it holds nothing of any sensor",
+            ["Leave it until the recording has ended", "End the agent now all the same"],
+        )
+    typer.echo(stop_agent(state, timeout))
 
 
 DeviceArgument = Annotated[
@@ -211,10 +228,15 @@ def _ask_first(file: Path, changes: dict[str, Any]) -> None:
     sentence = (
         f"a recording goes on, to {file}, and from then on it may hold nothing of {listed(lost)}"
     )
+    _confirm(
+        sentence, ["Leave it until the recording has ended", "Read the settings now all the same"]
+    )
+
+
+def _confirm(sentence: str, choices: Sequence[str]) -> None:
     if not can_ask():
         message = f"{sentence}; end it first, or confirm that with --while-recording"
         raise ConfigError(ConfigReason.IN_USE, message)
-    choices = ["Leave it until the recording has ended", "Read the settings now all the same"]
     if menu(f"{sentence[0].upper()}{sentence[1:]}.", choices) == 0:
         raise typer.Exit(2)
 

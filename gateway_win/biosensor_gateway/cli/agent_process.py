@@ -28,13 +28,13 @@ from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
 from biosensor_gateway.cli.options import settings_or_defaults
-from biosensor_gateway.cli.output import can_ask
+from biosensor_gateway.cli.output import can_ask, menu
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LogSettings, LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.child import start_for
-from biosensor_gateway.system.keep_alive import await_turn
+from biosensor_gateway.system.keep_alive import await_turn, restart_facts
 from biosensor_gateway.system.logs import (
     configure_logs,
     console_relayed,
@@ -138,7 +138,30 @@ def stream(
             simulate = _guided(settings or settings_path())
         read = None if simulate else _reader(settings)
         loaded = read() if read else stack.enter_context(_virtual(simulate, faults, settings))
+        _confirm_start(loaded, folder, may_ask=ask is not False)
         _run_agent(loaded, read, log, unguarded, features=features, verbose=verbose)
+
+
+def _confirm_start(settings: GatewaySettings, folder: Path, *, may_ask: bool) -> None:
+    """Ask before a start by which a running recording loses sensors; without a terminal, say so.
+
+    Raises
+    ------
+    typer.Exit
+        With code 2 if the person declines.
+    """
+    if restart_facts(os.environ):
+        return
+    from biosensor_gateway.recording.recorder.state import lost_by_start  # only then
+
+    sentence = lost_by_start(settings.devices, folder)
+    if not sentence:
+        return
+    choices = ["Do not start; set it back first", "Start without it all the same"]
+    if not (may_ask and can_ask()):
+        typer.echo(f"! {sentence}", err=True)
+    elif menu(f"{sentence[0].upper()}{sentence[1:]}.", choices) == 0:
+        raise typer.Exit(2)
 
 
 def stand_by(simulate: str) -> None:

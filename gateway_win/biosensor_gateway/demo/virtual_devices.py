@@ -15,7 +15,7 @@ from functools import cached_property
 from importlib import import_module
 from itertools import chain
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason, did_you_mean
 from biosensor_common.quantities import ContentType
@@ -173,25 +173,47 @@ def _wanted(text: str) -> Wanted:
 
 
 def _start(
-    wanted: Sequence[Wanted], hearts: Iterable[ScheduledFault], stack: ExitStack
+    wanted: Sequence[Wanted], of_wearers: Sequence[ScheduledFault], stack: ExitStack
 ) -> dict[Wanted, VirtualDevice]:
     """Start devices: those of one participant on one wearer, those of a kind in other places."""
-    turns = turns_of(wanted, hearts)
+    turns = turns_of(wanted, [e for e in of_wearers if e.fault.kind is OfWearer.HEART_RATE])
+    flat = _flat(wanted, [each for each in of_wearers if each.fault.kind is OfWearer.FLAT])
     scene = Scene(stack)
     people = list(dict.fromkeys(each.participant for each in wanted))
     kinds: Counter[str] = Counter()
     devices: dict[Wanted, VirtualDevice] = {}
     for each in wanted:
         options: Mapping[str, object] = {}
+        changes: dict[str, Any] = {"turns": turns[each], "flat": flat[each]}
         if each.participant:
-            wearer = replace(someone(people.index(each.participant)), turns=turns[each])
+            wearer = replace(someone(people.index(each.participant)), **changes)
             options = virtual_class(each.name).worn_by(wearer, kinds[each.name])
-        elif turns[each]:
-            options = virtual_class(each.name).worn_by(Wearer(turns=turns[each]), 0)
+        elif turns[each] or flat[each]:
+            options = virtual_class(each.name).worn_by(Wearer(**changes), 0)
         kinds[each.name] += 1
         device = make(each.name, scene, kept=_KEPT, **options)
         devices[each] = stack.enter_context(device)
     return devices
+
+
+def _flat(
+    wanted: Sequence[Wanted], scheduled: Iterable[ScheduledFault]
+) -> dict[Wanted, tuple[tuple[float, float], ...]]:
+    """Return the periods in which each device measures nothing that changes.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE`` if the named device is not there.
+    """
+    flat: dict[Wanted, tuple[tuple[float, float], ...]] = dict.fromkeys(wanted, ())
+    for each in scheduled:
+        hit = [one for one in wanted if each.sensor in ("", one.name)]
+        if not hit:
+            raise _cannot_have(each)
+        for one in hit:
+            flat[one] += ((each.start_s, each.start_s + each.fault.value),)
+    return flat
 
 
 def turns_of(
@@ -267,9 +289,9 @@ def simulated_settings(
         if each.participant:
             require_participant(each.participant)
     with ExitStack() as stack:
-        hearts = [each for each in scheduled if each.fault.kind is OfWearer.HEART_RATE]
-        devices = _start(wanted, hearts, stack)
-        _schedule((each for each in scheduled if each not in hearts), devices)
+        of_wearers = [each for each in scheduled if isinstance(each.fault.kind, OfWearer)]
+        devices = _start(wanted, of_wearers, stack)
+        _schedule((each for each in scheduled if each not in of_wearers), devices)
         stack.enter_context(_environment(devices.values()))
         stack.enter_context(wearers_in_log())
         tables = tuple(_settings(each, device) for each, device in devices.items())

@@ -88,6 +88,8 @@ class OfWearer(Enum):
 
     HEART_RATE = "hr"
     """The heart rate changes to this value within ten seconds [1/min]."""
+    FLAT = "flat"
+    """Electrodes, lights and belts of a device have one value for this time [s]."""
 
 
 Kind = FaultKind | Untidiness | OfWearer
@@ -113,6 +115,7 @@ _DEFAULTS: dict[Kind, float] = {
     Untidiness.BUNDLED: 2.0,
     Untidiness.STRAY: 3.0,
     OfWearer.HEART_RATE: 120.0,
+    OfWearer.FLAT: 30.0,
 }
 _KINDS: dict[str, Kind] = {kind.value: kind for kind in (*FaultKind, *Untidiness, *OfWearer)}
 _RANGES: dict[Kind, tuple[float, float]] = {

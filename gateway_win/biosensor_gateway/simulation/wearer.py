@@ -46,12 +46,15 @@ class Wearer:
         Mean rates [1/min].
     turns
         Times [s] from which the mean heart rate changes to a new value [1/min], within `TURN_S`.
+    flat
+        Periods [s] in which electrodes, lights and belts give the value of their beginning.
     """
 
     seed: int = 0
     heart_rate_bpm: float = 72.0
     respiration_rate_bpm: float = 15.0
     turns: tuple[tuple[float, float], ...] = ()
+    flat: tuple[tuple[float, float], ...] = ()
 
     def heart_rate(self, t: Floats) -> Floats:
         """Return the momentary heart rate [1/min]."""
@@ -82,6 +85,7 @@ class Wearer:
 
     def ecg_uv(self, t: Floats) -> Floats:
         """Return an electrocardiogram with P, Q, R, S and T waves [uV]."""
+        t = self._changing(t)
         phase = self.beat_count(t)
         interval_s = 60 / self.heart_rate(t)
         from_peak_s = (phase - np.rint(phase)) * interval_s
@@ -93,6 +97,7 @@ class Wearer:
 
     def pulse(self, t: Floats) -> Floats:
         """Return the blood volume pulse at a limb, around 0, from about -0.5 to 1."""
+        t = self._changing(t)
         phase = self.beat_count(t - PULSE_TRANSIT_S) % 1.0
         systole = np.exp(-0.5 * ((phase - 0.18) / 0.08) ** 2)
         dicrotic = 0.35 * np.exp(-0.5 * ((phase - 0.48) / 0.09) ** 2)
@@ -100,6 +105,7 @@ class Wearer:
 
     def skin_conductance_us(self, t: Floats) -> Floats:
         """Return skin conductance: a slow level and a response every 12 to 20 s [uS]."""
+        t = self._changing(t)
         level = 5.0 + 0.6 * np.sin(2 * pi * t / 97.0)
         onsets = self._response_onsets[np.newaxis, :]
         age = np.maximum((t[:, np.newaxis] % _RESPONSE_CYCLE_S) - onsets, 0.0)
@@ -113,6 +119,7 @@ class Wearer:
 
     def chest_force_n(self, t: Floats) -> Floats:
         """Return the force of a belt around the chest [N]."""
+        t = self._changing(t)
         return 12.0 + 3.0 * np.sin(self._breath_omega * t) + self.noise(t, 0.02, "belt")
 
     def acceleration_g(self, t: Floats) -> Floats:
@@ -127,6 +134,7 @@ class Wearer:
 
     def eeg_uv(self, t: Floats, electrode: str) -> Floats:
         """Return an EEG: an alpha rhythm of varying amplitude, and broadband noise [uV]."""
+        t = self._changing(t)
         phase = _phase(self.seed, electrode)
         alpha = 12.0 * (1 + 0.5 * np.sin(2 * pi * t / 7.0 + phase))
         rhythm = alpha * np.sin(2 * pi * 10.0 * t + phase)
@@ -141,6 +149,12 @@ class Wearer:
         frequencies, phases = _tones(self.seed, name)
         tones = np.sin(2 * pi * t[:, np.newaxis] * frequencies + phases)
         return rms * np.sqrt(2 / _NOISE_TONES) * tones.sum(axis=1)
+
+    def _changing(self, t: Floats) -> Floats:
+        """Return the times of what is measured, which stand still while it is flat."""
+        for begin_s, end_s in self.flat:
+            t = np.where((t >= begin_s) & (t < end_s), begin_s, t)
+        return t
 
     def _swing(self, t: Floats) -> Floats:
         """Return the number of beats added by respiration until ``t``."""

@@ -20,7 +20,7 @@ from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events.announcer import Announcer, DeviceEvents
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets, differences
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
-from biosensor_gateway.streaming.stages import PauseGate, Plausibility
+from biosensor_gateway.streaming.stages import Constants, PauseGate, Plausibility
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.system.device_log import DeviceLog, Once
 
@@ -96,6 +96,7 @@ class DeviceSink:
         self.gate = PauseGate()
         self._gaps = Gaps(clock)
         self.plausibility = Plausibility(spec, self._log)
+        self._constants = Constants(spec)
         self.info = DeviceInfo()
         self.told_rates: Mapping[str, float] = {}
         self.dropped_bytes = self._told_bytes = 0
@@ -147,6 +148,7 @@ class DeviceSink:
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
         """Create the outlets, at the first connection; see :meth:`DeviceOutlets.open`."""
         rebuilt = self._outlets.open(info, rates)
+        self._constants.restart()
         if self.observer is not None:
             changes = {f"{name}.rate_hz": rate for name, rate in rebuilt.items()}
             self.observer.connected(info, {**changes, **differences(self.info, info)})
@@ -276,6 +278,8 @@ class DeviceSink:
         refusal = outlet.push(samples, stamps)
         if refusal is None:
             self.charge.sampled(data_name, samples, stamps)
+            if len(stamps):
+                self._constants.note(data_name, samples, stamps, outlet.refusals)
             self._tell_sampled(data_name, samples, stamps)
         elif self._is_new(data_name, refusal):
             # nothing is dropped: the outlet reports it

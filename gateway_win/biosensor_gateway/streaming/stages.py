@@ -1,4 +1,4 @@
-"""Suppresses samples that were measured during a pause, and impossible values.
+"""Suppresses samples that were measured during a pause, and impossible values; finds flat signals.
 
 A pause is a participant's withdrawal. So the time at which a sample was *measured* decides, not
 the time at which it is processed: samples that are still queued when the pause ends are suppressed
@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.quantities import CONSTANT_S, ContentType, Unit
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import SensorSpec, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
@@ -110,6 +110,10 @@ _TOLD_TWICE = (
 )
 
 _SENT_TWICE = "; {} told twice before were sent"
+
+
+_PARTS = 4
+"""A gap of this part of the time for which a value may stay interrupts it."""
 
 
 class _Checked(NamedTuple):
@@ -214,6 +218,71 @@ class _Bounds:
             f"{channel.label} was {value:g} {channel.unit}, which is not between "
             f"{self._low[column]:g} and {self._high[column]:g}"
         )
+
+
+class Constants:
+    """Reports channels of one device that have one value for longer than a body's signal can."""
+
+    def __init__(self, spec: SensorSpec) -> None:
+        self._streams = {
+            each.data_name: _Constant(each, CONSTANT_S[each.content_type])
+            for each in spec.streams
+            if each.content_type in CONSTANT_S and each.is_regular
+        }
+
+    def note(
+        self, data_name: str, samples: ArrayLike, stamps: Sequence[float], refusals: Refusals
+    ) -> None:
+        """Process sent samples, at least one."""
+        if (stream := self._streams.get(data_name)) is not None:
+            rows = np.asarray(samples, np.float64).reshape(len(stamps), -1)
+            stream.note(rows, stamps[0], stamps[-1], refusals)
+
+    def restart(self) -> None:
+        """Begin again, at a new connection."""
+        for stream in self._streams.values():
+            stream.restart()
+
+
+class _Constant:
+    """The channels of one stream; *limit_s* is how long one may have the same value."""
+
+    def __init__(self, stream: StreamSpec, limit_s: float) -> None:
+        self._stream, self._limit_s = stream, limit_s
+        self._may_rest = np.array([each.may_rest for each in stream.channels])
+        self._told = ""
+        self.restart()
+
+    def restart(self) -> None:
+        self._values = np.full(len(self._may_rest), np.nan)
+        self._since_s = np.full(len(self._may_rest), np.inf)
+        self._newest_s = np.inf
+
+    def note(self, rows: NDArray[np.float64], first_s: float, last_s: float, to: Refusals) -> None:
+        """Process a block of samples, shape [samples, channels], with its first and last stamp."""
+        # NaN, which is no value, is passed over.
+        low, high = np.fmin.reduce(rows), np.fmax.reduce(rows)
+        is_same = (np.isnan(low) | ((low == high) & (low == self._values))) & (
+            first_s - self._newest_s < self._limit_s / _PARTS
+        )
+        self._newest_s = last_s
+        self._since_s = np.where(is_same, self._since_s, last_s)
+        self._values = np.where(is_same, self._values, np.where(low == high, low, np.nan))
+        flat = ~self._may_rest & (last_s - self._since_s >= self._limit_s)
+        if not flat.any() and not self._told:
+            return  # nothing is dropped: all is well
+        told = self._sentence(np.flatnonzero(flat).tolist())
+        if told != self._told:
+            self._told = told
+            to.hold(Refusal.FLAT, bool(told), channels=told, limit_s=self._limit_s)
+
+    def _sentence(self, flat: Sequence[int]) -> str:
+        named = [
+            f"{each.label} ({self._values[column]:g} {each.unit})"
+            for column, each in enumerate(self._stream.channels)
+            if column in flat
+        ]
+        return f"{', '.join(named)} {'has' if len(named) == 1 else 'have'}" if named else ""
 
 
 class _Beats:

@@ -2,7 +2,7 @@
 
 from biosensor_common import plausible
 from biosensor_common.quantities import ACCELERATION, ContentType, Unit
-from biosensor_common.spec import SensorSpec
+from biosensor_common.spec import ChannelSpec, SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw, signal_strength
 from biosensor_gateway.devices.sensor import Sensor
 
@@ -24,10 +24,13 @@ SPEC = SensorSpec(
             EEG_HZ, chunk="eeg"),
         raw("aux", ContentType.EEG,
             channels(Unit.MICROVOLTS, "AUX1", "AUX2", "AUX3", "AUX4",
-                plausible=plausible.BIOPOTENTIAL_UV), EEG_HZ),
-        raw("ppg", ContentType.PPG, channels(Unit.COUNTS, "ambient", "infrared", "red"),
-            LIGHT_HZ),
-        raw("optics", ContentType.PPG, channels(Unit.COUNTS, *LIGHT_LABELS), LIGHT_HZ),
+                plausible=plausible.BIOPOTENTIAL_UV, may_rest=True), EEG_HZ),
+        raw("ppg", ContentType.PPG,
+            (*channels(Unit.COUNTS, "ambient", may_rest=True),
+             *channels(Unit.COUNTS, "infrared", "red")), LIGHT_HZ),
+        raw("optics", ContentType.PPG,
+            tuple(ChannelSpec(each, Unit.COUNTS, may_rest=each.endswith("_AMB"))
+                  for each in LIGHT_LABELS), LIGHT_HZ),
         hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ", roles=ACCELERATION,
             plausible=plausible.ACCELERATION_G),
             MOTION_HZ),

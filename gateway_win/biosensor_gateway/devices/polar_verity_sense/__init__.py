@@ -12,7 +12,10 @@ _PPI = (
     *channels(Unit.SECONDS, "PPI", plausible=plausible.BEAT_INTERVAL_S),
     *channels(Unit.SECONDS, "error", plausible=plausible.BEAT_UNCERTAINTY_S),
 )
-_PPG = channels(Unit.COUNTS, "LED1", "LED2", "LED3", "ambient")
+_PPG = (
+    *channels(Unit.COUNTS, "LED1", "LED2", "LED3"),
+    *channels(Unit.COUNTS, "ambient", may_rest=True),
+)
 # The vendor calls its contact bit very unreliable, so it has no role and nothing depends on it.
 _QUALITY = channels(Unit.BOOLEAN, "skin_contact", "moving")
 

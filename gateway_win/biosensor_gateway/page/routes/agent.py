@@ -22,13 +22,16 @@ from biosensor_common.errors import (
 from biosensor_gateway.agent.control import stop_agent
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import declaration, driver
-from biosensor_gateway.page.models import AgentState, Outcome, StatusView
+from biosensor_gateway.page.models import AgentState, Choice, Outcome, StatusView
+from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.routes.devices import (
+    SettingsChange,
     asked,
     started,
 )
 from biosensor_gateway.page.routes.recording import Recorder
 from biosensor_gateway.page.session import Session, Shutdown
+from biosensor_gateway.recording.recorder.state import lost_by_start
 from biosensor_gateway.settings import secrets
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.settings.secrets import SecretName
@@ -43,11 +46,15 @@ def add_agent(router: APIRouter, session: Session) -> None:
         return session.status()
 
     @router.post("/agent/start")
-    async def start() -> Outcome:
+    async def start(change: SettingsChange) -> Outcome:
         """Start the agent with the devices of the settings."""
         if not any(each.enabled for each in session.configured()):
             message = "the settings name no device yet; add one first"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        lost = lost_by_start(session.configured(), session.folder)
+        if lost and not change.while_recording:
+            again = Choice(words="Start without it", more={"while_recording": True})
+            raise QuestionError("A recording goes on", f"{lost[0].upper()}{lost[1:]}.", [again])
         return started(session, virtual=False)
 
     @router.post("/agent/try")

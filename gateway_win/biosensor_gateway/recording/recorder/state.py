@@ -11,13 +11,18 @@ from __future__ import annotations
 import contextlib
 import json
 import time
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
+from biosensor_common import naming
+from biosensor_gateway.devices.registry import declared
+from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.recorder.program import LAB_RECORDER
+from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system import state_file
 
 WINDOW_FILE = "recording.json"
@@ -281,3 +286,28 @@ def file_going_on(state: Path) -> Path | None:
     except OSError:
         return None
     return file if is_written else None
+
+
+def lost_by_start(devices: Iterable[DeviceSettings], state: Path) -> str:
+    """Say which sensors a running recording loses if the agent is started with these devices.
+
+    Empty if it loses none, or no recording of this computer runs.
+    """
+    folder = RecorderFolder(state)
+    saved = folder.saved() if folder.is_running else None
+    if saved is None:
+        return ""
+    there = {
+        naming.source_id(each.identity, stream.data_name)
+        for each in devices
+        if each.enabled
+        for stream in declared(each).streams
+    }
+    lost = [e for e in saved.required if e not in there and not e.startswith(f"{naming.AGENT}-")]
+    if not lost:
+        return ""
+    sensors = listed(list(dict.fromkeys(each.rpartition("-")[0] for each in lost)))
+    return (
+        f"a recording goes on, to {saved.file}, and the settings no longer have {sensors}, with "
+        "which it began: nothing more of it is recorded"
+    )
