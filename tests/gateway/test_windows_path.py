@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 from biosensor_gateway.cli import installation
 from biosensor_gateway.cli.installation import Closable, Program, sentence
 from biosensor_gateway.recording.recorder import program
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, ansi_folder
+from biosensor_gateway.recording.recorder.program import ansi_folder
+from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN
 from biosensor_gateway.system.windows_console import (
     ENABLE_EXTENDED_FLAGS,
     ENABLE_QUICK_EDIT_MODE,

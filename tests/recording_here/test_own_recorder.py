@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder import local, receiver
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN, find_programs
+from biosensor_gateway.recording.recorder.program import find_programs
 from biosensor_gateway.recording.recorder.receiver import ReceivedStream
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     RecordingRequest,
 )
-from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.container import Chunk, Tag, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.findings import Level

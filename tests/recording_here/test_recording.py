@@ -20,7 +20,6 @@ import pytest
 import pyxdf
 
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER, OWN
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     NotClosedError,
@@ -29,7 +28,7 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
 )
 from biosensor_gateway.recording.recorder.result import LocalStatus
-from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour

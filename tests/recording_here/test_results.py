@@ -9,7 +9,7 @@ import pytest
 
 from biosensor_gateway.cli.record import watch_file
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER, ProgramOutput
+from biosensor_gateway.recording.recorder.program import ProgramOutput
 from biosensor_gateway.recording.recorder.result import (
     LocalStarted,
     LocalStatus,
@@ -19,6 +19,7 @@ from biosensor_gateway.recording.recorder.result import (
     Stopped,
 )
 from biosensor_gateway.recording.recorder.state import (
+    LAB_RECORDER,
     RecorderFolder,
     SavedRecording,
     WindowRecording,

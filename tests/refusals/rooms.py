@@ -34,7 +34,7 @@ _PATTERNS = (
     f"{_AGENT}/page/network/*.py",
     f"{_AGENT}/captures/*.py",
     *(f"{_AGENT}/recording/recorder/{each}.py" for each in (
-        "live_file", "receiver", "recording_file", "streams", "supervisor",
+        "live_file", "program", "receiver", "recording_file", "streams",
     )),
 )  # fmt: skip
 _DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*.py")

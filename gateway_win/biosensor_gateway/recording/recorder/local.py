@@ -19,10 +19,12 @@ from biosensor_common.lsl.api_file import LslOverrides, config_here
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.program import (
+    END_S,
     PROGRAM_NAME,
     RECORD_STREAMS,
     ProgramOutput,
     find_programs,
+    launch,
     predicate,
 )
 from biosensor_gateway.recording.recorder.recording_file import (
@@ -51,7 +53,6 @@ from biosensor_gateway.recording.recorder.streams import (
     require_startable,
     titles,
 )
-from biosensor_gateway.recording.recorder.supervisor import END_S, launch
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import read_recording

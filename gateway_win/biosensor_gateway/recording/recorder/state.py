@@ -21,10 +21,11 @@ from filelock import FileLock, Timeout
 from biosensor_common import naming
 from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import listed
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system import state_file
 
+LAB_RECORDER, OWN = "LabRecorder's program", "the gateway's own recorder"
+"""Names in sentences of the programs that record."""
 WINDOW_FILE = "recording.json"
 WRITTEN_WITHIN_S = 60.0
 """LabRecorder's window cannot be queried, and writes a slow stream about once a minute."""
