@@ -103,12 +103,12 @@ class NonblockingWriter:
 
     @property
     def is_behind(self) -> bool:
-        """Whether lines are waiting besides those that are being written."""
+        """Whether further lines are waiting while some are being written."""
         return bool(self._waiting)
 
     @property
     def held_for_s(self) -> float:
-        """For how many seconds the present write has lasted; 0 if nothing is being written."""
+        """Duration of the present write in s; 0 if nothing is being written."""
         began = self._write_began_s
         return 0.0 if began is None else time.monotonic() - began
 

@@ -110,7 +110,7 @@ class Network(IntEnum):
 
 
 def same_file(one: str, other: str) -> bool:
-    """Whether two Windows paths are equal, ignoring case."""
+    """Whether two Windows paths are of the same file; case is ignored."""
     return _plain(one) == _plain(other)
 
 

@@ -235,7 +235,7 @@ def has_braces(text: str) -> bool:
 
 def _read(parser: configparser.ConfigParser, path: Path) -> None:
     try:
-        # liblsl knows no lines that go on, for which the parser takes indented ones.
+        # liblsl has no continuation lines; the parser would take indented lines for such.
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
         parser.read_string("\n".join(lines), source=str(path))
     except (OSError, UnicodeDecodeError) as error:

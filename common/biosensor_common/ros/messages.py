@@ -217,7 +217,7 @@ def read_counters(text: str) -> dict[str, dict[str, float]]:
 
 
 class AgentSays(NamedTuple):
-    """What an agent says of a stream beside its counts.
+    """Facts that an agent reports about a stream, besides its counters.
 
     Attributes
     ----------

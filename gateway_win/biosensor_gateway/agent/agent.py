@@ -344,7 +344,7 @@ class Agent:
         return {name: device.state for name, device in self._named().items()}
 
     def _problems(self) -> dict[str, list[Problem]]:
-        # Up to the next heartbeat, so that each of them is in one.
+        # Back to the last heartbeat at least, so that no problem falls between two of them.
         lately_s = max(LATELY_S, self._heartbeat_s)
         own = self._markers.refusals
         return problems_of(self._named(), own, self._feature_refusals, lately_s)
@@ -424,7 +424,7 @@ class Agent:
         }
 
     def _refused_of_devices(self) -> dict[str, list[str]]:
-        """Return what is refused of no single stream now, by each device's first source_id."""
+        """Return present refusals that concern no single stream, by a device's first source_id."""
         return {
             next(iter(sink.counters)): [each.sentence for each in sink.refusals.present]
             for sink in (each.sink for each in self.devices)

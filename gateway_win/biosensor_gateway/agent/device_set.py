@@ -149,7 +149,7 @@ class Device:
         return [naming.lsl_name(identity, each.data_name) for each in self.sink.spec.streams]
 
     def problems(self, lately_s: float = LATELY_S) -> list[Problem]:
-        """Return what is wrong with what it sends, as heartbeats tell it.
+        """Return the problems of its data, as reported in heartbeats.
 
         Of a paused device nothing is told.
 

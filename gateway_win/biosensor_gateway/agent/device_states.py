@@ -13,7 +13,7 @@ from biosensor_common.spec import DeviceIdentity
 
 @unique
 class State(Enum):
-    """Where a device is on its way to streaming."""
+    """How far a device has come towards streaming."""
 
     DISCOVERING = "discovering"
     CONNECTING = "connecting"

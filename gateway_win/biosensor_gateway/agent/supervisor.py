@@ -120,7 +120,7 @@ class SilenceRecovery:
             self._on_change(text, False)
 
     def _remaining_problem(self) -> str | None:
-        """Return what is wrong although no stream is silent; None if nothing is."""
+        """Return the problem that remains when no stream is silent; None if there is none."""
         found = [_denial(self._watch.denied), *self._watch.remarks.values()]
         return "; ".join(each for each in found if each) or None
 
@@ -188,7 +188,7 @@ class _Unreadable:
         self._seen.append((self._sink.clock(), self._sink.dropped_bytes))
 
     def count(self, seconds: float) -> int:
-        """Return the number in the last *seconds*, as far as it was noted."""
+        """Return the number of bytes in the last *seconds*, as far back as it was noted."""
         begin_s = self._sink.clock() - seconds
         before = next((n for time_s, n in reversed(self._seen) if time_s <= begin_s), None)
         return self._sink.dropped_bytes - (self._seen[0][1] if before is None else before)

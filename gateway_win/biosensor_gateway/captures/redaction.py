@@ -222,7 +222,7 @@ class Redaction:
         return known[1]
 
     def _learn(self, payloads: Sequence[bytearray]) -> None:
-        """Find identifiers by the patterns, also those that continue in the next packet."""
+        """Find identifiers by the patterns, including those that are split over two packets."""
         for header in range(_HEADERS):
             text = b"".join(payload[header:] for payload in payloads)
             for pattern in self._patterns:

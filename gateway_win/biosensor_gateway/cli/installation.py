@@ -195,7 +195,7 @@ def remove_autostart() -> None:
 
 @app.command("holders")
 def holders() -> None:
-    """Name the programs that run and that cannot be closed by commands; end with 4 if any."""
+    """Print the running programs that no command can close; exit with 4 if there are any."""
     found = programs_not_closable(state_folder())
     for each in found:
         typer.echo(each)

@@ -320,7 +320,7 @@ def _sentences(sentences: list[str], size: Size) -> list[Line]:
 
 @contextlib.contextmanager
 def _panel() -> Generator[Panel | None]:
-    """Yield the lines of this terminal that can be updated; None where there are none."""
+    """Yield a panel of lines that can be updated; None if this terminal cannot have one."""
     if not sys.stdout.isatty():
         yield None
         return

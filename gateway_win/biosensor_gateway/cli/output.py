@@ -141,13 +141,13 @@ def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
 
 
 def refusal_sentences(status: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what was not passed on unchanged, by an agent, a device or a stream."""
+    """Yield sentences about data of an agent, a device or a stream that was dropped or changed."""
     for each in status.get("refusals", ()):
         yield each["sentence"] + ("" if each["now"] else " (not lately)")
 
 
 def refused_now(status: Mapping[str, Any]) -> dict[str, str]:
-    """Return what is currently not passed on unchanged, by an agent or by a device's streams.
+    """Return sentences about data of an agent or a device that is now dropped or changed.
 
     Returns
     -------

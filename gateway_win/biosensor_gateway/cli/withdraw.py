@@ -81,7 +81,7 @@ def withdraw(
 
 
 def _write(report: Path, content: str) -> None:
-    """Write a report after what was done was said."""
+    """Write the report file, after the outcome was printed."""
     try:
         report.write_text(content + "\n", "utf-8")
     except OSError as error:

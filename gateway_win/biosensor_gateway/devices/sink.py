@@ -104,8 +104,8 @@ class Sink(Protocol):
     def emit_on_arrival(self, data_name: str, value: float, arrival_s: float) -> None:
         """Push one value of a one-channel stream, sent at once and without a timestamp.
 
-        If it arrived with stored packets, it gets the time of the packet before it; samples that
-        are still stamped late are reported.
+        If it arrived with stored packets, it gets the time of the packet before it. Samples that
+        are late all the same are reported.
         """
         ...
 

@@ -117,7 +117,7 @@ class Link:
         return known
 
     def remarks(self) -> list[Remark]:
-        """Return what was left out since the last call; wrong stamps when their count doubles."""
+        """Return what is new since the last call; wrong stamps when their count has doubled."""
         found: list[Remark] = []
         if (why := self._computer.rate_remark) != self._told_rate:
             self._told_rate = why
@@ -481,7 +481,7 @@ class Live:
             stage.has_rival = self._has_rival(stage.source)
 
     def _start(self, source: Source, info: pylsl.StreamInfo) -> None:
-        """Compute features of a stream, in addition to those that it has already."""
+        """Start to compute further features of a stream."""
         if (earlier := self._stages.pop(_key(info), None)) is not None:
             earlier.close()
             source = replace(source, features=(*earlier.source.features, *source.features))

@@ -159,7 +159,7 @@ def _is_twin(one: Stream, other: Stream) -> bool:
 
 
 def _sources(streams: Sequence[_Parts]) -> tuple[_Pairs, list[str], list[str]]:
-    """Return the sources, why other streams are none, and which are left out as duplicates."""
+    """Return the sources, why other streams cannot be used, and the duplicates left out."""
     found: list[Source] = []
     refused: list[str] = []
     doubled: list[str] = []

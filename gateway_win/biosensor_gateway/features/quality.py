@@ -80,7 +80,7 @@ def apart(values: Array, rate: float, hertz: float) -> float:
 
 
 def _white_noise(values: Array, rate: float) -> float:
-    """Return the variance of white noise in a pulse, from what is above its strong overtones."""
+    """Return the variance of white noise in a pulse, estimated above its strong overtones."""
     window = np.hanning(len(values))
     spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * window)))
     is_above = np.fft.rfftfreq(len(values), 1 / rate) >= at.PPG_NOISE_HZ

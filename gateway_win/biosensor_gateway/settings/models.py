@@ -169,7 +169,7 @@ class LogSettings(BaseModel):
 
 
 class EventSettings(BaseModel):
-    """What the agent says of itself in the stream gateway/events."""
+    """Settings of the stream gateway/events."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 

@@ -94,7 +94,7 @@ def _of_mistyped(folder: Path) -> Iterator[str]:
 
 
 def _looks(name: str) -> str:
-    """Return a name without what is easily mistyped: case, O and 0, I, l and 1, leading zeros."""
+    """Return a name with easily confused letters made equal: case, O/0, I/l/1, leading zeros."""
     return _LEADING_ZEROS.sub("", name.casefold().translate(str.maketrans("oil", "011")))
 
 

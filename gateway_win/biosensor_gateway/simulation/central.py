@@ -26,7 +26,7 @@ _COMMAND_HEADER = 3
 
 
 async def uncancelled(awaitable: Awaitable[_T]) -> _T:
-    """Wait for something that goes on if the waiting is cancelled; then nobody hears its error."""
+    """Wait for a task that continues if the waiting is cancelled; its error is then ignored."""
     task = asyncio.ensure_future(awaitable)
     task.add_done_callback(_look_at)
     return await asyncio.shield(task)

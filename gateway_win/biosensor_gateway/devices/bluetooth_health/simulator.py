@@ -96,7 +96,7 @@ EXPECTED = replace(
 
 
 class _Value(NamedTuple):
-    """A value to send, and the sample in it; None if it has no sample of its own."""
+    """A value to send, and the sample that it makes; None if it makes none."""
 
     data_name: str
     data: bytes

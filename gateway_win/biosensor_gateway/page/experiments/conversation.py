@@ -83,7 +83,7 @@ class Conversation:
             await self._socket.close(REFUSED_SOCKET, problem)
 
     async def _hello(self) -> str:
-        """Return what is wrong with the first message; empty if nothing is."""
+        """Return the problem of the first message; empty if there is none."""
         try:
             async with asyncio.timeout(HELLO_WITHIN_S):
                 hello = Hello.model_validate_json(await self._socket.receive_text())

@@ -280,7 +280,7 @@ class Descriptions:
 
 
 def _read(info: pylsl.StreamInfo, core: CoreFields) -> tuple[StreamHeader, str]:
-    """Return the header, and what is wrong with it.
+    """Return the header, and its problem.
 
     Raises
     ------

@@ -365,7 +365,7 @@ class Story:
     Attributes
     ----------
     remarks
-        Information about which nothing is wrong.
+        Information that needs no action.
     """
 
     def __init__(self, begun: LocalStarted | None = None) -> None:

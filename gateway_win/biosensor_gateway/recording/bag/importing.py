@@ -259,7 +259,7 @@ class Survey:
         return frozenset(names - stamped - self.recorded.keys())
 
     def guess(self) -> str:
-        """Name the streams described only by their messages; empty if there are none."""
+        """Return a note about streams described only by their messages; empty if there are none."""
         stamped = {name for name, topic in self.topics.items() if _is_stamped(topic)}
         unlisted = sorted(stamped - self.recorded.keys() - self.facts.keys())
         if not unlisted:

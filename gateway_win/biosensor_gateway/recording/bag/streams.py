@@ -170,7 +170,7 @@ class StreamWriter:
 
 
 def _in_order(offsets: Sequence[Offset]) -> list[tuple[float, Offset]]:
-    """Return the recorder's time of each clock offset, with the offset, the first one last."""
+    """Return pairs of recorder's time and clock offset, the earliest last."""
     # None waits behind one that is not used, whose time may never come.
     is_used = is_plausible(np.array(offsets, np.float64).reshape(-1, 2)).tolist()
     times = [sum(each) if used else -math.inf for each, used in zip(offsets, is_used, strict=True)]

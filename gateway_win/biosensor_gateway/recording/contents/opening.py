@@ -49,7 +49,7 @@ class Contents:
 
     @property
     def of_other_agents(self) -> list[str]:
-        """From when on which events are another agent's, whose data may be another person's."""
+        """Sentences about events of another agent, whose data may be another person's."""
         found: list[str] = []
         for stream, texts, ahead_s in self.events:
             told = other_agent_told(texts, self.begin_s - ahead_s)

@@ -223,7 +223,7 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
 
 
 def _event_notes(chosen: Chosen, recorded: Mapping[str, DeviceIdentity | None]) -> Iterator[str]:
-    """Yield a note about each sensor that was paused, whose gaps are told as missing samples.
+    """Yield a note about each paused sensor, as its pauses are reported as missing samples.
 
     And about data of another agent, which may be another person's.
 

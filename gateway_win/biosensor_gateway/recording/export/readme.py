@@ -41,7 +41,7 @@ _TIMES = {
 
 
 def readme_beside(target: Path) -> Path:
-    """Return where what an export of one file holds is told."""
+    """Return the path of the README that describes an export of one file."""
     return target.with_name(f"{target.name}.{README}")
 
 

@@ -210,7 +210,7 @@ class StreamProgress:
 
 
 class Counted:
-    """Compares the timestamps of a stream with those that its agent's counters tell.
+    """Compares the timestamps of a stream with those in its agent's counters.
 
     A recorder may go on with another agent's stream of the same source_id, whose samples come at
     other times.

@@ -295,7 +295,7 @@ _NOT_WRITTEN = frozenset(
 
 
 def _why(step: Step, error: Exception) -> str:
-    """Say why a step failed; what reads a file may take an error of what is written for its own."""
+    """Return why a step failed; readers may report an error of writing as their own."""
     for each in (error, error.__cause__):
         if isinstance(each, OSError) and each.errno in _NOT_WRITTEN:
             return cannot_write(step.path, each)

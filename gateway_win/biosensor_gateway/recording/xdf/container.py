@@ -103,7 +103,7 @@ def read_frame(file: BinaryIO, position: int) -> Frame:
 def is_frame(file: BinaryIO, position: int, size: int) -> bool:
     """Whether a known kind of chunk seems to begin at `position`, or the file ends there.
 
-    A few of unknown kinds may come before it.
+    A few chunks of unknown kinds may precede it.
     """
     for _ in range(_MOST_FOREIGN):
         if position >= size:

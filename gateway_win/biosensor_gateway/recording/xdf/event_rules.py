@@ -98,7 +98,7 @@ def split_pauses(gaps: Gaps, spells: Sequence[Spell]) -> tuple[Gaps, Gaps]:
 
 
 def _is_within(gap: Gap, pause: Spell) -> bool:
-    """Whether nothing is missing in a gap besides what was not sent in a pause."""
+    """Whether a gap lacks no more than was not sent during a pause."""
     begin, end = gap.after, gap.after + gap.length_s
     since = begin if pause.since is None else max(begin, pause.since)
     until = end if pause.until is None else min(end, pause.until)
@@ -242,7 +242,7 @@ def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
 
 
 def _refused(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
-    """Say of each recorded device, and of the agent, what was refused or left out."""
+    """Report what was refused or left out, of each recorded device and of the agent."""
     recorded = _recorded(own)
     sentences: dict[str, list[str]] = {_named(each): [] for each in recorded}
     for event in _events(events.stream.texts):
@@ -320,7 +320,7 @@ class _AgentRun:
 
 
 class EventLog:
-    """What the events of an agent have told so far."""
+    """The state of an agent, as known from its events so far."""
 
     def __init__(self) -> None:
         self._now: dict[DeviceIdentity, tuple[str, float | None]] = {}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Explanation(NamedTuple):
-    """Of findings of one code.
+    """The explanation of the findings of one code.
 
     Attributes
     ----------

@@ -63,7 +63,7 @@ class Finding:
 def other_participants(
     path: Path, identities: Iterable[DeviceIdentity | None]
 ) -> Iterator[Finding]:
-    """Report if the file name names a participant other than those wearing the sensors."""
+    """Report if the file name and its sensors have different participants."""
     mismatch = compare_file(path, identities)
     if mismatch is not None:
         level = Level.ERROR if mismatch.is_all else Level.WARNING

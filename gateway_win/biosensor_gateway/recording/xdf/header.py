@@ -97,7 +97,7 @@ class RecordedHeader:
 
     @property
     def title(self) -> str:
-        """What a sentence calls the stream: its name, or that it has none."""
+        """What a sentence calls the stream: its name, or ``nameless`` and its kind."""
         return self.name if self.name.strip() else f"nameless {self.content_type or 'stream'}"
 
     @property
@@ -137,7 +137,7 @@ class RecordedHeader:
 
     @property
     def is_markers(self) -> bool:
-        """Whether the stream tells what happened rather than what was measured.
+        """Whether the stream has events rather than measurements.
 
         That is any text, of whatever type, and numbers without a rate whose type says so.
         """

@@ -221,7 +221,7 @@ def _without(
 
 @dataclass(slots=True)
 class Course:
-    """In which order timestamps come; only those that are finite.
+    """The order of the finite timestamps of a stream.
 
     Attributes
     ----------
@@ -471,7 +471,7 @@ def order_error(header: RecordedHeader, course: Course, sample_count: int) -> st
         return "its stamps are all the same" if steps > 0 else ""
     if course.back > course.ahead:
         return "its stamps decrease from sample to sample"
-    # Those of a clock that was set step back now and then, those of no clock all the time.
+    # Stamps of a clock that was set step back now and then, those of no clock all the time.
     if course.far_back > max(3, steps / 8):
         return "its stamps are in no order"
     return ""

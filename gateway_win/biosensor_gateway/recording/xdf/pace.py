@@ -395,7 +395,7 @@ def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[i
 
 
 def _slope_between(stamps: Array, marks: NDArray[np.int64], lag: int) -> float:
-    """Return the median slope between marks that are so many marks apart; 0 if there are none."""
+    """Return the median slope between marks at a distance of so many marks; 0 if there are none."""
     if not 0 < lag < len(marks):
         return 0.0
     return float(
@@ -404,7 +404,7 @@ def _slope_between(stamps: Array, marks: NDArray[np.int64], lag: int) -> float:
 
 
 def is_far_off(rate: float, nominal: float) -> bool:
-    """Whether a rate, or a period, is another than the nominal one by more than chance allows."""
+    """Whether a rate or period differs from the nominal one by more than chance."""
     return rate > 0 and not 1 / _FAR_OFF < rate / nominal < _FAR_OFF
 
 

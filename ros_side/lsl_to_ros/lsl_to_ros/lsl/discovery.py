@@ -81,7 +81,7 @@ class Duplicates:
     def look(
         self, inlets: Mapping[str, Inlet], found: Mapping[str, pylsl.StreamInfo]
     ) -> list[Swap]:
-        """Open and close second inlets; return the swaps with those that have won.
+        """Open and close second inlets; return the swaps in which the second one has won.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class FileRoom:
         return [name for name, _ in self._names.values()]
 
     def has_room(self, info: pylsl.StreamInfo, opening: int) -> bool:
-        """Whether a stream fits in addition to those that are being opened."""
+        """Whether another stream may be opened besides those that are being opened."""
         if process_limits.has_room((1 + opening) * process_limits.INLET):
             self._forget(info.uid())
             return True
@@ -281,7 +281,7 @@ class Discovery:
 
     @property
     def crowded_out(self) -> Collection[str]:
-        """Names of the present streams for which this process may open no more files."""
+        """Names of the present streams beyond the limit of open files of this process."""
         return self._room.crowded_out
 
     def twins(self, inlet: Inlet) -> list[str]:
@@ -410,7 +410,7 @@ class Discovery:
         return replaced
 
     def _has_room(self, info: pylsl.StreamInfo) -> bool:
-        """Whether an inlet fits in addition to open ones and those that are being opened."""
+        """Whether another inlet may be opened besides those that are open or being opened."""
         opening = sum(each.state is InletState.OPENING for each in self.inlets)
         has_room = self._room.has_room(info, opening)
         if not has_room:

@@ -196,7 +196,7 @@ def unknown(name: str, known: Iterable[str]) -> str:
 
 
 def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them
-    """Declare one parameter with its value of a file or command line, which must be valid."""
+    """Declare one parameter; its value in a file or on the command line must be valid."""
     parameter = _PARAMETERS[name]
     given = node.get_parameter_or(name).value
     if given is not None:

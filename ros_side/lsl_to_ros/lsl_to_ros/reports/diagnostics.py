@@ -302,7 +302,7 @@ def away_sentence(state: str) -> str:
 
 
 def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:
-    """Return level and sentence of what is left out, duplicated or guessed of a stream."""
+    """Return level and sentence about data of a stream left out, duplicated or guessed."""
     bridge = facts.bridge
     is_agent = bridge.header.identity.sensor == AGENT
     is_foreign_clock = _has_foreign_clock(facts) and not bridge.has_unix_stamps

@@ -155,7 +155,7 @@ class Bridge:
 
     @property
     def source_ids(self) -> set[str]:
-        """Of its present outlets."""
+        """The source_ids of its present outlets."""
         outlets = (each.outlet for each in self._senders)
         own = {outlet.source_id for outlet in outlets if outlet is not None}
         return own.union(*(each.source_ids for each in self.parts))

@@ -176,7 +176,7 @@ class OtherOutlets:
         self._network = Network(begins_with("source_id", _source_id("")))
 
     def source_ids(self) -> set[str]:
-        """Return the source_ids of those that are there now."""
+        """Return the source_ids of the present outlets."""
         streams = self._network.streams()
         return {each.source_id() for each in streams if each.uid() not in _own_uids}
 

@@ -96,7 +96,7 @@ class PublisherClock:
 
     @property
     def bound_s(self) -> float:
-        """By how much the clock may be behind, in seconds: the edge, or the measured offset."""
+        """Upper bound of how far the clock is behind, in s: the edge, or the measured offset."""
         if self.offset is not None and self.state is ClockState.SYNCHRONISED:
             return min(-self.offset.least_s, self.edge_s)
         return self.edge_s
@@ -235,7 +235,7 @@ class Doubt(NamedTuple):
 class MessageStamping:
     """The stamps of one topic.
 
-    The first source is used that the message has and whose clock is not known to be wrong.
+    Uses the first source that the message has, unless its clock is known to be wrong.
 
     Parameters
     ----------

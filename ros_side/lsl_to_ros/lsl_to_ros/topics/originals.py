@@ -195,7 +195,7 @@ class Joined:
         return self._run(rows)
 
     def _other(self, stamp: float) -> NDArray[Any] | None:
-        """Return the other stream's sample of the same time; None if there is none."""
+        """Return the sample of the other stream with the same time; None if there is none."""
         while self._others and self._others[0].stamp < stamp - _TOLERANCE_S:
             # nothing is dropped: it is on a topic of its own
             self._others.popleft()

@@ -68,7 +68,7 @@ def split(run: Run, chosen: NDArray[np.bool_], *, alone: bool) -> list[Run]:
 
 
 class StreamContext(NamedTuple):
-    """What the writers of one stream share.
+    """State shared by the writers of one stream.
 
     Attributes
     ----------

@@ -221,7 +221,7 @@ class StoredBeats:
         return []
 
     def _begin(self) -> list[PlacedBeat]:
-        """Place the first packets of a connection by the one that waited least."""
+        """Place the first packets of a connection in time by the one with the shortest delay."""
         first, self._first = self._first or [], None
         if first:
             self._clock.anchor((each.intervals_s, each.arrival_s) for each in first)

@@ -146,7 +146,7 @@ class _Stamps(Protocol):
 
 
 class _OwnClock:
-    """The clock of a preset other than the board's first, which has its own rate."""
+    """The clock of a further preset of the board, which has a separate rate."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink, self._clock = sink, DeviceClock()

@@ -299,7 +299,7 @@ def row_protocol(settings: LineSettings) -> RowProtocol:
 
 
 def _line(bad: BadLine) -> str:
-    """Return a clause with the line and what is wrong with it."""
+    """Return a clause that quotes the line and says what is wrong with it."""
     shown = bad.raw.decode("ascii") if bad.raw.isascii() else bad.raw.hex(" ")
     if bad.flaw in (Flaw.NO_FRAME, Flaw.CHECKSUM):
         shown = bad.raw.hex(" ")

@@ -159,7 +159,7 @@ def classic_preset(serial: str, *, aux: bool, ppg: bool) -> str:
 
 
 def athena_preset(*, aux: bool, light: int) -> str:
-    """Return the Athena preset with the fewest channels that contains what is wanted."""
+    """Return the Athena preset with the fewest channels that contains all requested ones."""
     fitting = [
         (preset.light, preset.has_aux, name)
         for name, preset in ATHENA_PRESETS.items()

@@ -172,7 +172,7 @@ class _UnitMeter:
         self._is_worn = is_worn
 
     def measure(self, t: Floats) -> Block:
-        """Return the measurements at these times of the wearer [s]."""
+        """Return the measurements at these times, on the wearer's clock [s]."""
         columns: dict[int, Words] = {}
         values: _Values = {}
         for sensor in self._motion:

@@ -265,7 +265,7 @@ class PacketParser:
         return packets
 
     def give_up(self) -> list[Packet]:
-        """Discard the start of an incomplete packet; return what was hidden after it."""
+        """Discard the start of an incomplete packet; return the packets found after it."""
         packets: list[Packet] = []
         while self._buffer:
             del self._buffer[0]
@@ -371,7 +371,7 @@ class VernierProtocol:
         return [self._decode(packet) for packet in self._parser.feed(data)]
 
     def give_up(self) -> list[Message]:
-        """Discard the start of an incomplete packet; return what was hidden after it."""
+        """Discard the start of an incomplete packet; return the packets found after it."""
         return [self._decode(packet) for packet in self._parser.give_up()]
 
     def _decode(self, packet: Packet) -> Message:

@@ -234,7 +234,7 @@ class SimulatedBelt(RadioDevice):
             self._halt()
 
     async def _measure(self) -> None:
-        """Send packets of samples, the first sample of which is measured at the start."""
+        """Send packets of samples; the very first sample is measured at the start."""
         period_s = self._firmware.period_us / 1e6
         count = max(1, round(PACKET_S / period_s))
         begin_s = self._oscillator.now()

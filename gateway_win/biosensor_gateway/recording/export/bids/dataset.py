@@ -287,7 +287,7 @@ def _names(stream: Stream) -> Sequence[str]:
 
 
 def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> None:
-    """Write the files of a dataset besides its tables.
+    """Write the files that describe the dataset.
 
     Parameters
     ----------
