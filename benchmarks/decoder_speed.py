@@ -2,15 +2,15 @@
 
 Each driver runs against its virtual device for some seconds while the calls of its decoder are
 taped; then the tape is played to a new decoder, as fast as it goes. A sensor takes part that has a
-module ``taped`` in the folder of its tests, whose ``TAPED`` says what its decoder is.
+file ``taped.json`` in the folder of its tests, which says what its decoder is, as a `Taped`.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import statistics
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 from benchmarks.tape import Tape, Taped, taping
@@ -18,7 +18,7 @@ from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.doctor import device_test
 
 _TESTS = Path(__file__).parents[1] / "tests"
-SENSORS = tuple(sorted(path.parent.name for path in _TESTS.glob("*/taped.py")))
+SENSORS = tuple(sorted(path.parent.name for path in _TESTS.glob("*/taped.json")))
 
 
 @dataclass(slots=True)
@@ -37,8 +37,8 @@ def measure(passes: int, taped_s: float) -> list[DecoderSpeed]:
 
 
 def _measure(sensor: str, passes: int, taped_s: float) -> DecoderSpeed:
-    tape, taped = Tape(), import_module(f"tests.{sensor}.taped").TAPED
-    assert isinstance(taped, Taped)
+    tape = Tape()
+    taped = Taped(**json.loads((_TESTS / sensor / "taped.json").read_text("utf-8")))
     with taping(taped, tape), simulated_settings([sensor]) as settings:
         outcome = asyncio.run(device_test.run_device_test(settings.devices[0], taped_s))
     assert outcome.info is not None, outcome.problems

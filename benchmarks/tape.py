@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
@@ -25,10 +25,10 @@ class Taped:
         Its methods that are called, and its attributes that are set, from outside.
     """
 
-    functions: tuple[str, ...] = ()
+    functions: Sequence[str] = ()
     decoder: str = ""
-    methods: tuple[str, ...] = ()
-    attributes: tuple[str, ...] = ()
+    methods: Sequence[str] = ()
+    attributes: Sequence[str] = ()
 
 
 @dataclass(slots=True)
@@ -101,7 +101,7 @@ def _taped_method(tape: Tape, name: str, original: Callable[..., Any]) -> Callab
     return taped
 
 
-def _taped_setter(tape: Tape, attributes: tuple[str, ...]) -> Callable[..., None]:
+def _taped_setter(tape: Tape, attributes: Sequence[str]) -> Callable[..., None]:
     def taped(self: object, name: str, value: object) -> None:
         # Those of the constructor are set again by every new decoder.
         if name in attributes and hasattr(self, name):

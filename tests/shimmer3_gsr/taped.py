@@ -1,5 +1,0 @@
-"""Packets and replies, for the speed of decoders: all units have one protocol."""
-
-from tests.shimmer.taped import TAPED
-
-__all__ = ["TAPED"]
