@@ -18,7 +18,7 @@ from pathlib import Path
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import FromDevice, StreamSpec
 from biosensor_gateway.devices.registry import declaration, driver, sensor_names
-from tests.docs.sensor_table import table
+from tests.docs.tables import table
 
 PAGES = Path(__file__).parents[2] / "docs" / "sensors"
 _FACTS = re.compile(r"<!-- catalogue\n(.*?)-->\n\Z", re.DOTALL)

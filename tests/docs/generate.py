@@ -17,8 +17,6 @@ from pathlib import Path
 from tests.docs import (
     catalogue,
     fault_picture,
-    page_requests,
-    sensor_table,
     tables,
     worked_with,
 )
@@ -80,8 +78,8 @@ EXAMPLES = {
 """Programs that are shown on a page."""
 
 PARTS = (
-    Part("README.md", "sensors", sensor_table.sensors),
-    Part("docs/topics.md", "topics", sensor_table.topics),
+    Part("README.md", "sensors", tables.sensors),
+    Part("docs/topics.md", "topics", tables.topics),
     Part("docs/ros-reference.md", "senders", tables.senders),
     Part("docs/recording-troubleshooting.md", "findings", tables.findings),
     Part("docs/sensors/README.md", "pages", catalogue.pages),
@@ -91,7 +89,7 @@ PARTS = (
     Part("docs/measurements.md", "untidiness", tables.untidiness),
     Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
-    Part("docs/page-api.md", "requests", page_requests.requests),
+    Part("docs/page-api.md", "requests", tables.requests),
     Part("docs/pictures/faults.svg", "", fault_picture.picture),
     *(
         Part(page, Path(path).name, functools.partial(example, path))

@@ -10,7 +10,7 @@ from structlog.testing import capture_logs
 from biosensor_gateway.captures.file import ENDING, Capture, read
 from biosensor_gateway.captures.replay import Report, replay
 from tests.docs.catalogue import facts
-from tests.docs.sensor_table import table
+from tests.docs.tables import table
 
 FILES = Path(__file__).parents[1] / "captures" / "files"
 

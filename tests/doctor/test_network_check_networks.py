@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from tests.doctor.outlets import Offered, arguments, running
-from tests.doctor.test_networks import environment
+from tests.doctor.test_computer_checks import environment
 from tests.rigs.hosts.lan import NETWORK, Lan
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]

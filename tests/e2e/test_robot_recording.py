@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from biosensor_common.naming import NODE
 from biosensor_common.ros_clock import NS_PER_S, read_clock_pair
-from tests.faults.scenarios.length import is_long
+from tests.faults.scenarios.figures import is_long
 from tests.rigs.lab_client import LabProcess, settings_toml
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.polling import wait_until

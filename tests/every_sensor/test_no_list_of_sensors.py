@@ -11,12 +11,17 @@ import ast
 import io
 import re
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from biosensor_gateway.devices.registry import declaration, sensor_names
+from tests.rigs.turns import turn_of, turns
 
 ROOT = Path(__file__).parents[2]
 DEVICES = ROOT / "gateway_win" / "biosensor_gateway" / "devices"
@@ -131,3 +136,22 @@ def test_what_counts_as_a_name(tmp_path: Path, line: str, *, is_found: bool) -> 
     path = tmp_path / "module.py"
     path.write_text(f"{line}\n")
     assert bool(named(path, own_words())) == is_found
+
+
+# Sensors take turns where all at once would be more than the computer carries.
+
+NAMES = st.lists(st.sampled_from(sensor_names()), unique=True, min_size=1)
+
+
+@given(NAMES, st.integers(1, 9))
+def test_each_has_one_turn_and_no_turn_has_too_many(names: list[str], most: int) -> None:
+    dealt = turns(names, most)
+    assert Counter(chain.from_iterable(dealt)) == Counter(names)
+    sizes = [len(turn) for turn in dealt]
+    assert max(sizes) <= most
+    assert max(sizes) - min(sizes) <= 1
+    assert len(dealt) == -(-len(names) // most)
+    for name in names:
+        assert name in turn_of(name, dealt)
+    for turn in dealt:
+        assert list(turn) == [name for name in names if name in turn]

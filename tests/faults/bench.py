@@ -30,7 +30,7 @@ from tests.faults.expectations import (
 )
 from tests.faults.matching import UnknownSampleError
 from tests.faults.recorder import Floats, Recorder
-from tests.faults.scenarios.length import is_long
+from tests.faults.scenarios.figures import is_long
 from tests.faults.table import FaultTable, Row
 from tests.rigs.lab_client import LabProcess, Samples
 

@@ -5,16 +5,26 @@ from __future__ import annotations
 import gzip
 import json
 import re
+import sqlite3
+import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
+
+import numpy as np
+from rclpy.serialization import serialize_message
 
 from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.settings.editor import template
-from tests.fuzz.bag_seeds import bags
-from tests.fuzz.ros_seeds import asked_and_sent
+from lsl_to_ros.ros_to_lsl.fields import message_class
+from tests.bags import made, mcap_bytes
+from tests.fuzz.streams import join_counted
+from tests.fuzz.targets.ros_to_lsl import CLASSES
 from tests.xdf import xdf_file
 
 Seeds = Iterator[tuple[str, bytes]]
@@ -255,3 +265,173 @@ def seeds() -> dict[str, Seeds]:
         "xdf": _recordings(),
         "xdf_export": _recordings(),
     }
+
+
+# Bags to begin with.
+
+_TYPES = made.typestore().types
+_BEGIN_S = 1_790_000_000
+_HEADER = _TYPES["std_msgs/msg/Header"](
+    _TYPES["builtin_interfaces/msg/Time"](_BEGIN_S, 5), "zephyr"
+)
+
+
+def bags() -> Iterator[tuple[str, bytes]]:
+    """Give a bag of each kind, with its name."""
+    floats = [_TYPES["std_msgs/msg/Float32"](number / 4) for number in range(3)]
+    raw = mcap_bytes.topic(1, "/biosensors/zephyr/ecg", "std_msgs/msg/Float32", *floats)
+    stamped = mcap_bytes.topic(
+        2, "/biosensors/zephyr/ecg_stamped", "biosensor_msgs/msg/Samples", *_samples(), latched=True
+    )
+    yield "numbers", mcap_bytes.file(raw)
+    yield "live", mcap_bytes.file(mcap_bytes.chunk(raw, stamped))
+    yield "listed", mcap_bytes.file(_listed(), stamped)
+    texts = [_TYPES["std_msgs/msg/String"](text) for text in _told()]
+    told = mcap_bytes.topic(3, "/biosensors/recorded_streams", "std_msgs/msg/String", *texts)
+    yield "recorded", mcap_bytes.file(told, mcap_bytes.chunk(stamped))
+    yield "cut", mcap_bytes.file(told, mcap_bytes.chunk(stamped))[:-400]
+    said = mcap_bytes.topic(4, "/said", "std_msgs/msg/String", texts[0])
+    yield "text", mcap_bytes.file(said)
+    joints = _TYPES["sensor_msgs/msg/JointState"](
+        _HEADER, ["a", "b"], np.arange(2.0), np.empty(0), np.empty(0)
+    )
+    yield (
+        "joints",
+        mcap_bytes.file(
+            mcap_bytes.topic(5, "/joints", "sensor_msgs/msg/JointState", joints, joints)
+        ),
+    )
+    yield (
+        "odd_definition",
+        mcap_bytes.file(
+            mcap_bytes.schema(
+                1, "a/msg/B", "float64 x\na/C[<=2] y\n" + "=" * 80 + "\nMSG: a/C\nint8 z"
+            ),
+            mcap_bytes.channel(1, 1, "/b", {}),
+            mcap_bytes.message(1, 5, b"\0\1\0\0" + bytes(16)),
+        ),
+    )
+    yield "sqlite", _sqlite()
+
+
+def _samples() -> list[object]:
+    return [
+        _TYPES["biosensor_msgs/msg/Samples"](
+            _HEADER, at, -1, False, ["ecg"], ["mV"], np.arange(2), np.arange(2.0), np.empty(0, int)
+        )
+        for at in (0, 2)
+    ]
+
+
+def _listed() -> bytes:
+    """Return what the node says of its streams."""
+    stamped = "/biosensors/zephyr/ecg_stamped"
+    told = {"source_id": "zephyr-ecg", "format": "float32", "labels": "ecg", "units": "mV"}
+    told |= {"foreign": "false", "participant": "", "label": "", "lsl_name": "zephyr-U1-ecg"}
+    told |= {"lsl_type": "ECG", "host": "pc", "rate": "250", f"topic {stamped}": ""}
+    pair = _TYPES["diagnostic_msgs/msg/KeyValue"]
+    pairs: list[Any] = [pair(key, value) for key, value in told.items()]
+    status = _TYPES["diagnostic_msgs/msg/DiagnosticStatus"](0, stamped, "", "U1", pairs)
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    return mcap_bytes.topic(6, "/lsl_to_ros/streams", kind, _TYPES[kind](_HEADER, [status]))
+
+
+def _told() -> Iterator[str]:
+    recording = {"begun": "", "source": "date", "resolution_s": 1.0, "clock": [[100.0, 10**18]]}
+    yield json.dumps({"recording": recording})
+    header = xdf_file.stream_header(1, "ecg", rate=250.0)
+    stream = {
+        "number": 1,
+        "stamped": "/biosensors/zephyr/ecg_stamped",
+        "topics": ["/biosensors/zephyr/ecg"],
+        "header": header[header.index(b"<info") :].decode(),
+        "clock_offsets": [[100.0, 0.5]],
+    }
+    yield json.dumps({"stream": stream})
+
+
+def _sqlite() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.db3")
+        with closing(sqlite3.connect(path)) as database:
+            database.executescript(
+                "PRAGMA page_size=512;"
+                "CREATE TABLE topics(id,name,type,serialization_format,offered_qos_profiles);"
+                "CREATE TABLE messages(id,topic_id,timestamp,data);"
+                "INSERT INTO topics VALUES(1,'/a','std_msgs/msg/Float32','cdr','');"
+                "INSERT INTO messages VALUES(1,1,5,x'000100000000803f');"
+            )
+        return path.read_bytes()
+
+
+# Parameters of ``ros_to_lsl`` and messages to begin with.
+
+Pose = message_class("geometry_msgs/msg/Pose")
+_PARAMETERS: dict[str, dict[str, Any]] = {
+    "whole": {"topics": ["/joint_states"]},
+    "groups": {
+        "topics": ["/a", "b"],
+        "/a.fields": ["position", "pose.pose", "status", "poses[1]", "points"],
+        "/a.name": "arm",
+        "b.as": "markers",
+        "b.type": "std_msgs/msg/String",
+        "b.rate": 2.5,
+    },
+    "by_arrival": {"all_small": True, "stamps": "arrival", "use_sim_time": True},
+    "odd_nothing": {"topics": [""], "session_id": "a"},
+    "odd_two_of_one_name": {"topics": ["/a/b", "/c"], "/c.name": "a-b"},
+    "odd_not_among": {"topics": ["/a"], "/b.rate": 1},
+    "odd_two_slashes": {"topics": ["/a//b"]},
+    "odd_option": {"topics": ["/a"], "/a.rat": 1},
+    "odd_name": {"topics": ["/a"], "/a.name": "a b"},
+    "odd_kind": {"topics": ["/a"], "/a.fields": "position"},
+    "odd_rate": {"topics": ["/a"], "/a.rate": -1.0},
+    "odd_simulated": {"topics": ["/a"], "use_sim_time": True},
+    "odd_topic": {"topics": ["/a//b c"]},
+}
+
+
+def asked_and_sent() -> Iterator[tuple[str, bytes]]:
+    """Give parameters, each with messages of all types."""
+    for name, parameters in _PARAMETERS.items():
+        line = json.dumps(parameters).encode()
+        if name.startswith("odd_"):
+            yield name, line
+            continue
+        yield name, line + b"\n" + join_counted([_piece(kind()) for kind in CLASSES])
+        yield f"{name}_filled", line + b"\n" + join_counted([_piece(each) for each in _filled()])
+    for name, joints in (("alike", ["a", "a"]), ("odd_no_xml", ["a\x01", "b\ufffe"])):
+        sent = _made("sensor_msgs/msg/JointState", name=joints, position=[1.0, 2.0])
+        yield name, b"{}\n" + join_counted([_piece(sent)])
+
+
+def _filled() -> Iterator[Any]:
+    joints = {"name": ["a", "b"], "position": [1.0, 2.0]}
+    yield _made("sensor_msgs/msg/JointState", **joints)
+    yield _made("sensor_msgs/msg/JointState", **joints, effort=[3.0, 4.0])
+    yield _made("sensor_msgs/msg/JointState", name=["a"], position=[float("nan")])
+    yield _made("sensor_msgs/msg/JointState")
+    yield _made("std_msgs/msg/String", data='he said "ja" \u00e4\u4e16')
+    yield _made("std_msgs/msg/UInt64", data=2**64 - 1)
+    yield _made("sensor_msgs/msg/BatteryState", power_supply_status=1, cell_voltage=[3.7, 3.8])
+    yield _made("std_msgs/msg/ByteMultiArray", data=[b"\x00", b"\xff"])
+    yield _made("geometry_msgs/msg/PoseArray", poses=[Pose(), Pose()])
+    yield _made("geometry_msgs/msg/PoseArray", poses=[Pose()])
+    point = _made("trajectory_msgs/msg/JointTrajectoryPoint", positions=[0.5, 1.5])
+    yield _made("trajectory_msgs/msg/JointTrajectory", joint_names=["a", "b"], points=[point] * 2)
+    status = _made(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=b"\x02",
+        name="a",
+        values=[_made("diagnostic_msgs/msg/KeyValue", key="k", value="v")],
+    )
+    yield status
+    yield _made("diagnostic_msgs/msg/DiagnosticArray", status=[status, status])
+
+
+def _made(kind: str, /, **fields: Any) -> Any:
+    return message_class(kind)(**fields)
+
+
+def _piece(message: Any) -> bytes:
+    return bytes([CLASSES.index(type(message))]) + serialize_message(message)

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+import contextlib
+import inspect
 import json
 import os
+import random
 import re
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import psutil
 import pytest
+import serial
+from typer.core import TyperGroup
 
+from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import single_instance
-from biosensor_gateway.cli.app import app
+from biosensor_gateway.cli.app import COMMANDS, Deferred, app
 from biosensor_gateway.demo import virtual_devices as simulate
 from biosensor_gateway.devices.polar_h10.driver import PolarH10Settings
 from biosensor_gateway.devices.registry import sensor, sensor_names
+from biosensor_gateway.settings.places import STATE_VARIABLE
+from tests.rigs.zephyr import SteeredBioHarness
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -299,3 +309,278 @@ def test_what_is_begun_is_completed(
         app()(args=[], prog_name="biosensor-gateway")
     assert ended.value.code == 0
     assert capsys.readouterr().out.split() == offered
+
+
+# The doors of the program: what is imported before it is known what is wanted.
+
+# What takes a tenth of a second and more, each or with what it brings.
+HEAVY = {
+    "asyncio",
+    "bleak",
+    "keyring",
+    "numpy",
+    "psutil",
+    "pydantic",
+    "pylsl",
+    "serial",
+    "structlog",
+    "tomlkit",
+    "websockets",
+}
+OURS = {
+    "biosensor_gateway",
+    "biosensor_gateway.cli",
+    "biosensor_gateway.cli.app",
+    "biosensor_gateway.system",
+    "biosensor_gateway.system.windows_console",
+}
+LOADED_AT_THE_END = """
+import atexit, sys
+atexit.register(lambda: sys.stderr.write(" ".join(sys.modules)))
+from biosensor_gateway.cli import main
+main()
+"""
+
+each_command = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+
+
+def loaded(*arguments: str, expected: int = 0) -> set[str]:
+    """Modules that a run of the program has imported."""
+    ended = subprocess.run(
+        [sys.executable, "-c", LOADED_AT_THE_END, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert ended.returncode == expected, ended.stderr
+    return set(ended.stderr.split())
+
+
+@pytest.mark.seam
+@pytest.mark.parametrize(
+    ("option", "more"), [("--version", {"rich"}), ("--help", {"pygments", "rich.markdown"})]
+)
+def test_the_first_look_imports_no_command(option: str, more: set[str]) -> None:
+    modules = loaded(option)
+    assert "typer" in modules
+    assert not (HEAVY | more) & modules
+    assert {name for name in modules if name.startswith("biosensor_gateway")} <= OURS
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["run", "stop", "pause", "resume", "status", "demo"])
+def test_the_help_of_a_command_imports_no_agent(name: str) -> None:
+    # Typer itself takes pydantic for each argument; run heeds signals from its first moment on.
+    known = {"pydantic", "asyncio"} if name == "run" else {"pydantic"}
+    assert not ((HEAVY | {"pygments", "rich.markdown"}) - known) & loaded(name, "--help")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("command", ["stop", "pause zephyr", "resume zephyr", "status"])
+def test_who_asks_the_agent_imports_none(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
+    modules = loaded(*command.split(), expected=1)
+    assert "biosensor_gateway.settings.places" in modules
+    assert not (HEAVY - {"pydantic"}) & modules
+    assert "biosensor_gateway.settings.models" not in modules
+
+
+@each_command
+def test_the_list_says_what_the_command_says_of_itself(command: Deferred) -> None:
+    text = inspect.cleandoc(command.load().help or "")
+    assert command.first_lines() == text.partition("\n\n")[0] != ""
+
+
+def test_the_program_has_the_commands_of_the_table() -> None:
+    assert list(app().commands.values()) == list(COMMANDS)
+    assert len({command.name for command in COMMANDS}) == len(COMMANDS)
+
+
+@each_command
+def test_help_is_wrapped_by_the_console_alone(command: Deferred) -> None:
+    """Lines of the source are longer than a console of 80 columns, which would wrap them again."""
+    waiting = [command.load()]
+    while waiting:
+        found = waiting.pop()
+        assert "\n" not in (found.help or "").replace("\n\n", ""), found.name
+        waiting += found.commands.values() if isinstance(found, TyperGroup) else ()
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.seam
+def test_every_help_is_shown_and_every_use_says_one_sentence(tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.gateway.without_liblsl"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert ended.returncode == 0, ended.stderr
+    said: dict[str, dict[str, list[Any]]] = json.loads(ended.stdout)
+    assert len(said["helps"]) > 40
+    assert {command: each for command, each in said["helps"].items() if each != [0, ""]} == {}
+    assert len(said["uses"]) > 4
+    for command, (code, sentence) in said["uses"].items():
+        assert code == 1, (command, sentence)
+        assert sentence.startswith("biosensor-gateway: liblsl, the library"), command
+        assert sentence.count("\n") == 1, command
+        assert "pip install" in sentence or "PYLSL_LIB" in sentence, command
+
+
+# Bad devices beside a good one: each is named with its fault, and the good one streams on.
+
+
+# What a serial line of 115200 baud carries in a twentieth of a second.
+GARBAGE_BYTES, GARBAGE_EVERY_S = 576, 0.05
+
+Until = Callable[[Callable[[], bool]], None]
+StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
+
+
+class Lab(NamedTuple):
+    """A running agent with one good device and four bad ones."""
+
+    folder: Path
+    process: subprocess.Popen[bytes]
+    ports: dict[str, str]
+
+    def device(self, unit: str) -> dict[str, Any]:
+        with contextlib.suppress(ConfigError):
+            for device in status_file.read_status(self.folder)["devices"]:
+                if device["unit"] == unit:
+                    return device
+        return {}
+
+    def lines_with(self, text: str) -> list[str]:
+        """Lines of the log."""
+        log = (self.folder / "stderr.txt").read_text()
+        return [line for line in log.splitlines() if text in line]
+
+    def pushed(self) -> int:
+        streams = self.device("good").get("streams", {})
+        return streams.get("zephyr-good-ecg", {}).get("pushed", 0)
+
+
+@pytest.fixture(scope="module")
+def ports(tmp_path_factory: pytest.TempPathFactory) -> Generator[dict[str, str]]:
+    masters: list[int] = []
+
+    def terminal() -> str:
+        master, slave = os.openpty()
+        masters.extend((master, slave))
+        return os.ttyname(slave)
+
+    mute, held, noisy = terminal(), terminal(), terminal()
+    over = threading.Event()
+    babble = threading.Thread(target=babbling, args=(masters[4], over))
+    babble.start()
+    with serial.Serial(held, exclusive=True), SteeredBioHarness() as good:
+        yield {
+            "good": good.port,
+            "absent": str(tmp_path_factory.mktemp("ports") / "ttyUSB9"),
+            "held": held,
+            "noisy": noisy,
+            "mute": mute,
+        }
+    over.set()
+    babble.join()
+    for handle in masters:
+        os.close(handle)
+
+
+def babbling(master: int, over: threading.Event) -> None:
+    """Write random bytes to whoever listens."""
+    os.set_blocking(master, False)
+    noise = random.Random(1)
+    while not over.wait(GARBAGE_EVERY_S):
+        with contextlib.suppress(BlockingIOError):
+            os.write(master, noise.randbytes(GARBAGE_BYTES))
+
+
+@pytest.fixture(scope="module")
+def lab(
+    ports: dict[str, str], cli_process: StartCli, tmp_path_factory: pytest.TempPathFactory
+) -> Generator[Lab]:
+    folder = tmp_path_factory.mktemp("lab")
+    path = folder / "settings.toml"
+    path.write_text(
+        "".join(
+            f'[[device]]\nsensor = "zephyr"\nunit = "{unit}"\nport = "{port}"\n'
+            for unit, port in ports.items()
+        )
+    )
+    with cli_process(folder, "run", "--settings", str(path)) as process:
+        yield Lab(folder, process, ports)
+        process.terminate()
+        assert process.wait(15.0) == 0
+    assert "Traceback" not in (folder / "stderr.txt").read_text()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("unit", "reason", "words"),
+    [
+        ("absent", "absent", "there is no such port"),
+        ("held", "busy", "another program holds the port"),
+        ("noisy", "garbage", "what answers is not a BioHarness"),
+        ("mute", "no_reply", "the device does not answer"),
+    ],
+)
+def test_a_bad_device_is_named_with_its_fault_and_disturbs_no_other(
+    lab: Lab, until: Until, unit: str, reason: str, words: str
+) -> None:
+    until(lambda: words in (lab.device(unit).get("error") or ""))
+    error: str = lab.device(unit)["error"]
+    assert error.startswith(f"{lab.ports[unit]}: ")
+    # The log is written by a thread of its own.
+    until(lambda: bool(lab.lines_with(error)))
+    (line,) = lab.lines_with(error)
+    assert "warning" in line
+    assert f"unit={unit!r}" in line
+    assert f"reason={reason!r}" in line
+    until(lambda: lab.pushed() > 0)
+    pushed = lab.pushed()
+    until(lambda: lab.pushed() > pushed)
+    good = lab.device("good")
+    assert (good["state"], good["connections"], good["error"]) == ("streaming", 1, None)
+    assert all(counters["lost"] == 0 for counters in good["streams"].values())
+
+
+@pytest.mark.nightly
+def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab, until: Until) -> None:
+    with SteeredBioHarness() as repaired:
+        Path(lab.ports["absent"]).symlink_to(repaired.port)
+        until(lambda: lab.device("absent").get("state") == "streaming")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[lsl\n", ["line 1", "not valid TOML"]),
+        ('[lsl]\nsesion_id = "a"\n', ["line 2", "lsl.sesion_id", "unknown"]),
+        ('[lsl]\nport_range = "many"\n', ["line 2", "lsl.port_range", "whole number"]),
+        (
+            '[[device]]\nsensor = "zephyr"\nunit = 7\nport = "COM7"\n',
+            ["line 3", "device.unit", "text in quotes"],
+        ),
+    ],
+)
+def test_bad_settings_are_a_usage_error_that_says_what_and_where(
+    cli_process: StartCli, tmp_path: Path, text: str, words: list[str]
+) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    with cli_process(tmp_path, "run", "--settings", str(path)) as process:
+        assert process.wait(30.0) == 2
+    told = (tmp_path / "stderr.txt").read_text()
+    assert told.count("\n") == 1
+    assert told.startswith(f"biosensor-gateway: {path}")
+    assert [word for word in words if word not in told] == []

@@ -13,17 +13,18 @@ import pytest
 
 from installer.layout import PROGRAM
 from tests.rigs.windows.agents import LOG, streaming_agent, wait_for_words
-from tests.rigs.windows.desktop import (
+from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
+from tests.rigs.windows.registry import (
     BIN_FOLDER,
     DEFAULT_FOLDER,
     OWN_KEY,
     RUN_KEY,
+    Registry,
+    Value,
     path_entries,
     search_path,
     start_menu,
 )
-from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
-from tests.rigs.windows.registry import Registry, Value
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 

@@ -15,9 +15,9 @@ import pytest
 from installer.layout import BIN, PROGRAM, WORK
 from installer.stages import Build
 from installer.wine.recipe import PICTURES, PREFIX
-from tests.rigs.windows.desktop import DEFAULT_FOLDER
 from tests.rigs.windows.pc import UNINSTALL_KEY, WindowsPc
 from tests.rigs.windows.program import wait_until
+from tests.rigs.windows.registry import DEFAULT_FOLDER
 from tests.rigs.windows.stub import make_stub_setup
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]

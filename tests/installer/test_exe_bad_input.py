@@ -14,7 +14,6 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from installer.layout import BIN, PROGRAM
 from installer.wine.prefix import windows_path
-from tests.rigs.windows.desktop import BIN_FOLDER
 from tests.rigs.windows.pc import WindowsPc
 from tests.rigs.windows.program import (
     RunningProgram,
@@ -23,6 +22,7 @@ from tests.rigs.windows.program import (
     program_environment,
     wait_until,
 )
+from tests.rigs.windows.registry import BIN_FOLDER
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 

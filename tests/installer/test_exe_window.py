@@ -22,9 +22,9 @@ from biosensor_gateway.simulation.world import World
 from installer.layout import PROGRAM, WORK
 from installer.wine.prefix import Prefix, windows_path
 from tests.rigs.chromium import OPTIONS
-from tests.rigs.windows.desktop import BIN_FOLDER
 from tests.rigs.windows.pc import NAME, WindowsPc
 from tests.rigs.windows.program import lively, program_environment, read_status
+from tests.rigs.windows.registry import BIN_FOLDER
 from tests.rigs.wristbands import LOCATED
 
 pytestmark = pytest.mark.system

@@ -13,9 +13,14 @@ import pytest
 from installer.layout import PROGRAM, WORK, version
 from installer.wine.prefix import windows_path
 from tests.rigs.windows.agents import LOG, streaming_agent
-from tests.rigs.windows.desktop import BIN_FOLDER, DEFAULT_FOLDER, path_entries, start_menu
 from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
-from tests.rigs.windows.registry import Registry
+from tests.rigs.windows.registry import (
+    BIN_FOLDER,
+    DEFAULT_FOLDER,
+    Registry,
+    path_entries,
+    start_menu,
+)
 
 pytestmark = pytest.mark.system
 

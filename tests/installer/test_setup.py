@@ -12,18 +12,19 @@ from uuid import UUID
 import pytest
 
 from installer.layout import PROGRAM, PUBLISHER, WINDOWED, version
-from tests.rigs.windows.desktop import (
+from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
+from tests.rigs.windows.registry import (
     APP_PATH_KEY,
     BIN_FOLDER,
     DEFAULT_FOLDER,
     OWN_KEY,
     RUN_KEY,
+    Registry,
+    Value,
     path_entries,
     search_path,
     start_menu,
 )
-from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
-from tests.rigs.windows.registry import Registry, Value
 
 LINK = re.compile(r'(?:href|src)="([^"]+)"')
 MEBIBYTE = 1024 * 1024

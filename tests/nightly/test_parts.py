@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 
+from tests.nightly.__main__ import INTERRUPTED, main
 from tests.nightly.parts import ROOT, read_parts
+from tests.nightly.runner import run_command
 from tests.time_spent.plugin import ORDER
 
 PARTS = read_parts()
+by_signals = pytest.mark.skipif(sys.platform == "win32", reason="interrupts by signals")
 FILES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("tests/**/test_*.py"))
 
 
@@ -78,3 +86,128 @@ def test_the_order_names_files_that_are_there() -> None:
     order = tomllib.loads((ROOT / ORDER).read_text(encoding="utf-8"))
     assert order.keys() == {"longest", "heavy"}
     assert [file for files in order.values() for file in files if not (ROOT / file).is_file()] == []
+
+
+# Parts run once for a commit, go on after an interruption, and none stops another.
+
+
+TABLE = """
+[[part]]
+name = "fails"
+does = "says and fails"
+commands = ["sh -c 'echo the reason; echo run >>runs; exit 3'"]
+
+[[part]]
+name = "passes"
+does = "notes its seed"
+commands = ["sh -c 'echo {seed} >>seeds'"]
+
+[[part]]
+name = "lacks"
+does = "nothing here"
+needs = ["program-that-nobody-has"]
+commands = ["sh -c 'exit 1'"]
+
+[[part]]
+name = "waits"
+does = "waits until it is interrupted, or told to end"
+commands = ["sh -c '[ -e end ] || echo >waits; while ! [ -e end ]; do sleep 0.05; done'"]
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A repository with a table of parts, in which ``waits`` does not wait."""
+    (tmp_path / "tests" / "nightly").mkdir(parents=True)
+    (tmp_path / "tests" / "nightly" / "parts.toml").write_text(TABLE)
+    (tmp_path / ".gitignore").write_text("build/\nruns\nseeds\nwaits\nend\n")
+    (tmp_path / "end").touch()
+    who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    for command in (["init", "-q"], ["add", "."], [*who, "commit", "-q", "-m", "First"]):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
+    return tmp_path
+
+
+def lines(file: Path) -> list[str]:
+    return file.read_text().splitlines() if file.exists() else []
+
+
+def page(project: Path) -> str:
+    return (project / "build" / "nightly.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.nightly
+@by_signals
+def test_a_part_runs_once_for_a_commit_and_a_failed_one_stops_no_other(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([], project) == 1
+    assert "1 failed, 1 skipped, 2 passed. " in page(project)
+    assert "    the reason\n" in page(project)
+    assert "needs program-that-nobody-has" in page(project)
+    assert "lacks: SKIPPED, needs program-that-nobody-has" in capsys.readouterr().out
+    assert main([], project) == 1
+    assert (len(lines(project / "runs")), len(lines(project / "seeds"))) == (1, 1)
+    assert main(["--again", "--part", "passes"], project) == 0
+    assert (len(lines(project / "runs")), len(lines(project / "seeds"))) == (1, 2)
+
+
+@pytest.mark.nightly
+@by_signals
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_the_parts_that_have_ended(
+    project: Path, number: signal.Signals
+) -> None:
+    (project / "end").unlink()
+    os.mkfifo(project / "waits")
+    code = (
+        "import sys; from pathlib import Path; from tests.nightly.__main__ import main; "
+        f"sys.exit(main([], Path({str(project)!r})))"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) as run:
+        (project / "waits").read_text()
+        run.send_signal(number)
+        assert run.wait(60) == INTERRUPTED
+    assert "1 failed, 1 not run, 1 skipped, 1 passed. " in page(project)
+    (project / "end").touch()
+    assert main([], project) == 1
+    assert "1 failed, 1 skipped, 2 passed. " in page(project)
+    assert (len(lines(project / "runs")), len(lines(project / "seeds"))) == (1, 1)
+
+
+@pytest.mark.nightly
+@by_signals
+def test_tests_are_run_and_a_part_without_any_fails(project: Path) -> None:
+    """By the project's own options, so in a folder of its own tests."""
+    table = (
+        '[[part]]\nname = "some"\ndoes = "tests"\ntests = ["tests/test_it.py"]\nonly = "seams"\n'
+    )
+    (project / "tests" / "nightly" / "parts.toml").write_text(table)
+    (project / "tests" / "test_it.py").write_text(
+        "import pytest\n\n@pytest.mark.seam\ndef test_it():\n    assert 1 == 2\n\n"
+        '@pytest.mark.seam\n@pytest.mark.skip("no reason")\ndef test_skipped():\n    pass\n'
+    )
+    (project / "conftest.py").write_text('pytest_plugins = ["tests.tiers.plugin"]\n')
+    (project / "pytest.ini").write_text("[pytest]\nmarkers = seam\njunit_family = xunit1\n")
+    (project / "tests" / "tiers").symlink_to(ROOT / "tests" / "tiers")
+    assert main([], project) == 1
+    assert "### some: `tests/test_it.py::test_it`" in page(project)
+    assert "- some, 1 test: no reason" in page(project)
+    (project / "tests" / "test_it.py").write_text("def test_it():\n    pass\n")
+    assert main([], project) == 1
+    assert "    No test belongs to this part.\n" in page(project)
+
+
+@pytest.mark.nightly
+@by_signals
+def test_a_part_of_another_environment_gets_no_libraries_of_this_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, other = str(Path(sys.prefix) / "lib"), str(tmp_path)
+    monkeypatch.setenv("LD_LIBRARY_PATH", os.pathsep.join([own, other]))
+    monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
+    code, said = run_command(["env"], tmp_path / "log", tmp_path)
+    variables = dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
+    assert code == 0
+    assert variables["LD_LIBRARY_PATH"] == other
+    assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in variables

@@ -20,8 +20,8 @@ from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.xdf.measuring import summarise_offsets
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
-from tests.recording_contents.ours import description
 from tests.xdf import xdf_file as made
+from tests.xdf.own_streams import description
 
 # What is in a recording, piece by piece, on one clock, and what time of day it was.
 

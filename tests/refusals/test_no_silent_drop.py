@@ -9,8 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.refusals.drops import EXCUSE, drops, is_answer
-from tests.refusals.rooms import PATTERNS, ROOT, data_rooms, reports_of, source_of
+from tests.refusals.drops import (
+    EXCUSE,
+    PATTERNS,
+    ROOT,
+    data_rooms,
+    drops,
+    is_answer,
+    reports_of,
+    source_of,
+)
 
 ROOMS = data_rooms()
 SEEDS = range(20)

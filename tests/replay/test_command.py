@@ -38,7 +38,7 @@ from biosensor_gateway.recording.replay.player_process import ReplayJob
 from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason, opened
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.replay import files
-from tests.replay.playing import PATIENCE_S, playing
+from tests.replay.files import PATIENCE_S, playing
 
 FOREVER_S = 600.0
 

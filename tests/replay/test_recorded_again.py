@@ -15,10 +15,10 @@ from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import judge
-from tests.recording_contents.ours import description
 from tests.replay import files
-from tests.replay.playing import playing
+from tests.replay.files import playing
 from tests.rigs.lab_recorder import LabRecorder
+from tests.xdf.own_streams import description
 
 pytestmark = pytest.mark.nightly
 

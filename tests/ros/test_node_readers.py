@@ -22,9 +22,9 @@ from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from tests.features.test_senders_in_bursts import BURST, Sender, features_program, sending
-from tests.recording_contents.ours import description
 from tests.replay import files
 from tests.rigs.stopwatch import Stopwatch
+from tests.xdf.own_streams import description
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros

@@ -1,8 +1,15 @@
-"""Any ROS message as plain data, and back: the way of a message through JSON."""
+"""Any ROS message as plain data, and back: the way of a message through JSON.
+
+``python -m tests.system.message_fields TYPE FIELDS``: serialize a message and read it again. FIELDS
+is a JSON object. It prints, as one, the fields of what was read, and the fields' types as the
+generated class names them.
+"""
 
 from __future__ import annotations
 
 import importlib
+import json
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -44,3 +51,17 @@ def _plain(value: Any) -> Any:
 
 def _is_message(value: Any) -> bool:
     return hasattr(value, "get_fields_and_field_types")
+
+
+def main() -> None:
+    from rclpy import serialization  # noqa: PLC0415 - the rest needs no ROS
+
+    name, fields = sys.argv[1:]
+    kind = message_class(name)
+    written: bytes = serialization.serialize_message(message_of(kind, json.loads(fields)))
+    read: Any = serialization.deserialize_message(written, kind)
+    print(json.dumps({"fields": fields_of(read), "types": kind.get_fields_and_field_types()}))
+
+
+if __name__ == "__main__":
+    main()

@@ -52,7 +52,7 @@ def _round_trip(workspace: Workspace, kind: str, fields: dict[str, Any]) -> dict
     """Fields that were read, and the fields' types, of a message that was serialized."""
     name = f"biosensor_msgs/msg/{kind}"
     result = subprocess.run(
-        workspace.program("tests.system.round_trip", name, json.dumps(fields)),
+        workspace.program("tests.system.message_fields", name, json.dumps(fields)),
         env=workspace.environment(),
         capture_output=True,
         text=True,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree as ET
+
 from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
@@ -23,3 +25,27 @@ def own_header(stream_id: int, identity: DeviceIdentity, data_name: str) -> byte
         source_id=source_id(identity, data_name),
         desc=describe(spec, identity, DeviceInfo()),
     )
+
+
+# The description that our streams carry.
+
+
+def description(sensor: str, data_name: str, participant: str = "") -> ET.Element:
+    """Return the ``desc`` of a stream of the unit ``u1``; of text if it is called events."""
+    is_text = data_name == "events"
+    desc = ET.Element("desc")
+    block = ET.SubElement(desc, "biosensor")
+    for name, text in {
+        "version": "1",
+        "sensor": sensor,
+        "unit": "u1",
+        "participant": participant,
+        "label": "",
+        "data_name": data_name,
+        "category": "raw",
+        "message_type": "std_msgs/msg/" + ("String" if is_text else "Float32MultiArray"),
+        "chunk": "" if is_text else data_name,
+        "is_state": "false",
+    }.items():
+        ET.SubElement(block, name).text = text
+    return desc

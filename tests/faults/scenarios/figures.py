@@ -8,6 +8,7 @@ so with ``-n`` name the folder: ``pytest -n 2 tests/faults/scenarios``.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
@@ -84,3 +85,13 @@ class FigureTable:
 def _cell(text: object) -> str:
     """Keep a text within its cell."""
     return str(text).replace("|", "\\|").replace("\n", " ")
+
+
+# How long the scenarios may take.
+
+VARIABLE = "BIOSENSOR_GATEWAY_FAULTS"
+
+
+def is_long() -> bool:
+    """Whether the run may take as long as faults take in a lab."""
+    return os.environ.get(VARIABLE) == "long"

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.devices.registry import declaration
 from tests.faults.expectations import regular_streams
-from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.figures import Record, is_long
 from tests.faults.scenarios.holes import Hole, hole
-from tests.faults.scenarios.length import is_long
 from tests.faults.scenarios.many_computers import CUT_OFF, KILLED, RECORDER, Outcome, Stream, run
 from tests.rigs.hosts.completeness import Recording, Span
 from tests.rigs.hosts.link import Delays

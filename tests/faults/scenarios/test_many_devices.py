@@ -17,9 +17,8 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.registry import declaration
 from tests.faults.agent import fresh_status
-from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.figures import Record, is_long
 from tests.faults.scenarios.ledger import TruthLedger
-from tests.faults.scenarios.length import is_long
 from tests.faults.scenarios.receiver import Received, read
 from tests.faults.scenarios.stage import wait_until, write_settings
 from tests.rigs.lab_client import LabProcess, Samples

@@ -20,9 +20,8 @@ from typing import NamedTuple
 import pytest
 
 from biosensor_gateway.devices.registry import declaration
-from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.figures import Record, is_long
 from tests.faults.scenarios.holes import missing
-from tests.faults.scenarios.length import is_long
 from tests.rigs.hosts.completeness import MARGIN_S, Recording, Span
 from tests.rigs.hosts.lan import Lan
 from tests.rigs.hosts.pair import Observation, Pair, Place, Places

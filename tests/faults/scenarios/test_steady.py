@@ -23,9 +23,8 @@ from benchmarks.processes import Process
 from benchmarks.slope import fit
 from tests.faults.agent import fresh_status
 from tests.faults.expectations import SENSORS, is_by_agent, numeric_streams, source, steady_streams
-from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.figures import Record, is_long
 from tests.faults.scenarios.ledger import CounterLedger, DrainedRecorder, TruthLedger
-from tests.faults.scenarios.length import is_long
 from tests.faults.scenarios.stage import channels_of, lab_of, wait_until, write_settings
 from tests.rigs.lab_client import LabProcess, Samples
 from tests.rigs.turns import turns
