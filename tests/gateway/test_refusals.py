@@ -15,8 +15,10 @@ import pytest
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.process_limits import INTERRUPTED
 from biosensor_common.refusal import LATELY_S, Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway import cli
 from biosensor_gateway.agent import control, status_file
 from biosensor_gateway.agent.agent import problems_of, snapshot
 from biosensor_gateway.agent.device_set import Device, DeviceChanges, DeviceSet
@@ -485,3 +487,14 @@ def test_refusals_last_until_the_next_heartbeat() -> None:
     now = 45.0
     assert refusals.present == []
     assert len(refusals.within(60.0)) == 1
+
+
+def test_ctrl_c_during_the_imports_prints_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "main", interrupt)
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", "status"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == INTERRUPTED

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TextIO
 
 from biosensor_common import liblsl
-from biosensor_common.process_limits import raise_limit
+from biosensor_common.process_limits import INTERRUPTED, raise_limit
 
 __all__ = ["main"]
 
@@ -36,7 +36,11 @@ def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
     with contextlib.ExitStack() as stack:
         stack.push(_keep_window_open_after_failure)
-        _run()
+        try:
+            _run()
+        except KeyboardInterrupt:
+            # During the imports; a command that has begun handles it by itself.
+            sys.exit(INTERRUPTED)
 
 
 def _run() -> None:
