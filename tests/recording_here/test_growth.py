@@ -243,6 +243,21 @@ def _recording(*content: bytes) -> bytes:
     return xdf(*headers, own_header(9, AGENT, "events"), *content)
 
 
+def test_what_the_agent_refuses_or_doubts_is_told_while_it_is_recorded(written: Written) -> None:
+    flat, late = "P01-ecg: ECG (0 microvolts) has not changed", "P01-hr: 2 samples came late"
+    problems = {
+        "polar_h10/A1": [{"what": flat}, {"what": late, "last": 999.0}],
+        "zephyr/other": [{"what": flat}],
+    }
+    written.write(_recording(_told(_beat(1000.5) | {"problems": problems}), _acc(1, (1000, 1005))))
+    (found,) = written.growth.refused()
+    assert (found.level, found.code) == (Level.WARNING, "refused")
+    assert found.text == f"polar_h10/A1 of P01: {flat}"
+    # It stays when it is over, for the analysis has to know it.
+    written.write(_told(_beat(1004.0)))
+    assert list(written.growth.refused()) == [found]
+
+
 def test_a_sensor_that_a_restarted_agent_has_no_longer_is_red(written: Written) -> None:
     written.write(_recording(_told(_beat(1000.5)), _acc(1, (1000, 1005)), _acc(2, (1000, 1005))))
     assert list(written.growth.gone()) == []

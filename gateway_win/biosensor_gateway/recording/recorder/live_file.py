@@ -454,7 +454,7 @@ class Growth:
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
 
     def story(self, source_id: str, own_started_s: float | None = None) -> Iterator[Finding]:
-        """Yield what has happened so far: gaps, absences that are over, and another agent.
+        """Yield what has happened so far: gaps, past absences, refusals, and another agent.
 
         Parameters
         ----------
@@ -465,6 +465,15 @@ class Growth:
         yield from self.gone()
         yield from self.gaps()
         yield from self.was_away()
+        yield from self.refused()
+
+    def refused(self) -> Iterator[Finding]:
+        """Yield what agents refused, left out or doubted of recorded devices."""
+        for log in (each.log for each in self._streams.values() if each.log):
+            for device, sentences in log.refused.items():
+                about = f"{device}: " if device else ""
+                for each in sentences:
+                    yield Finding(Level.WARNING, "refused", "", about + each)
 
     def gone(self) -> Iterator[Finding]:
         """Yield which devices their agent has no longer, as after a restart with other settings."""

@@ -76,6 +76,9 @@ _NO_STREAM_CODE = 2
 # Errors after which another program may succeed.
 _OF_THE_PROGRAM = frozenset({RecorderReason.NOT_BEGUN, RecorderReason.STREAMS_MISSING})
 
+_MOST_MISSED = 3
+"""Limit of streams that are named where a program misses most of them."""
+
 
 class LocalRecorder:
     """Recorder on this computer, which makes one recording at a time per state folder.
@@ -317,6 +320,7 @@ class _Starter:
                 if not left:
                     raise RecorderError(error.reason, "; then: ".join(tried)) from error
             else:
+                title = f"{title[0].upper()}{title[1:]}"
                 return missed, tuple(f"{each}. {title} records instead" for each in tried)
 
     def _start_program(
@@ -337,8 +341,8 @@ class _Starter:
                     continue
                 if set(missed) & set(required) or (missed and len(missed) == len(wanted)):
                     message = (
-                        f"{recording.recorder} does not find {titles(missed)}; look for what is in "
-                        "the way with: biosensor-gateway doctor"
+                        f"{recording.recorder} does not find {titles(missed, _MOST_MISSED)}; look "
+                        "for what is in the way with: biosensor-gateway doctor"
                     )
                     raise RecorderError(RecorderReason.STREAMS_MISSING, message)
                 failed.pop_all()

@@ -211,11 +211,11 @@ def _missing(device: ExpectedDevice, present: set[str]) -> str:
     return f"{device.title}, {count} of its {len(device.source_ids)} streams{why}"
 
 
-def titles(streams: Iterable[VisibleStream]) -> str:
+def titles(streams: Iterable[VisibleStream], most: int = _MOST_NAMED) -> str:
     """Return the titles of streams, or of the first ones if there are many."""
     named = [stream.title for stream in streams]
-    more = len(named) - _MOST_NAMED
-    return ", ".join(named[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    more = len(named) - most
+    return ", ".join(named[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def require_startable(

@@ -319,6 +319,9 @@ class _AgentRun:
     until_s: float
 
 
+_MOST_REFUSED = 20
+
+
 class EventLog:
     """The state of an agent, as known from its events so far."""
 
@@ -328,6 +331,9 @@ class EventLog:
         self._had: set[DeviceIdentity] = set()
         self.gone: dict[DeviceIdentity, float] = {}
         """Recorded devices that the agent has no longer, as after a restart, and since when."""
+        self.refused: dict[str, list[str]] = {}
+        """What was refused or left out since the first event, by device; see `_refused`."""
+        self._first_s: float | None = None
         self._agents: list[_AgentRun] = []
         self._clock: tuple[float, float] | None = None
 
@@ -347,10 +353,12 @@ class EventLog:
             Devices of this agent that are recorded.
         """
         for event in _events(texts):
+            self._first_s = _time(event) if self._first_s is None else self._first_s
             self._take_spells(event, recorded)
             if event.get("event") == EventKind.HEARTBEAT:
                 self._take_heartbeat(event)
                 self._take_gone(event, recorded)
+                self._take_refused(event, recorded, self._first_s)
 
     @property
     def spells(self) -> Mapping[DeviceIdentity, list[Spell]]:
@@ -415,6 +423,15 @@ class EventLog:
         for device in here & self.gone.keys():
             del self.gone[device]
         self._had |= here
+
+    def _take_refused(
+        self, event: Mapping[str, Any], recorded: Sequence[DeviceIdentity], first_s: float
+    ) -> None:
+        for name, sentence, last_s in _problems(event):
+            if last_s >= first_s:
+                for each in [""] if name == AGENT else map(_named, holders(name, recorded)):
+                    told = [*self.refused.get(each, ()), sentence]
+                    self.refused[each] = newest_of_each_kind(told)[-_MOST_REFUSED:]
 
     def _take_heartbeat(self, event: Mapping[str, Any]) -> None:
         now_s, started_s = _time(event), _number(event, "agent_started")
