@@ -185,6 +185,10 @@ class Refusal(Enum):
         "it has more than {most} pairs of frames; the others are not sent: send it as JSON, "
         "which contains all of them",
     )
+    CUT = _passing(
+        "cut",
+        "{messages} {were} cut at a NUL character, which text in LSL cannot contain",
+    )
     SEND_FAILED = _passing("send_failed", "{messages} could not be sent: {why}")
     LOST_ON_THE_WAY = _passing(
         "lost_on_the_way",

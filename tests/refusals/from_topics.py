@@ -17,11 +17,13 @@ from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.reports import node_status
+from lsl_to_ros.subscriber_thread import Taker, _Entry
 from tests.refusals.provoked import Shown, fake, provokes
-from tests.ros_to_lsl.test_bridge import Outlet, Sent, TFMessage, transform
+from tests.ros_to_lsl.test_bridge import NOW_NS, Outlet, Sent, TFMessage, info, transform
 
 PoseArray, Pose = (message_class(f"geometry_msgs/msg/{each}") for each in ("PoseArray", "Pose"))
 PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
+STRING = message_class("std_msgs/msg/String")
 
 
 def sent(patch: pytest.MonkeyPatch, kind: Any, *messages: Any) -> Sent:
@@ -134,6 +136,16 @@ def lost_on_the_way(patch: pytest.MonkeyPatch) -> Shown:
     known = fake(name="/topic", kind=topic.kind, bridge=topic.bridge, quality="reliable")
     known.follow = lambda publishers: losses.look(len(publishers))
     RosToLsl._follow(fake(), graph, known)
+    return entry(topic)
+
+
+@provokes(Refusal.CUT)
+def cut(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, STRING)
+    taken = iter([(b"\0\1\0\0\4\0\0\0a\0b\0", info(NOW_NS)), None])
+    handle = fake(take_message=lambda _kind, _is_raw: next(taken))
+    subscription = fake(handle=handle, msg_type=STRING)
+    Taker._take(fake(_failed=lambda *_: None), _Entry(subscription, topic.bridge.take))
     return entry(topic)
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Callable
 from queue import SimpleQueue
-from typing import Any, TypeAlias, TypedDict
+from typing import Any, NotRequired, TypeAlias, TypedDict
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 REST_S = 0.0015
@@ -32,11 +34,14 @@ class MessageInfo(TypedDict):
     ----------
     source_timestamp, received_timestamp
         Times of publication and arrival, in nanoseconds since 1970.
+    is_cut
+        Whether rclpy has cut the text at a NUL character; only known of ``std_msgs/msg/String``.
     """
 
     source_timestamp: int
     received_timestamp: int
     publication_sequence_number: int | None
+    is_cut: NotRequired[bool]
 
 
 Take = Callable[[RosMessage, MessageInfo], None]
@@ -61,6 +66,7 @@ class _Entry:
         self.subscription, self.take = subscription, take
         # Stored, because every round needs it and rclpy's property is slow.
         self.handle = subscription.handle
+        self.is_text = subscription.msg_type.get_fields_and_field_types() == {"data": "string"}
 
 
 class Taker:
@@ -134,10 +140,21 @@ class Taker:
         take_message, kind = entry.handle.take_message, entry.subscription.msg_type
         try:
             for _ in range(_MAX_TAKEN):
-                taken = take_message(kind, False)
+                # Text is taken as bytes, because rclpy reads it up to the first NUL.
+                taken = take_message(kind, entry.is_text)
                 if taken is None:
                     return  # nothing is dropped: nothing has come
-                entry.take(*taken)
+                message, info = taken
+                if entry.is_text:
+                    message, info["is_cut"] = deserialize_message(message, kind), _has_nul(message)
+                entry.take(message, info)
         except Exception as error:  # noqa: BLE001 - else no topic would be sent any more
             # nothing is dropped: `failed` reports it
             self._failed(entry.subscription, error)
+
+
+def _has_nul(content: bytes) -> bool:
+    """Whether a serialised string, the only field of a message, has a NUL before its end."""
+    order = "<" if content[1] & 1 else ">"
+    (length,) = struct.unpack_from(f"{order}I", content, 4)
+    return b"\0" in content[8 : 8 + max(0, length - 1)]

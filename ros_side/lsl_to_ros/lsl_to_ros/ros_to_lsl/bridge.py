@@ -237,6 +237,8 @@ class Bridge:
         with self._lock:
             self.received += 1
             self.losses.take(info["publication_sequence_number"])
+            if info.get("is_cut"):
+                self.refusals.refuse(Refusal.CUT)
             if self.fault:
                 self.refuse(self.fault)
                 return
