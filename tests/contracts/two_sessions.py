@@ -26,7 +26,7 @@ from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.page.network.source import Reader
-from biosensor_gateway.recording.recorder import receiver, streams
+from biosensor_gateway.recording.recorder import receiver, request, streams
 from biosensor_gateway.recording.recorder.program import predicate
 from biosensor_gateway.recording.replay.playback import refuse_if_present
 from biosensor_gateway.recording.replay.source import ReplayError
@@ -112,7 +112,7 @@ def _unbracketed() -> None:
 
 def _recorder_of_ours() -> None:
     ids = [f"{kind}-ecg" for kind in KINDS]
-    pylsl.resolve_bypred(predicate([streams.VisibleStream(each, each, "") for each in ids]))
+    pylsl.resolve_bypred(predicate([request.VisibleStream(each, each, "") for each in ids]))
 
 
 def _own_recorder() -> None:

@@ -34,8 +34,12 @@ from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.page.routes.devices import last_lines
 from biosensor_gateway.page.routes.recording import Story
-from biosensor_gateway.recording.recorder.request import RecordingRequest, SensorsAwayError
-from biosensor_gateway.recording.recorder.result import By, LocalStatus
+from biosensor_gateway.recording.recorder.request import (
+    By,
+    LocalStatus,
+    RecordingRequest,
+    SensorsAwayError,
+)
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.recorder.streams import expected_devices
 from biosensor_gateway.recording.xdf.findings import Level

@@ -21,7 +21,7 @@ from ruamel.yaml import YAML
 from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.recording.recorder import local
-from biosensor_gateway.recording.recorder.result import LocalStarted, LocalStopped
+from biosensor_gateway.recording.recorder.request import LocalStarted, LocalStopped
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings import models as settings

@@ -35,6 +35,7 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
     SensorsAwayError,
     Target,
+    VisibleStream,
     choose_target,
 )
 from biosensor_gateway.recording.recorder.state import (
@@ -45,7 +46,6 @@ from biosensor_gateway.recording.recorder.state import (
 )
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
-    VisibleStream,
     expected_devices,
     require_startable,
 )

@@ -21,8 +21,12 @@ from biosensor_gateway.page.routes.markers import MarkerButtons, Marking, NewMar
 from biosensor_gateway.page.routes.recording import Story
 from biosensor_gateway.page.routes.replay import MOST_LISTED, recordings, whole_path
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.recorder.result import By, LocalStarted, LocalStatus
-from biosensor_gateway.recording.recorder.streams import VisibleStream
+from biosensor_gateway.recording.recorder.request import (
+    By,
+    LocalStarted,
+    LocalStatus,
+    VisibleStream,
+)
 from biosensor_gateway.settings.file import load_settings
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Server

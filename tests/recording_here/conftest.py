@@ -13,8 +13,9 @@ import pytest
 
 from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.program import find_programs
+from biosensor_gateway.recording.recorder.request import VisibleStream
 from biosensor_gateway.recording.recorder.state import RecorderFolder
-from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.streams import Presence
 
 RATE_HZ = 2000
 """So fast that the recorder's blocks are full in a moment."""

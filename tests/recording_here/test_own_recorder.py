@@ -30,9 +30,10 @@ from biosensor_gateway.recording.recorder.receiver import ReceivedStream
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     RecordingRequest,
+    VisibleStream,
 )
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
-from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.streams import Presence
 from biosensor_gateway.recording.xdf.container import Chunk, Tag, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.header import parse_stream_header

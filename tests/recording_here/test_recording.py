@@ -22,14 +22,15 @@ import pyxdf
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
+    LocalStatus,
     NotClosedError,
     RecorderError,
     RecorderReason,
     RecordingRequest,
+    VisibleStream,
 )
-from biosensor_gateway.recording.recorder.result import LocalStatus
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
-from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.streams import Presence
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
@@ -179,7 +180,8 @@ import sys, time
 from pathlib import Path
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import BidsLabels, RecordingRequest
-from biosensor_gateway.recording.recorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.recorder.streams import (Presence)
+from biosensor_gateway.recording.recorder.request import VisibleStream
 import socket
 
 seen = [VisibleStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]

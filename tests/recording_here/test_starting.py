@@ -22,14 +22,10 @@ from biosensor_gateway.recording.recorder.request import (
     RecorderError,
     RecorderReason,
     RecordingRequest,
+    VisibleStream,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording, lost_by_start
-from biosensor_gateway.recording.recorder.streams import (
-    Presence,
-    VisibleStream,
-    doubles,
-    expected_devices,
-)
+from biosensor_gateway.recording.recorder.streams import Presence, doubles, expected_devices
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings

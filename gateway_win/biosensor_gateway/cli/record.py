@@ -29,11 +29,15 @@ from biosensor_gateway.recording.recorder.request import (
     GROWTH_S,
     MAX_RUN,
     BidsLabels,
+    By,
+    LocalStatus,
     RecorderError,
     RecordingRequest,
     SensorsAwayError,
+    Started,
+    Status,
+    Stopped,
 )
-from biosensor_gateway.recording.recorder.result import By, LocalStatus, Started, Status, Stopped
 from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import look, own_events
 from biosensor_gateway.recording.xdf.findings import Finding, Level

@@ -1,15 +1,40 @@
-"""Parses the command line outside of ``--ros-args``, which ROS parses itself."""
+"""Starts a node, and parses the command line outside of ``--ros-args``, which ROS parses itself."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
 from textwrap import fill
+
+from biosensor_common import liblsl
+from biosensor_common.process_limits import limit_arenas, raise_limit
 
 _BEGIN, _END = "--ros-args", "--"
 _HELP = ("-h", "--help")
 _OF_ROS = ("-p", "--param", "--params-file", "-r", "--remap")
 _WIDTH, _INDENT = 80, 18
+
+
+def start(program: str, parameters: str, application: str) -> None:
+    """Run a node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings.
+
+    Parameters
+    ----------
+    parameters, application
+        Names of the modules with ``usage`` and ``run``.
+    """
+    # Until the node handles it, Ctrl-C would end imports with a traceback.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    raise_limit()
+    limit_arenas(os.environ)
+    liblsl.provide(os.environ)
+    with liblsl.needed_by(program):
+        settle(program, sys.argv[1:], lambda: import_module(parameters).usage())
+        # Imported only now: ROS's libraries start threads at import, and the arenas of these stay.
+        import_module(application).run()
 
 
 def settle(program: str, arguments: Sequence[str], usage: Callable[[], str]) -> None:

@@ -35,17 +35,15 @@ from biosensor_gateway.recording.participants import Mismatch, OtherParticipants
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
+    LocalStarted,
+    LocalStatus,
+    LocalStopped,
     NotClosedError,
     RecordingRequest,
     SensorsAwayError,
-)
-from biosensor_gateway.recording.recorder.result import LocalStarted, LocalStatus, LocalStopped
-from biosensor_gateway.recording.recorder.streams import (
-    Presence,
     VisibleStream,
-    look,
-    titles,
 )
+from biosensor_gateway.recording.recorder.streams import Presence, look, titles
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import Colour

@@ -31,13 +31,16 @@ from biosensor_gateway.recording.recorder.recording_file import (
     wait_until_closed,
 )
 from biosensor_gateway.recording.recorder.request import (
+    By,
     RecorderError,
     RecorderReason,
     RecordingRequest,
+    Started,
+    Status,
+    Stopped,
     Target,
     choose_target,
 )
-from biosensor_gateway.recording.recorder.result import By, Started, Status, Stopped
 from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import (
     Presence,

@@ -33,18 +33,21 @@ from biosensor_gateway.recording.recorder.recording_file import (
     wait_until_closed,
 )
 from biosensor_gateway.recording.recorder.request import (
+    By,
+    LocalStarted,
+    LocalStatus,
+    LocalStopped,
     NotClosedError,
     RecorderError,
     RecorderReason,
     RecordingRequest,
+    VisibleStream,
     local_files,
 )
-from biosensor_gateway.recording.recorder.result import By, LocalStarted, LocalStatus, LocalStopped
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.recorder.streams import (
     Devices,
     Presence,
-    VisibleStream,
     away_findings,
     doubles,
     excused,

@@ -26,14 +26,17 @@ from pathlib import Path
 
 from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
-from biosensor_gateway.recording.recorder.request import RecorderError, RecorderReason
+from biosensor_gateway.recording.recorder.request import (
+    RecorderError,
+    RecorderReason,
+    VisibleStream,
+)
 from biosensor_gateway.recording.recorder.state import (
     LAB_RECORDER,
     OWN,
     RecorderFolder,
     SavedRecording,
 )
-from biosensor_gateway.recording.recorder.streams import VisibleStream
 from biosensor_gateway.system import windows_session
 from biosensor_gateway.system.child import own_command, start_beside
 

@@ -1,9 +1,12 @@
-"""A request to record: streams, file name, and the errors if it is refused.
+"""A request to record, the errors if it is refused, and the results: started, status, stopped.
 
 LabRecorder has a folder ("study root") and a file name template, whose placeholders it fills from
 the fields of its window. A template set by remote control is converted to lower case, but the
 values of placeholders are not. Remote control can leave LabRecorder's BIDS mode but not enter it,
 so a BIDS name is set as a template.
+
+The fields of the results are the same for both recorders, so that a script can read either. In the
+``Local`` classes, fields that are always known have narrower types.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum, unique
+from enum import Enum, StrEnum, unique
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,12 +24,28 @@ from biosensor_gateway.recording.participants import participant_of
 from biosensor_gateway.settings.names import LABEL, require_participant
 
 if TYPE_CHECKING:
+    from biosensor_gateway.recording.recorder.live_file import Progress
+    from biosensor_gateway.recording.xdf.findings import Finding
     from biosensor_gateway.recording.xdf.verdict import Verdict
 
 SUFFIXES = (".xdf", ".xdfz")
 MAX_RUN = 1000
 """Limit of the field in LabRecorder's window."""
 GROWTH_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class VisibleStream:
+    """A stream that this computer sees."""
+
+    name: str
+    source_id: str
+    host: str
+
+    @property
+    def title(self) -> str:
+        """Its name in LabRecorder's list."""
+        return f"{self.name} ({self.host})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,3 +368,134 @@ class SensorsAwayError(RecorderError):
         )
         super().__init__(RecorderReason.STREAMS_MISSING, message)
         self.sentences = tuple(sentences)
+
+
+@unique
+class By(StrEnum):
+    """Who makes a recording."""
+
+    WINDOW = "window"
+    """LabRecorder's window, which cannot be asked."""
+    GATEWAY = "gateway"
+    """This computer's own recorder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Started:
+    """A recording that was started.
+
+    Attributes
+    ----------
+    verified
+        Whether its file was found growing.
+    file
+        None if this computer cannot access it; then nothing is verified.
+    bytes, took_s
+        Size of the file when found growing, and the time from the command until then.
+    streams
+        Recorded streams, as visible from this computer.
+    foreign
+        Streams of other programs or agents.
+    left_out
+        The warnings about sensors that are not recorded at all.
+    """
+
+    by: By
+    verified: bool
+    file: Path | None
+    bytes: int
+    took_s: float
+    streams: tuple[VisibleStream, ...]
+    foreign: tuple[VisibleStream, ...]
+    warnings: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalStarted(Started):
+    """A recording on this computer that was started."""
+
+    file: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status:
+    """The status of a recording.
+
+    Attributes
+    ----------
+    recording
+        Whether it is running; None if unknown.
+    file
+        None if unknown.
+    started
+        Unix time in s; None if unknown.
+    is_closed
+        Whether every stream has a footer.
+    is_local
+        Whether it is made on this computer; None if unknown.
+    required
+        source_ids of the streams that it must contain.
+    sight
+        Contents of the file so far; None if it was not or cannot be read.
+    problems
+        Problems, the worst first.
+    """
+
+    by: By
+    recording: bool | None
+    file: Path | None
+    started: float | None
+    bytes: int = 0
+    streams: int = 0
+    with_samples: int = 0
+    is_closed: bool = False
+    is_local: bool | None = True
+    answers: bool = True
+    required: tuple[str, ...] = ()
+    sight: Progress | None = None
+    problems: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalStatus(Status):
+    """The status of a recording on this computer."""
+
+    recording: bool
+    file: Path
+    started: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stopped:
+    """A recording that was stopped.
+
+    Attributes
+    ----------
+    verified
+        Whether its file was found closed.
+    file
+        None if unknown or not accessible; then nothing is verified.
+    took_s
+        Time from the command until the file was found closed.
+    verdict
+        Result of the check; None if it was not checked.
+    """
+
+    by: By
+    verified: bool
+    file: Path | None
+    bytes: int = 0
+    streams: int = 0
+    with_samples: int = 0
+    took_s: float = 0.0
+    verdict: Verdict | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalStopped(Stopped):
+    """A recording on this computer that was stopped."""
+
+    file: Path
+    verdict: Verdict

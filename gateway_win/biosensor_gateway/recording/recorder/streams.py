@@ -22,6 +22,7 @@ from biosensor_gateway.recording.recorder.request import (
     RecorderReason,
     RecordingRequest,
     SensorsAwayError,
+    VisibleStream,
 )
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
@@ -35,20 +36,6 @@ _MOST_NAMED = 20
 
 Devices = Sequence[Mapping[str, Any]]
 """The devices in the agent's status; None instead if no agent runs."""
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class VisibleStream:
-    """A stream that this computer sees."""
-
-    name: str
-    source_id: str
-    host: str
-
-    @property
-    def title(self) -> str:
-        """Its name in LabRecorder's list."""
-        return f"{self.name} ({self.host})"
 
 
 @dataclass(frozen=True, slots=True)
