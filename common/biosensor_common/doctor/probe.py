@@ -28,7 +28,6 @@ from typing import Any, Self
 
 from biosensor_common.child import wait_or_kill
 
-Request = Mapping[str, Any]
 PROBE_COMMAND = "doctor-probe"
 """Hidden command of the frozen program, which has no separate Python."""
 _LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
@@ -152,18 +151,20 @@ class Probe:
         return f": {lines[-1]}" if lines else ""
 
 
-def serve(roles: Mapping[str, Callable[[Request], None]]) -> None:
-    """Run the request from stdin, and exit."""
+def serve(roles: Mapping[str, Callable[..., object]]) -> None:
+    """Run the request from stdin, write the answer that its role returns, if any, and exit."""
     request: dict[str, Any] = json.loads(sys.stdin.readline())
-    life = threading.Timer(request["life_s"], os._exit, args=(1,))
+    life = threading.Timer(request.pop("life_s"), os._exit, args=(1,))
     life.daemon = True
     life.start()
-    roles[request["role"]](request)
+    content = roles[request.pop("role")](**request)
+    if content is not None:
+        answer(content)
     # Threads of libraries that wait for the network would delay a normal exit.
     os._exit(0)
 
 
 def answer(content: object) -> None:
-    """Write the answer to stdout."""
+    """Write the answer to stdout; for roles that answer before they end."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()

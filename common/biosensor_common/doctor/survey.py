@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from typing import Any
+from functools import partial
+from typing import Any, NoReturn
 from xml.etree import ElementTree as ET
 
 import pylsl
 from pylsl.lib import lib
 
-from biosensor_common.doctor.probe import Request, SurveyedStream, answer, serve
+from biosensor_common.doctor.probe import SurveyedStream, answer, serve
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlet import unopened_inlet
 from biosensor_common.lsl.network import search
@@ -43,17 +44,24 @@ _FORMATS = {
 
 def main() -> None:
     """Run the request from stdin."""
-    serve({"offer": _offer, "find": _find, "survey": _survey, "list": _list, "meet": _meet})
+    roles: dict[str, Callable[..., object]] = {
+        "offer": _offer,
+        "find": _find,
+        "survey": survey,
+        "list": list_streams,
+        "meet": meet,
+    }
+    serve({name: partial(_configured, role) for name, role in roles.items()})
 
 
-def _configure(request: Request) -> None:
-    pylsl.set_config_content(request["config"])
+def _configured(role: Callable[..., object], config: str, **request: object) -> object:
+    """Run a role with its own configuration of LSL."""
+    pylsl.set_config_content(config)
+    return role(**request)
 
 
-def _offer(request: Request) -> None:
+def _offer(source_id: str) -> NoReturn:
     """Offer a stream and send samples until this process is ended."""
-    _configure(request)
-    source_id = request["source_id"]
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo(source_id, "Doctor", 1, 0.0, "float32", source_id))
     answer({"open": True})
     while True:
@@ -61,36 +69,15 @@ def _offer(request: Request) -> None:
         time.sleep(_PERIOD_S)
 
 
-def _find(request: Request) -> None:
+def _find(source_id: str, timeout_s: float) -> dict[str, Any]:
     """Search for a stream."""
-    _configure(request)
-    wanted = equals("source_id", request["source_id"])
-    found = pylsl.resolve_bypred(wanted, 1, request["timeout_s"])
-    answer({"found": bool(found)})
+    return {"found": bool(pylsl.resolve_bypred(equals("source_id", source_id), 1, timeout_s))}
 
 
-def _survey(request: Request) -> None:
-    """Survey all streams."""
-    _configure(request)
-    answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
-
-
-def _list(request: Request) -> None:
-    """List all streams without receiving from them."""
-    _configure(request)
-    answer(list_streams(request["search_s"]))
-
-
-def _meet(request: Request) -> None:
-    """Search for a stream and receive from it."""
-    _configure(request)
-    answer(meet(request["source_id"], request["search_s"], request["listen_s"]))
-
-
-def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
+def survey(search_s: float, listen_s: float, listen_until_s: float) -> dict[str, Any]:
     """Search for streams for *search_s*, then receive from each of them.
 
-    Each step of receiving may take *listen_s*; after *limit_s* no step is started.
+    Each step of receiving may take *listen_s*; after *listen_until_s* no step is started.
 
     Returns
     -------
@@ -98,7 +85,7 @@ def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
         ``streams``, each as a `SurveyedStream`, and ``elsewhere``: streams of other sessions
         with the same source_ids.
     """
-    deadline_s = time.monotonic() + limit_s
+    deadline_s = time.monotonic() + listen_until_s
     of_all_sessions = pylsl.ContinuousResolver(pred=IN_ANY_SESSION, forget_after=60.0)
     infos = _found(search_s)
     seen = [_described(info) for info in infos]

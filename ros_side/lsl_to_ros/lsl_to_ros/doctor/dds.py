@@ -21,6 +21,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 import uuid
 from collections import Counter
@@ -32,7 +33,7 @@ from types import FrameType
 from typing import Any
 
 from biosensor_common.doctor.check import Context, Finding, error, note, ok, warning
-from biosensor_common.doctor.probe import Probe, ProbeError, Request, answer, serve
+from biosensor_common.doctor.probe import Probe, ProbeError, answer, serve
 from lsl_to_ros import ros_environment
 
 DOMAIN, RANGE, PEERS = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
@@ -253,16 +254,15 @@ def _leave(_number: int, _frame: FrameType | None) -> None:
     sys.exit(0)
 
 
-def _stay(request: Request) -> None:
+def _stay(name: str) -> None:
     """Run a node until this process is ended."""
-    with _node(request["name"]):
+    with _node(name):
         answer({"open": True})
-        time.sleep(request["life_s"])
+        threading.Event().wait()
 
 
-def _look(request: Request) -> None:
+def _look(name: str, search_s: float, settle_s: float) -> None:
     """Search for a node, and list all others until no new one has appeared for a while."""
-    search_s, settle_s = request["search_s"], request["settle_s"]
     with _node(f"{PREFIX}{uuid.uuid4().hex}") as node:
         begun = time.monotonic()
         nodes, found_s, passed_s, changed_s = list[str](), None, 0.0, 0.0
@@ -272,7 +272,7 @@ def _look(request: Request) -> None:
             before, nodes = nodes, sorted(_names(node))
             if nodes != before:
                 changed_s = passed_s
-            if found_s is None and f"/{request['name']}" in nodes:
+            if found_s is None and f"/{name}" in nodes:
                 found_s = passed_s
             if passed_s > search_s + settle_s:
                 break
