@@ -293,7 +293,7 @@ async def test_a_stalled_server_is_asked_and_then_left(world: World, running: Ru
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.STALL, FOREVER))
-            await run.until(lambda: "says nothing any more" in run.error)
+            await run.until(lambda: "no longer sends anything" in run.error)
             server.clear(FaultKind.STALL)
             await run.until(run.has_reconnected)
             await run.until_more()

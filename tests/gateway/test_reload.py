@@ -290,7 +290,7 @@ def test_a_table_is_renewed_in_place_below_the_log_and_ctrl_c_ends_it(tmp_path: 
         assert terminal.exit_code() == 0
     shown = terminal.screen.text
     assert "Device " not in shown
-    assert shown.rstrip().endswith("Ended. Nothing is streamed any more.")
+    assert shown.rstrip().endswith("Ended. Nothing is being streamed.")
     # The file has what it always had.
     entries = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]
     commands = [each["command"] for each in entries if each["event"] == "a command came"]
@@ -347,4 +347,4 @@ def test_it_does_not_draw_while_its_shell_has_put_it_behind(tmp_path: Path) -> N
         ask(tmp_path, "stop")
         assert terminal.exit_code() == 0
     assert ESCAPE not in terminal.raw
-    assert "Ended. Nothing is streamed any more." in terminal.screen.text
+    assert "Ended. Nothing is being streamed." in terminal.screen.text

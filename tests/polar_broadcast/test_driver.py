@@ -86,7 +86,7 @@ async def test_who_goes_out_of_range_is_looked_for_and_what_was_missed_is_counte
         async with streaming(strap) as run:
             await until(run.sink.has(5, "hr"))
             strap.apply(Fault(FaultKind.DROP, 20.0))
-            await until(lambda: "is not heard any more" in run.error)
+            await until(lambda: "can no longer be heard" in run.error)
             await run.goes_on(3, "hr")
         assert run.supervisor.connections == 2
         assert run.sink.lost_count("hr") == strap.truth.unsent_count("hr")

@@ -223,8 +223,8 @@ def test_one_person_can_be_cut_out(path: Path) -> None:
     ("selection", "words"),
     [
         (Selection(streams=["b*"]), "no stream 'b*'"),
-        (Selection(participant="P9"), "nobody is called 'P9'"),
-        (Selection(without="P9"), "nobody is called 'P9'"),
+        (Selection(participant="P9"), "no participant is called 'P9'"),
+        (Selection(without="P9"), "no participant is called 'P9'"),
         (Selection(begin="soon"), "'soon' is not a time"),
         (Selection(begin="5", end="4"), "is not after"),
         (Selection(begin="2026-03-14T10:30:00"), "does not contain the time of day"),

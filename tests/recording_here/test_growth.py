@@ -264,7 +264,7 @@ def test_a_sensor_that_a_restarted_agent_has_no_longer_is_red(written: Written) 
     written.write(_told(_beat(1004.0) | {"devices": {"polar_h10/A1": "streaming"}}))
     (found,) = written.growth.gone()
     assert found.level is Level.ERROR
-    assert found.text.startswith("polar_h10/A2 (P02) is not among the agent's sensors any more")
+    assert found.text.startswith("polar_h10/A2 (P02) has not been among the agent's sensors")
     written.write(_told(_beat(1005.0)))
     assert list(written.growth.gone()) == []
 

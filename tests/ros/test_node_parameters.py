@@ -174,7 +174,7 @@ def test_the_chunk_of_the_breathing_waveform_belongs_to_the_rate(ros: Ros) -> No
         ("polar_h10.ecg.Chunk_Length", -1, "polar_h10.ecg.Chunk_Length must be"),
         ("polar_h10.ecg.Chunk_Lenght", 12, "polar_h10.ecg.Chunk_Lenght is not a parameter"),
         ("Sensor_Enabled", True, "Sensor_Enabled is not a parameter"),
-        ("processes", 4, "processes is not a parameter any more: the node runs in one process"),
+        ("processes", 4, "processes is no longer a parameter: the node runs in one process"),
         ("session_id", "elsewhere", "read-only parameter: session_id"),
         ("known_peers", "10.0.0.1", "read-only parameter: known_peers"),
         ("qos_overrides./a/b.publisher.depth", 0, "qos_overrides./a/b.publisher.depth must be"),

@@ -65,7 +65,7 @@ def test_a_parameter_file_holds_and_a_bad_value_in_it_ends_the_node(
     outlet.push_chunk([[0.0], [1.0], [2.0]], [start + number * 0.01 for number in range(3)])
     ros.until(lambda: len(raw) == 3 and len(chunks) == 1, "three samples and a chunk")
     assert list(chunks[0].data) == [0.0, 1.0, 2.0]
-    assert node.count("[ERROR]", "processes is not a parameter any more", "ignored") == 1
+    assert node.count("[ERROR]", "processes is no longer a parameter", "ignored") == 1
     for topic, durability in (("EEG", "TRANSIENT_LOCAL"), ("EEG_chunk", "VOLATILE")):
         (publisher,) = ros.publishers(f"/biosensors/exit/{topic}")
         assert publisher.qos_profile.reliability.name == "RELIABLE"

@@ -174,7 +174,7 @@ def test_a_parameter_that_was_removed_is_ignored_and_refused_with_what_to_do(
     node.get_logger = lambda: told
     parameters = Parameters(node)
     (sentence,) = errors
-    assert sentence.startswith("processes is not a parameter any more: ")
+    assert sentence.startswith("processes is no longer a parameter: ")
     assert "stream_predicate" in sentence
     assert sentence.endswith("; it is ignored")
     assert not node.has_parameter("processes")
@@ -221,7 +221,7 @@ def test_of_a_key_that_fits_no_stream_it_is_said(make_node: MakeNode) -> None:
     parameters = Parameters(make_node())
     early = Parameter("zephyr.ecg.Chunk_Length", value=9)
     assert parameters.without_stream([early]) == [
-        "zephyr.ecg.Chunk_Length holds for no stream yet (none has come so far)"
+        "zephyr.ecg.Chunk_Length holds for no stream yet (none has arrived so far)"
     ]
     parameters.declare(PLAIN, "ecg", "ecg")
     typo = Parameter("zephy.Chunk_Length", value=9)

@@ -79,7 +79,7 @@ def test_joined_recordings_get_a_number_for_each_stream(tmp_path: Path) -> None:
         "other": 16,
     }
     assert read["other"]["time_series"][:, 0].tolist() == [5.0] * 8 + [6.0] * 8
-    assert any("other: it got a number of its own" in each for each in after_table(found.outcome))
+    assert any("other: it got the new number" in each for each in after_table(found.outcome))
 
 
 def test_a_whole_recording_is_left_alone(tmp_path: Path) -> None:
@@ -458,7 +458,7 @@ def test_a_file_that_is_none_is_said_to_be_what_it_is(
 ) -> None:
     path = tmp_path / "study.xdf"
     path.write_bytes(begin)
-    with pytest.raises(RecordingError, match="is no XDF recording") as caught:
+    with pytest.raises(RecordingError, match="is not an XDF recording") as caught:
         read_recording(path)
     assert caught.value.reason is RecordingReason.NOT_XDF
     assert said in str(caught.value)

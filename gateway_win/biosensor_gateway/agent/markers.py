@@ -129,7 +129,7 @@ def _kind(arguments: Mapping[str, Any], usual: MarkerKind) -> MarkerKind:
     if given is None:
         return usual
     if not isinstance(given, str) or given not in _KINDS:
-        message = f"the argument 'kind' is none of {', '.join(_KINDS)}"
+        message = f"the argument 'kind' must be one of {', '.join(_KINDS)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return _KINDS[given]
 
@@ -144,7 +144,7 @@ def _timing(arguments: Mapping[str, Any]) -> Timing:
         message = "the argument 'uncertainty_s' is not a number of seconds"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     if not isinstance(timed_by, str) or timed_by not in set(TimedBy):
-        message = f"the argument 'timed_by' is none of {', '.join(TimedBy)}"
+        message = f"the argument 'timed_by' must be one of {', '.join(TimedBy)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return Timing(TimedBy(timed_by), None if uncertainty is None else round(uncertainty, 6))
 

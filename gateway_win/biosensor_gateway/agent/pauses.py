@@ -75,7 +75,7 @@ def load_pauses(folder: Path) -> list[Pause]:
         return []
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         message = (
-            f"{path}: it cannot be read who has withdrawn ({error}), so nothing is streamed; "
+            f"{path}: cannot read who has withdrawn ({error}), so nothing is streamed; "
             "correct the file, or remove it if nobody has"
         )
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
@@ -104,7 +104,7 @@ def save_pauses(folder: Path, pauses: Iterable[Pause]) -> None:
 def _pause(entry: Mapping[str, Any]) -> Pause:
     texts = [cast("object", entry[name]) for name in _FIELDS]
     if not all(isinstance(text, str) for text in texts):
-        raise ValueError("a name is no text")
+        raise ValueError("a name is not a text")
     return Pause(DeviceIdentity(*cast("list[str]", texts)), datetime.fromisoformat(entry["since"]))
 
 

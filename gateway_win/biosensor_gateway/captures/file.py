@@ -212,5 +212,5 @@ def _parsed(path: Path, lines: Sequence[bytes]) -> Capture:
 
 
 def _unreadable(path: Path, why: str) -> ConfigError:
-    message = f"{path} is no capture that can be read: {why}; have it sent again"
+    message = f"{path} is not a capture that can be read: {why}; have it sent again"
     return ConfigError(ConfigReason.UNREADABLE, message)

@@ -247,7 +247,7 @@ def _run_agent(
                 agent.on_end = process.end_soon
             asyncio.run(until_signalled(agent.run if unguarded else controlled, code=0))
         if panel is not None:
-            panel.close("Ended. Nothing is streamed any more.")
+            panel.close("Ended. Nothing is being streamed.")
 
 
 async def _run_controlled(agent: Agent, folder: Path) -> None:

@@ -265,7 +265,7 @@ def _tested(devices: Sequence[DeviceSettings]) -> str | None:
     for device in devices:
         while not _passes(device):
             choices = ["Test it again", "Stream all the same", "Go back"]
-            chosen = menu(f"{_title(device)}: the test found what stands above.", choices)
+            chosen = menu(f"{_title(device)}: the test found the problems above.", choices)
             if chosen == choices.index("Stream all the same"):
                 break
             if chosen == choices.index("Go back"):

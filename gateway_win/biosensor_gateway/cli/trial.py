@@ -166,7 +166,7 @@ class Trial:
             self._programs.require_running()
             if time.monotonic() > deadline:
                 limit_s = _READY_S if reports else _START_S
-                say(f"These do not stream after {limit_s:g} s, and the rest goes on without:")
+                say(f"These do not stream after {limit_s:g} s; the others continue without them:")
                 for each in ready.missing:
                     say(f"- {each.sentence}")
                 return False

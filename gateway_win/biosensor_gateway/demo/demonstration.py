@@ -213,7 +213,7 @@ class Programs:
         for name, process in self._running.items():
             if process.poll() is not None and not self.has_ended(name):
                 log = self._log(name).read_text(encoding="utf-8", errors="replace")
-                message = f"the {name} ended unexpectedly; it had said:\n{log.rstrip()}"
+                message = f"the {name} ended unexpectedly; its last output was:\n{log.rstrip()}"
                 raise TransportError(TransportReason.ABSENT, message)
 
     def _log(self, name: str) -> Path:

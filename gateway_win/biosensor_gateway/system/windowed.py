@@ -75,7 +75,7 @@ def _sentence(code: int, said: Iterable[str]) -> str:
     own = [line.removeprefix(_OWN_SENTENCE) for line in lines if line.startswith(_OWN_SENTENCE)]
     why = (own or lines or [f"exit code {code}"])[-1]
     return (
-        f"The page has ended: {why}\n\nStreams and recordings that were going on go on. What the "
+        f"The page has ended: {why}\n\nRunning streams and recordings continue. What the "
         f"page noted is in {state_folder() / 'page'}."
     )
 

@@ -112,7 +112,7 @@ class Conversation:
                 else:
                     await self._take(message, arrival)
         except (ValidationError, KeyError):
-            return "a message is none of pong and mark as documented"
+            return "a message is neither a pong nor a mark as documented"
         except WebSocketDisconnect:
             return "gone"
 

@@ -34,7 +34,7 @@ KEPT_S = 15.0
 """The page draws ten seconds."""
 _TOLD_EVERY_S = 0.1
 _STOPPED_AFTER_S = 5.0
-_STOPPED = "the streams are not looked at any more; end this program and start it again"
+_STOPPED = "the streams are no longer observed; end this program and start it again"
 
 
 class NetworkSource:
@@ -186,7 +186,7 @@ class Reader:
                 self._read()
         except Exception:  # noqa: BLE001 - its view gets old, which the page says
             # nothing is dropped: the view gets old, which the page says
-            _log.exception("the network is not looked at any more")
+            _log.exception("the network is no longer observed")
 
     def _look(self, now: float) -> None:
         for receiver in self._listing.update(self._network.streams(), now):

@@ -204,7 +204,7 @@ async def worn_by(session: Session, participant: str) -> list[str]:
     """
     require_participant(participant)
     if session.is_virtual:
-        message = "virtual sensors stand in no settings; name who wears them with --simulate"
+        message = "virtual sensors are not in the settings; name who wears them with --simulate"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     before = session.streaming()
     editor.set_participant(session.settings, settings_models(), participant)

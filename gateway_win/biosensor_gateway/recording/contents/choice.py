@@ -144,7 +144,7 @@ def _participant(stream: Stream) -> str:
 def _require_person(contents: Contents, person: str) -> None:
     people = {_participant(each) for each in contents.streams} - {""}
     if person not in people:
-        message = f"nobody is called {person!r} in {contents.path}; {_listed(people)}"
+        message = f"no participant is called {person!r} in {contents.path}; {_listed(people)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 

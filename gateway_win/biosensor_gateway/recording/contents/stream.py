@@ -136,7 +136,7 @@ class IndexedStream:
             content = file.read(place.end - place.start)
             return decode(memoryview(content), self.header, place.before)
         except (OSError, ChunkError) as error:
-            message = f"the recording cannot be read any more at byte {place.start}: {error}"
+            message = f"the recording can no longer be read at byte {place.start}: {error}"
             raise RecordingError(RecordingReason.UNREADABLE, message) from error
 
 

@@ -354,12 +354,12 @@ def _not_closed(file: Path, seen: FileSummary) -> str:
         return f"{file} is empty or not there: nothing was recorded to it"
     if not seen.is_whole:
         return (
-            f"{file} does not grow any more, but breaks off or is damaged; look at it with: "
+            f"{file} no longer grows, but breaks off or is damaged; look at it with: "
             f"biosensor-gateway xdf check {file}"
         )
     open_streams = len(seen.streams - seen.with_footer - seen.without_footer_due)
     return (
-        f"{file} does not grow any more, but {open_streams} of its {len(seen.streams)} streams "
+        f"{file} no longer grows, but {open_streams} of its {len(seen.streams)} streams "
         f"were not closed; look at it with: biosensor-gateway xdf check {file}"
     )
 

@@ -480,7 +480,7 @@ class Growth:
         for log in (each.log for each in self._streams.values() if each.log):
             for device, since_s in log.gone.items():
                 text = (
-                    f"{described(device)} is not among the agent's sensors any more since "
+                    f"{described(device)} has not been among the agent's sensors since "
                     f"{_clock_time(since_s, log)}, and nothing of it is recorded; bring it back, "
                     "or stop and record again"
                 )

@@ -380,7 +380,8 @@ class _Starter:
                 if saved.code == _NO_STREAM_CODE:
                     # It found no streams.
                     return output
-                message = f"{saved.problem or 'the recording was ended'}; it had said: {output.end}"
+                why = saved.problem or "the recording was ended"
+                message = f"{why}; its last output was: {output.end}"
                 raise RecorderError(RecorderReason.NOT_BEGUN, message)
             if output.records:
                 return output
@@ -388,7 +389,7 @@ class _Starter:
                 deadline, has_begun = time.monotonic() + limit_s, True
             if time.monotonic() > deadline:
                 message = (
-                    f"{title} does not open all streams in time; it had said: "
+                    f"{title} does not open all streams in time; its last output was: "
                     f"{output.end if saved is not None else self._end_of_log()}"
                 )
                 raise RecorderError(RecorderReason.NOT_BEGUN, message)

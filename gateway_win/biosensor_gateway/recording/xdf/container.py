@@ -312,7 +312,7 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
             file.seek(0)
             head = file.read(_HEAD_BYTES)
             if not head.startswith(MAGIC):
-                message = f"{path} is no XDF recording: {_what_it_is(head)}"
+                message = f"{path} is not an XDF recording: {_what_it_is(head)}"
                 raise RecordingError(RecordingReason.NOT_XDF, message)
             yield OpenRecording(file, size, is_whole)
     except OSError as error:

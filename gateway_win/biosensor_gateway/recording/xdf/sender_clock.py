@@ -135,8 +135,8 @@ class SenderClock:
         count = len(is_used) - int(np.count_nonzero(is_used))
         offsets = "1 clock offset is" if count == 1 else f"{count} clock offsets are"
         return (
-            f"{offsets} not used, of {len(is_used)}, for no clock differs so much while it is "
-            "recorded; compare its times with those of another stream"
+            f"{offsets} not used, of {len(is_used)}, because no clock differs so much "
+            "while it is recorded; compare its times with those of another stream"
         )
 
     @property

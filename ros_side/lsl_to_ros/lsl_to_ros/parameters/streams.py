@@ -134,7 +134,7 @@ class Parameters:
     def without_stream(self, parameters: Iterable[Parameter]) -> list[str]:
         """Return sentences about keys without a stream so far: they may be misspelt, or early."""
         known = ", ".join(sorted(self._sensors))
-        seen = f"seen so far: {known}" if known else "none has come so far"
+        seen = f"seen so far: {known}" if known else "none has arrived so far"
         return [
             f"{each.name} holds for no stream yet ({seen})"
             for each in parameters
@@ -251,7 +251,7 @@ def _fault(name: str, value: object) -> str | None:
 
 def _unknown(name: str) -> str:
     if name in REMOVED:
-        return f"{name} is not a parameter any more: {REMOVED[name]}"
+        return f"{name} is no longer a parameter: {REMOVED[name]}"
     owner, _, _ = name.rpartition(".")
     known = {f"{owner}.{each}" if owner else each for each in DEFAULTS}
     return node_parameters.unknown(name, [*node_parameters.TEXTS, *sorted(known)])

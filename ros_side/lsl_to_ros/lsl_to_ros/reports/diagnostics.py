@@ -82,7 +82,7 @@ def too_fast(rate: float, topics: Sequence[str], best_effort: Sequence[str]) -> 
 def not_taken(messages: int) -> str:
     """Return a sentence about a subscriber that does not keep up."""
     return (
-        f"a subscriber stands still or is too slow: {messages} messages of a backlog in the last"
+        f"a subscriber hangs or is too slow: {messages} messages of a backlog in the last"
         " 10 s went out before it had taken those before, and it may lose some"
     )
 

@@ -217,7 +217,7 @@ def _topics(value: Sequence[str]) -> list[str]:
         if topics.count(topic) > 1:
             raise _wrong(f"{TOPICS} has {topic} twice")
         if "." in topic:
-            raise _wrong(f"{TOPICS}: {topic!r} is no name of a topic")
+            raise _wrong(f"{TOPICS}: {topic!r} is not a name of a topic")
     return topics
 
 
@@ -268,7 +268,7 @@ def _request(topic: str, given: Mapping[str, Any], resolve: Callable[[str], str]
     try:
         full = resolve(topic)
     except (RuntimeError, TypeError, ValueError) as error:
-        raise _wrong(f"{TOPICS}: {topic!r} is no name of a topic") from error
+        raise _wrong(f"{TOPICS}: {topic!r} is not a name of a topic") from error
     name = value[NAME] or stream_name(full)
     if not _STREAM_NAME.fullmatch(name):
         raise _wrong(

@@ -198,7 +198,7 @@ class E4Driver:
         try:
             await self._subscribe(silent)
         except ProtocolError as error:
-            says = "says nothing any more"
+            says = "no longer sends anything"
             if error.reason is not ProtocolReason.NO_REPLY:
                 says = f"gives no data of wristband {self._device}; is it still on?"
             message = f"{self._where}: it {says}; the connection is started again"

@@ -141,7 +141,7 @@ class FrameProtocol:
         elif self._start:
             why, flaw = f"is not a record, which begins with {self._start.hex()}", Flaw.NO_FRAME
         else:
-            why, flaw = f"is no whole record of {self._size} bytes", Flaw.NO_FRAME
+            why, flaw = f"is not a whole record of {self._size} bytes", Flaw.NO_FRAME
         return [BadLine(flaw, raw[:_SHOWN], len(raw), why)]
 
 

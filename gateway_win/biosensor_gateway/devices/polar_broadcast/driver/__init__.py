@@ -94,7 +94,7 @@ class PolarBroadcastDriver:
                 async with asyncio.timeout(ABSENT_S):
                     sighting = await anext(self._heard)
             except TimeoutError as error:
-                message = f"{self._choice.what} is not heard any more; {_ADVICE}"
+                message = f"{self._choice.what} can no longer be heard; {_ADVICE}"
                 raise TransportError(TransportReason.ABSENT, message) from error
             seen = sighting.advertisement
             # Without the time that it waited in the queue.

@@ -397,7 +397,7 @@ async def ask_for_the_state(talk: Conversation, kind: Kind) -> dict[str, str]:
         except ProtocolError as error:
             if error.reason is not ProtocolReason.REFUSED:
                 raise
-            return {"bat": "it does not take the question for its voltage"}
+            return {"bat": "it does not accept the request for its voltage"}
     return {}
 
 

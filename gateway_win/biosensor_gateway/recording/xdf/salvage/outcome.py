@@ -344,7 +344,7 @@ def after_table(outcome: Outcome) -> Iterator[str]:
             yield f"{name}: its header is that of the other recording; see whether it fits"
     for number in known.renumbered:
         name = printable(known.streams[number].header.title)
-        yield f"{name}: it got a number of its own, {number}, for another stream has the one it had"
+        yield f"{name}: it got the new number {number}, because another stream has its previous one"
     for stream in known.streams.values():
         yield from _stamps_text(stream)
     if outcome.closed:
