@@ -1,11 +1,12 @@
 """Finds places that may drop data and report no refusal.
 
 The rule, for each function of a data room: an empty ``return``, a ``continue``, an ``except``, a
-``suppress``, a line for the log and a comprehension that leaves data out stand in a block with a
-``refuse`` (or ``hold``) before, or have a comment that begins with ``nothing is dropped:`` and says
-why, in the line or in the one above. A bounded ``deque`` has such a comment, too. What answers a
-question, a function that returns ``bool``, ``str`` or a number and a property, may return what it
-likes; one that may return None instead of a number may not, for it may drop what it was to place.
+``suppress``, a line for the log, a comprehension that leaves data out, and a slice, ``del`` or
+``pop`` that keeps the rest of data stand in a block with a ``refuse`` (or ``hold``) before, or have
+a comment that begins with ``nothing is dropped:`` and says why, in the line or in the one above. A
+bounded ``deque`` has such a comment, too. What answers a question, a function that returns
+``bool``, ``str`` or a number and a property, may return what it likes; one that may return None
+instead of a number may not, for it may drop what it was to place.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ _OF_DATA = re.compile(
     r"|frames?|chunks?|markers?|rates|came|together|pairs|timed|intervals)(?![a-z])"
 )
 """What a filter goes through that may drop data."""
+_TAKE_OUT = frozenset({"pop", "popleft", "clear", "remove"})
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -106,6 +108,41 @@ def _of(statement: ast.stmt) -> Iterator[Drop]:
         yield Drop(line, "log")
     if isinstance(statement, ast.Assign | ast.AnnAssign) and "maxlen=" in ast.unparse(statement):
         yield Drop(line, "deque")
+    if _cuts(statement):
+        yield Drop(line, "cut")
+
+
+def _cuts(statement: ast.stmt) -> bool:
+    """Whether it takes something out of data and keeps the rest: a slice, `del` or `pop`."""
+    if isinstance(statement, ast.Delete):
+        return any(_is_data(whole) for whole in map(_whole, statement.targets) if whole)
+    if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+        called = statement.value.func
+        return (
+            isinstance(called, ast.Attribute)
+            and called.attr in _TAKE_OUT
+            and _is_data(called.value)
+        )
+    if not isinstance(statement, ast.Assign):
+        return False
+    names = {ast.unparse(each) for target in statement.targets for each in _elements(target)}
+    wholes = [whole for whole in map(_whole, _elements(statement.value)) if whole]
+    return any(ast.unparse(each) in names and _is_data(each) for each in wholes)
+
+
+def _elements(expression: ast.expr) -> list[ast.expr]:
+    return expression.elts if isinstance(expression, ast.Tuple) else [expression]
+
+
+def _whole(expression: ast.expr) -> ast.expr | None:
+    """Return what it is a part of; one with another axis is all of it."""
+    if not isinstance(expression, ast.Subscript) or "newaxis" in ast.unparse(expression.slice):
+        return None
+    return expression.value
+
+
+def _is_data(expression: ast.expr) -> bool:
+    return bool(_OF_DATA.search(ast.unparse(expression)))
 
 
 def _filters(statement: ast.stmt, excused: set[int]) -> Iterator[Drop]:

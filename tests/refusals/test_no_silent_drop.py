@@ -30,6 +30,7 @@ _KINDS = {
     "continue": ("for _ in (1,):", "    continue"),
     "except": ("try:", "    take_it()", "except ValueError:", "    pass"),
     "filter": ("samples = [each for each in samples if each]",),
+    "cut": ("samples, stamps = samples[:100], stamps[:100]",),
     "log": ('self._log.warning("a sample is dropped")',),
 }
 

@@ -76,10 +76,12 @@ class Breathing:
         low, high = at.BREATH_INTERVAL_S
         if not low <= interval_s <= high:
             # The first, or one after a pause: there is no interval between neighbours.
+            # nothing is dropped: the breath is told, and has no interval
             self._intervals.clear()
             return []  # nothing is dropped: the breath is told, and has no interval
         self._intervals.append(_Point(stamp, interval_s))
         while self._intervals[0].stamp <= stamp - at.BR_WINDOW_S:
+            # nothing is dropped: the window has passed it
             self._intervals.popleft()
         events = [Event("breaths", stamp, (interval_s,)), Event("breath_depth", stamp, (depth,))]
         if len(self._intervals) >= at.BR_LEAST:

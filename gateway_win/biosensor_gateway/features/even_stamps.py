@@ -74,6 +74,7 @@ class EvenStamps:
         while len(stamps):
             room = self.room
             part = stamps[:room], values[:room]
+            # nothing is dropped: the others are in `part`
             stamps, values = stamps[room:], values[room:]
             self._count += len(part[0])
             self._new.append(part)

@@ -152,6 +152,7 @@ class Computer:
             # A section at a time, so that results do not depend on how the stream is cut.
             room = self._even_stamps.room
             events += self._computed(*self._even_stamps.take(stamps[:room], scaled[:room]))
+            # nothing is dropped: the others were taken above
             stamps, scaled = stamps[room:], scaled[room:]
             if self._is_rate_wrong(self._even_stamps.rate_hz):
                 events += self._begin_again(self._even_stamps)

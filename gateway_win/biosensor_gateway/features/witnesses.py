@@ -80,7 +80,7 @@ class _Flags:
 
     def add(self, stamp: float, flag: bool) -> None:
         if self._stamps and stamp <= self._stamps[-1]:
-            # The clock was set back.
+            # nothing is dropped: a memory of flags begins again, for the clock was set back
             self._stamps.clear()
             self._flags.clear()
         self._stamps.append(stamp)
@@ -88,6 +88,7 @@ class _Flags:
         # Not at each call, because deleting from the front of a list moves all the rest.
         if self._stamps[0] < stamp - 2 * self._keep_s:
             old = bisect_right(self._stamps, stamp - self._keep_s)
+            # nothing is dropped: nobody asks for older ones
             del self._stamps[:old], self._flags[:old]
 
     def between(self, begin_s: float, end_s: float) -> list[bool]:

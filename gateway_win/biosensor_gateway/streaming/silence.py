@@ -220,6 +220,7 @@ class StreamWatch:
     def take_came_back(self) -> frozenset[str]:
         """Return silent streams that have sent again since the last call."""
         came_back = frozenset(self._came_back)
+        # nothing is dropped: they are returned
         self._came_back.clear()
         return came_back
 

@@ -242,6 +242,7 @@ class SensorRows:
             self._next = index + 1
             ready.append((index, row))
         for index, _ in ready:
+            # nothing is dropped: they are returned
             del self._rows[index]
         times = [self._oscillator.time_s(index) for index, _ in ready]
         return Rows([row for _, row in ready], times, lost)

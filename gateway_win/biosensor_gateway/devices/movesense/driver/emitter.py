@@ -125,6 +125,7 @@ class PacketSeries:
         lost = self._missing(stamp_s - expected_s, count, period_s)
         expected_s += lost * period_s
         if self._is_new or abs(stamp_s - expected_s) > count * period_s / 2:
+            # nothing is dropped: these are times, for the rate
             self._stamps.clear()
             self._packets, self._is_new = 0, False
             first_s = stamp_s
