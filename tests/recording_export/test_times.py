@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 from pathlib import Path
 
@@ -20,11 +21,14 @@ from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.replay import playback
 from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.pace import Cuts
 from biosensor_gateway.recording.xdf.sender_clock import EXTRAPOLATED_S, SenderClock
 from tests.recording_export.bids_shapes import EEG_VALUES, eeg
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S, ecg_values, study
 from tests.xdf import xdf_file as made
+from tests.xdf.checking import check
 
 # Times as recorded, which is the default, and even ones; what becomes of gaps with each.
 
@@ -150,11 +154,115 @@ def test_even_times_lie_on_a_line_and_how_far_they_moved_is_said(exported: Expor
     written = _of(exported(_strap(_stamped(73, 0.0)), "csv", times=Times.EVEN), "csv")
     times = [float(each["lsl_time"]) for each in _rows(written.path / "strap.csv")]
     np.testing.assert_allclose(np.diff(times), 1 / REAL_HZ, rtol=1e-3)
+    # A packet is stamped when it comes, which is when its last sample was measured.
+    np.testing.assert_allclose(times, BEGIN_S + np.arange(len(times)) / REAL_HZ, atol=2e-3)
     (note,) = (each for each in written.notes if "even times" in each)
-    # A packet is half of its length before or behind the line.
     assert float(note.split("at most ")[1].split(" ms")[0]) == pytest.approx(
-        36 / REAL_HZ * 1e3, rel=0.1
+        72 / REAL_HZ * 1e3, rel=0.01
     )
+
+
+def _late_first(count: int, late_s: float) -> NDArray[np.float64]:
+    stamps = BEGIN_S + np.arange(5200) / REAL_HZ
+    stamps[:count] += late_s
+    return stamps
+
+
+def _stands_still(until: int, back_s: float = 0.0) -> NDArray[np.float64]:
+    stamps = BEGIN_S + np.arange(5200) / REAL_HZ
+    stamps[2000:until] = stamps[2000]
+    stamps[until:] -= back_s
+    return stamps
+
+
+def _late_burst(late_s: float) -> NDArray[np.float64]:
+    stamps = _stamped(73, 0.0)
+    stamps[:73] += late_s
+    return stamps
+
+
+TIMED = {
+    "bursts": _stamped(73, 0.0),
+    "a first burst that is late": _late_burst(0.9),
+    "a first burst that is very late": _late_burst(2.0),
+    "a first sample that is late": _late_first(1, 0.31),
+    "a first packet that is late": _late_first(73, 0.91),
+    "a clock that stands still for 10 s": _stands_still(3298),
+    "a clock that stands still to the end": _stands_still(5200),
+}
+
+
+@pytest.mark.parametrize("times", Times)
+@pytest.mark.parametrize("shape", TIMED)
+def test_a_marker_stands_at_the_sample_that_was_measured_then(
+    shape: str, times: Times, exported: Exporting
+) -> None:
+    stamps = TIMED[shape]
+    at = 1500 + 17 * np.arange(3)
+    markers = (
+        made.stream_header(2, "told", kind="Markers", fmt="string"),
+        made.samples(2, "string", [["m"]] * 3, (BEGIN_S + at / REAL_HZ).tolist()),
+    )
+    values = np.arange(len(stamps), dtype=np.float32)[:, np.newaxis].tolist()
+    signal = (
+        made.stream_header(1, "strap", kind="ECG", rate=RATE, source_id="a"),
+        made.samples(1, "float32", values, stamps.tolist()),
+    )
+    outcome = exported(made.xdf(*signal, *markers), "edf", "bids", times=times)
+    file = read_bdf(_of(outcome, "edf").path / "strap.bdf")
+    told = [each.onset for each in file.annotations if each.text == "m"]
+    rate_hz = file.signals[0].sampling_frequency
+    assert np.array(told) * rate_hz == pytest.approx(at, abs=1)
+    folder = _of(outcome, "bids").path
+    (table,) = folder.rglob("*strap*_physio.tsv.gz")
+    (sidecar,) = folder.rglob("*strap*_physio.json")
+    (events,) = folder.rglob("*_events.tsv")
+    onsets = [
+        float(line.split("\t")[0]) for line in events.read_text().splitlines() if "\tm\t" in line
+    ]
+    about = json.loads(sidecar.read_text())
+    rows = [line.split("\t") for line in gzip.decompress(table.read_bytes()).decode().splitlines()]
+    place = [round((each - about["StartTime"]) * about["SamplingFrequency"]) for each in onsets]
+    assert [float(rows[each][1]) for each in place] == pytest.approx(at, abs=5)
+
+
+@pytest.mark.parametrize(
+    ("until", "back_s", "files"), [(3298, 0.0, 1), (5200, 0.0, 1), (3298, 10.0, 2)]
+)
+def test_a_clock_that_stands_still_is_told_and_nothing_is_lost(
+    until: int, back_s: float, files: int, exported: Exporting
+) -> None:
+    content = _strap(_stands_still(until, back_s))
+    report = check(content)
+    found = [each for each in report.findings if each.code == "standstill"]
+    assert [each.level for each in found] == [Level.ERROR]
+    assert report.streams[0].figures.gaps.count == 0
+    written = _of(exported(content, "edf"), "edf")
+    assert len(list(written.path.glob("*.bdf"))) == files
+    assert any("stood still" in each for each in written.notes)
+    assert not any("missing" in each for each in written.notes)
+
+
+@pytest.mark.parametrize("length", [40_000, 200_000])
+def test_a_clock_may_stand_still_longer_than_what_is_looked_at_at_once(length: int) -> None:
+    stamps = BEGIN_S + np.arange(300_000) / REAL_HZ
+    stamps[50_000 : 50_000 + length] = stamps[50_000]
+    cuts = Cuts(REAL_HZ, 65_536)
+    for block in np.array_split(stamps, 77):
+        cuts.take(block)
+    cuts.end()
+    assert cuts.pace is not None
+    assert [(each.at, each.count) for each in cuts.pace.standstills] == [(50_000, length)]
+    assert (cuts.numbers, cuts.holes) == ([], [])
+    found = cuts.times(0, 0, len(stamps))
+    np.testing.assert_allclose(found, BEGIN_S + np.arange(300_000) / REAL_HZ, atol=1e-3)
+
+
+@pytest.mark.parametrize(("count", "late_s"), [(1, 0.3), (73, 0.9), (10, 0.05)])
+def test_first_samples_that_are_late_are_told_as_such(count: int, late_s: float) -> None:
+    found = {each.code: each for each in check(_strap(_late_first(count, late_s))).findings}
+    assert found["late-first"].level is Level.WARNING
+    assert "backwards" not in found
 
 
 @pytest.mark.parametrize(("burst", "jitter_s"), [(1, 0.002), (8, 0.01), (25, 0.03), (73, 0.05)])

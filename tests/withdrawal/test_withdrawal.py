@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from biosensor_gateway.recording.withdrawal.work import (
 )
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import judge
+from biosensor_gateway.settings.names import label
 from tests.recording_export.study import BEGIN_S, ecg_values, ours
 from tests.rigs.open_elsewhere import SENTENCE, hold_open
 from tests.xdf import xdf_file as made
@@ -232,6 +234,113 @@ def test_names_that_only_hold_it_are_others() -> None:
     assert person.is_in("P07@polar_h10-ecg")
     assert not person.is_in("P071")
     assert not person.is_in("xP07")
+
+
+NEAR = {
+    "P1": ["P10", "P11", "XP1"],
+    "p-1": ["p1", "p-10"],
+    "Müller": ["Muller", "Müllerin"],
+    "Jö": ["Jo", "Jörg"],
+    "Ann": ["Annä", "Anna"],
+    "山田": ["山田太郎", "田中"],
+}
+
+
+def _spelt(name: str) -> list[str]:
+    """Return markers with a name in ways in which programs write it."""
+    return [
+        f"{name} sits",
+        f"{unicodedata.normalize('NFD', name)} stands",
+        f"{name.upper()} in capitals",
+        f"x_{name}_y",
+    ]
+
+
+@pytest.mark.parametrize("gone", NEAR)
+def test_all_spellings_of_a_name_go_and_names_that_are_alike_stay(
+    gone: str, tmp_path: Path
+) -> None:
+    others, stamps = NEAR[gone], BEGIN_S + np.arange(1300) / 130
+    signals = b"".join(
+        ours(number, "polar_h10", "ecg", ecg_values(1300, number), stamps, each)
+        + made.footer(number, 1300)
+        for number, each in enumerate([gone, *others], 1)
+    )
+    told = [*_spelt(gone), *(f"{each} goes" for each in others)]
+    markers = made.stream_header(9, "PsychoPy", kind="Markers", fmt="string") + made.samples(
+        9, "string", [[each] for each in told], [BEGIN_S + 1 + at / 10 for at in range(len(told))]
+    )
+    path = tmp_path / "all.xdf"
+    path.write_bytes(made.xdf(signals, markers))
+    for name in (*FORMATS, "bids"):
+        _export(path, name)
+    for number, each in enumerate(others):
+        (tmp_path / f"{each}.xdf").write_bytes(_alone(each, 20 + number))
+        (tmp_path / f"{each}.txt").write_text(f"{each} slept well\n", "utf-8")
+    people = [gone, *others]
+    escaped = json.dumps({"devices": [{"participant": each} for each in people], "last": gone})
+    (tmp_path / "status.json").write_text(escaped)
+    lines = [f"{each}: connected\n" for each in people]
+    (tmp_path / "agent.log").write_text("".join(lines), "utf-8")
+    (tmp_path / "old.txt").write_bytes("".join(lines[:2]).encode("cp1252", "replace"))
+    kept = {
+        each: each.read_bytes()
+        for name in others
+        for each in (tmp_path / f"{name}.xdf", tmp_path / f"{name}.txt")
+    }
+
+    report = carry_out(plan(gone, [tmp_path]))
+    assert [each for each in report.done if each.error] == []
+    assert report.left == ()
+    # Who has the same label may be the same person, and only a person can say.
+    alike = [each for each in others if label(each).lower() == label(gone).lower()]
+    assert [each.path.stem for each in report.looked_at] == alike
+    assert {each: each.read_bytes() for each in kept} == kept
+    with open_contents(path) as contents:
+        worn = [each.header.identity for each in contents.streams]
+        texts = [
+            text
+            for stream in contents.streams
+            if stream.header.is_markers
+            for block in stream.blocks()
+            for (text,) in block.values
+        ]
+    assert [each.participant for each in worn if each is not None] == others
+    assert texts[:4] == [
+        "withdrawn sits",
+        "withdrawn stands",
+        "withdrawn in capitals",
+        "x_withdrawn_y",
+    ]
+    assert texts[4:] == [f"{each} goes" for each in others]
+    assert (tmp_path / "agent.log").read_text("utf-8") == "".join(lines[1:])
+    devices = json.loads((tmp_path / "status.json").read_text("utf-8"))["devices"]
+    assert [each["participant"] for each in devices] == others
+    # Of each of the others, and of nobody else, an EDF file and the table of a topic are left.
+    assert len(list((tmp_path / "all_edf").glob("*.bdf"))) == len(others)
+    assert [each.name for each in (tmp_path / "all_bag").glob("*.mcap")] == ["all_bag.mcap"]
+
+
+def test_a_text_in_utf_16_is_left_to_a_person(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text(f"{GONE} had a cold\n", "utf-16")
+    (tmp_path / "others.txt").write_text("P071 slept well\n", "utf-16")
+    found = plan(GONE, [tmp_path])
+    assert [(each.path.name, each.action) for each in found.steps] == [("notes.txt", Action.LOOK)]
+    assert not carry_out(found).is_clean
+
+
+def test_data_is_looked_for_also_if_each_sample_is_a_chunk(tmp_path: Path) -> None:
+    values = ecg_values(60, 7)
+    stamps = BEGIN_S + np.arange(60) / 130
+    header, _, samples = ours(1, "polar_h10", "ecg", values[:1], stamps[:1], GONE).partition(b"!")
+    single = b"".join(
+        made.samples(1, "float32", [row], [stamp])
+        for row, stamp in zip(values.tolist(), stamps.tolist(), strict=True)
+    )
+    (tmp_path / "rec.xdf").write_bytes(made.xdf(header + samples, single))
+    (tmp_path / "copy.dat").write_bytes(values[1:].tobytes())
+    report = carry_out(plan(GONE, [tmp_path]))
+    assert [each.path.name for each in report.left] == ["copy.dat"]
 
 
 def test_the_command_shows_the_plan_and_does_nothing_unless_it_is_told(study: Path) -> None:

@@ -32,7 +32,7 @@ from biosensor_gateway.recording.export.runs import (
     Runs,
     batches,
     gap_text,
-    has_even_times,
+    on_line,
     section,
 )
 from biosensor_gateway.recording.export.tables import file_names, numbers, quoted
@@ -118,10 +118,11 @@ def _write_stream(
     unit = stream.meaning.units[0]
     told_of = _Told()
     place, begin_s = 0, None
-    runs = behind_holes = None
+    behind_holes = None
     given: Iterator[Samples] = batches(chosen, stream)
-    if has_even_times(stream, options.times):
-        runs = Runs(chosen, stream, options.times)
+    # Of samples with one time, Ledalab would see a single one.
+    runs = on_line(chosen, stream, options.times)
+    if runs is not None:
         given = runs.samples()
         happened = _with_gaps(happened, runs, stream, codes)
     else:

@@ -15,7 +15,7 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.timing import FittedLine
-from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
+from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact, longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S
 
 _BATCHES_IN_SECTION = 64
@@ -105,6 +105,22 @@ def longest_gap_s(times: Times) -> float:
     return LONGEST_JOINED_S if times is Times.EVEN else 0.0
 
 
+def on_line(chosen: Chosen, stream: Stream, times: Times, *, always: bool = False) -> Runs | None:
+    """Return the runs of a stream if its rows are to lie on lines; None if stamps tell their rows.
+
+    Parameters
+    ----------
+    always
+        Also if another program's stamps are only a little inexact.
+    """
+    if has_even_times(stream, times):
+        return Runs(chosen, stream, times)
+    if is_exact(stream.header) or not stream.header.is_regular:
+        return None
+    runs = Runs(chosen, stream, Times.EVEN)
+    return runs if always or runs.is_uneven else None
+
+
 def has_even_times(stream: Stream, times: Times) -> bool:
     """Whether the samples of a stream get evenly spaced times."""
     return times is Times.EVEN and stream.header.is_regular and not stream.header.is_markers
@@ -129,12 +145,14 @@ class Runs:
 
     In our own streams, and in others whose header says that samples may be missing, a run ends
     where the next timestamp is too late, or earlier than the last one. In other streams it ends
-    where the line through the timestamps jumps (`recording.xdf.pace`).
+    where the line through the earliest timestamps jumps (`recording.xdf.pace`), and samples have
+    the times of that line: a first packet that came late would shift the whole run otherwise.
 
     Parameters
     ----------
     times
-        Even times lie on one straight line per run, fitted by least squares.
+        Even times lie on one straight line per run; where timestamps are exact, it is fitted by
+        least squares.
 
     Attributes
     ----------
@@ -156,19 +174,26 @@ class Runs:
         self._lost_at = {each.at: each.lost for each in cuts.holes} if cuts else {}
         self._stray = np.array(cuts.stray if cuts else [], np.int64)
         self._lost: dict[int, int] = {}
+        self._counts: dict[int, int] = {}
         self._lines: list[FittedLine] = []
         self.stray, self.moved_s = len(self._stray), 0.0
-        if self._is_even:
+        if self._is_even and cuts is None:
             self._fit()
+
+    @property
+    def is_uneven(self) -> bool:
+        """Whether single timestamps do not tell when a sample was measured."""
+        pace = self.cuts.pace if self.cuts else None
+        return pace is not None and bool(pace.burst > 1 or pace.overlap_s > 0 or pace.standstills)
 
     def pieces(self) -> Iterator[tuple[int, Samples]]:
         """Yield the samples in blocks, each with the number of its run."""
         done = 0
         for number, first, samples in self._recorded():
-            if not self._is_even:
+            times = self._on_line(number, first, len(samples))
+            if times is None:
                 yield number, samples
                 continue
-            times = self._lines[number].times(first, len(samples), self._usual_s)
             away = np.abs(times - self._in_line(samples.times, done))
             self.moved_s = max(self.moved_s, float(away.max()))
             done += len(samples)
@@ -204,11 +229,11 @@ class Runs:
     def gaps(self) -> list[Gap]:
         """Return the gaps between evenly spaced times."""
         gaps: list[Gap] = []
-        for number, (before, behind) in enumerate(pairwise(self._lines), 1):
-            if lost := self._lost.get(number, 0):
-                begin_s = float(before.times(before.count, 1, self._usual_s)[0])
-                end_s = float(behind.times(0, 1, self._usual_s)[0])
-                gaps.append(Gap(begin_s, max(0.0, end_s - begin_s), lost))
+        for number, lost in self._lost.items():
+            before = self._on_line(number - 1, self._counts[number - 1], 1)
+            behind = self._on_line(number, 0, 1)
+            if lost and before is not None and behind is not None:
+                gaps.append(Gap(float(before[0]), max(0.0, float((behind - before)[0])), lost))
         return gaps
 
     def remarks(self, files: Sequence[Stretch], instead: str) -> Iterator[str]:
@@ -247,17 +272,38 @@ class Runs:
 
     def remarks_on_times(self) -> Iterator[str]:
         """Yield sentences about the difference between even and recorded times."""
+        moved_ms = round(self.moved_s * 1e3, 3)
         if self._is_even:
-            moved_ms = round(self.moved_s * 1e3, 3)
             yield f"even times are at most {moved_ms:g} ms from the recorded ones"
+        elif self.cuts and self.moved_s > max(_TOLD_AWAY_S, self.cuts.period_s):
+            yield (
+                f"its times are those of a line through its earliest stamps, at most {moved_ms:g} "
+                f"ms from the recorded ones{self._why_uneven}"
+            )
         if self.stray:
             stamps = "1 stamp is" if self.stray == 1 else f"{self.stray} stamps are"
             yield f"{stamps} far from those before and after"
+        if self.cuts and self.cuts.pace and (stood := self.cuts.pace.standstills):
+            count = sum(each.count for each in stood)
+            yield f"its clock stood still for {count} samples, which have the times of the line"
+
+    @property
+    def _why_uneven(self) -> str:
+        pace = self.cuts.pace if self.cuts else None
+        if pace is not None and pace.burst > 1:
+            return f", for they come in bursts of {pace.burst}"
+        return ", for they are arrival times" if pace is not None and pace.overlap_s > 0 else ""
+
+    def _on_line(self, number: int, first: int, count: int) -> NDArray[np.float64] | None:
+        """Return times of samples of a run on its line; None if each has its own time."""
+        if self.cuts is not None:
+            return self.cuts.times(number, first, count)
+        return self._lines[number].times(first, count, self._usual_s) if self._is_even else None
 
     def _period_s(self, number: int) -> float:
-        if self._is_even:
-            return self._lines[number].slope_s(self._usual_s)
-        return self.cuts.period_s if self.cuts else 0.0
+        if self.cuts is not None:
+            return self.cuts.period_s
+        return self._lines[number].slope_s(self._usual_s) if self._is_even else 0.0
 
     def _fit(self) -> None:
         done = 0
@@ -293,6 +339,7 @@ class Runs:
                     self._lost[run] = cuts[begin]
                 yield run, first, _part(samples, begin, end)
                 first += end - begin
+                self._counts[run] = first
 
     def _in_batch(
         self, times: NDArray[np.float64], last_s: float | None, before: int

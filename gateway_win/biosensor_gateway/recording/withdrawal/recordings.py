@@ -12,8 +12,9 @@ import numpy as np
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.recording.withdrawal.traces import Person, Pieces
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.runs import joined
+from biosensor_gateway.recording.withdrawal.traces import SAMPLES, Person, Pieces
 from biosensor_gateway.recording.xdf import writing
 from biosensor_gateway.recording.xdf.container import (
     MAGIC,
@@ -84,6 +85,19 @@ def look(path: Path, person: Person, pieces: Pieces) -> Seen:
         )
 
 
+def participants(path: Path) -> set[str]:
+    """Return who wore sensors of a recording.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read.
+    """
+    with open_contents(path) as contents:
+        known = (each.header.identity for each in contents.streams)
+        return {each.participant for each in known if each is not None} - {""}
+
+
 def take_pieces_of_all(path: Path, pieces: Pieces) -> None:
     """Collect pieces of all data of a recording that will be deleted."""
     with open_contents(path) as contents:
@@ -95,14 +109,20 @@ def is_of(header: RecordedHeader, person: Person) -> bool:
     """Whether a stream belongs to a person, by its header or else by its name."""
     if header.identity is not None and header.identity.participant:
         return person.is_called(header.identity.participant)
-    return person.is_in(header.name) or person.is_in(header.source_id)
+    return person.is_in_name(header.name) or person.is_in_name(header.source_id)
 
 
 def _take_pieces(stream: Stream, pieces: Pieces) -> None:
-    for number, samples in enumerate(stream.blocks()):
-        if number >= _PIECES_OF_A_STREAM:
+    # A recorder may write each sample as a chunk.
+    held: list[Samples] = []
+    left = _PIECES_OF_A_STREAM
+    for samples in stream.blocks():
+        held.append(samples)
+        if sum(map(len, held)) >= SAMPLES:
+            pieces.take(joined(held))
+            held, left = [], left - 1
+        if not left:
             break
-        pieces.take(samples)
 
 
 def is_named(path: Path, person: Person) -> bool:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import json
 import re
+import sys
+import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +15,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
+from biosensor_common.naming import sanitise
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.settings.names import label
@@ -19,7 +23,8 @@ from biosensor_gateway.system.new_file import new_file
 
 INSTEAD = "withdrawn"
 """Replaces the person's name in texts about others."""
-_SAMPLES = 8
+_ENCODINGS = ("utf-8", "cp1252", "utf-16-le", "utf-16-be")
+SAMPLES = 8
 _FEWEST_VALUES = 4
 _MOST_PIECES = 400
 
@@ -33,40 +38,128 @@ _LABEL, _BEFORE_COUNTS = 16, 216
 _BLOCK_BYTES = 1 << 20
 
 
-class Person:
-    """The withdrawing person, with all forms of the name in files."""
+def _key(name: str) -> str:
+    """Return what is equal for all spellings of one name: case and the form of accents."""
+    return unicodedata.normalize("NFC", name).casefold()
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        names = "|".join(re.escape(each) for each in dict.fromkeys([name, label(name)]))
-        pattern = rf"(?<![0-9A-Za-z])(?:{names})(?![0-9A-Za-z])"
-        # Case is ignored, because a reader recognises the name in any case.
-        self._text = re.compile(pattern, re.IGNORECASE)
-        self._bytes = re.compile(pattern.encode(), re.IGNORECASE)
+
+def _spellings(name: str) -> set[str]:
+    """Return a name as texts have it: in each form of accents and, beyond ASCII, each case."""
+    forms = {unicodedata.normalize(each, name) for each in ("NFC", "NFD")}
+    return forms | {each for form in forms for each in (form.lower(), form.upper(), form.title())}
+
+
+def _escaped(name: str) -> set[str]:
+    """Return a name as JSON, XML, LSL names and topics have it, if they do not have it as it is."""
+    codes = [[f"&#{ord(c)};", f"&#x{ord(c):X};"] for c in name]
+    as_xml = [
+        "".join(c if c.isascii() else code[kind] for c, code in zip(name, codes, strict=True))
+        for kind in (0, 1)
+    ]
+    as_file = "".join(
+        c if c.isascii() and c.isalnum() else "".join(f"_x{byte:02X}" for byte in c.encode())
+        for c in name
+    )
+    return {json.dumps(name)[1:-1], sanitise(name), as_file.strip("_"), *as_xml}
+
+
+# What stands beside a part of an escaped name of a stream or topic.
+_ESCAPE_BEFORE = re.compile(r"x[0-9A-F]{2}_$")
+_ESCAPE_BEHIND = re.compile(r"_x[0-9A-F]{2}")
+# The same where "P1_x10" may also be a text of its own: letters beyond ASCII only.
+_LETTERS_BEFORE = re.compile(r"x[C-F][0-9A-F](_x[89AB][0-9A-F]){1,3}_$")
+_LETTERS_BEHIND = re.compile(r"_x[C-F][0-9A-F]")
+_LONGEST_ESCAPE = 16
+
+
+class Person:
+    """The withdrawing person, with all forms of the name in files.
+
+    Case is ignored, because a reader recognises the name in any case. Other names of which it is a
+    part, or which only have the same BIDS label, are other people's.
+
+    Parameters
+    ----------
+    shares_label
+        Whether somebody else has the BIDS label of this person, as Muller and Müller.
+    """
+
+    def __init__(self, name: str, *, shares_label: bool = False) -> None:
+        self.name, self._key = name, _key(name)
+        self._label = label(name).lower()
+        spelt = _spellings(name)
+        forms = {*spelt, *(each for form in spelt for each in _escaped(form))}
+        if not shares_label:
+            forms.add(f"sub-{self._label}")
+        self.owns_label = not shares_label
+        # The longest first, for one may begin with another.
+        every = sorted(forms, key=lambda each: (-len(each), each))
+        self._text = re.compile("|".join(map(re.escape, every)), re.IGNORECASE)
+        self._patterns = [
+            (encoding, re.compile(b"|".join(re.escape(each) for each in found), re.IGNORECASE))
+            for encoding in _ENCODINGS
+            if (found := list(_encoded(every if encoding == "utf-8" else spelt, encoding)))
+        ]
 
     def is_called(self, participant: str) -> bool:
         """Whether a participant is this person."""
-        return bool(participant) and label(participant).lower() == label(self.name).lower()
+        return bool(participant) and _key(participant) == self._key
+
+    def has_label(self, participant: str) -> bool:
+        """Whether a BIDS label, or a participant's, is that of this person, and maybe of others."""
+        return bool(participant) and label(participant).lower() == self._label
+
+    @property
+    def is_label(self) -> bool:
+        """Whether the name is its own BIDS label, so that nobody else has that."""
+        return self._key == self._label
 
     def is_in(self, text: str) -> bool:
         """Whether a text contains the name."""
-        return self._text.search(text) is not None
+        return next(self._in_text(text), None) is not None
+
+    def is_in_name(self, name: str) -> bool:
+        """Whether the name of a stream or topic contains the name, not only an escaped part."""
+        return any(
+            not (_ESCAPE_BEFORE.search(name[:begin]) or _ESCAPE_BEHIND.match(name, end))
+            for begin, end in self._in_text(name)
+        )
 
     def is_in_bytes(self, content: bytes) -> bool:
         """Whether bytes contain the name."""
-        return self._bytes.search(content) is not None
+        return next(self.places(content), None) is not None
 
     def places(self, content: bytes) -> Iterator[tuple[int, int]]:
         """Yield the range of each occurrence of the name, with the end excluded."""
-        return (each.span() for each in self._bytes.finditer(content))
+        for encoding, pattern in self._patterns:
+            for found in pattern.finditer(content):
+                begin, end = found.span()
+                before = content[max(0, begin - _LONGEST_ESCAPE) : begin].decode(encoding, "ignore")
+                behind = content[end : end + _LONGEST_ESCAPE].decode(encoding, "ignore")
+                if _stands_alone(before, behind):
+                    yield begin, end
 
     def blanked(self, content: bytes) -> bytes:
         """Return bytes with each letter of the name replaced by an x."""
-        return self._bytes.sub(lambda found: b"x" * len(found[0]), content)
+        blanked = bytearray(content)
+        for begin, end in self.places(content):
+            blanked[begin:end] = b"x" * (end - begin)
+        return bytes(blanked)
 
     def masked(self, text: str) -> str:
         """Return a text with the name replaced."""
-        return self._text.sub(INSTEAD, text)
+        masked, done = "", 0
+        for begin, end in self._in_text(text):
+            masked, done = masked + text[done:begin] + INSTEAD, end
+        return masked + text[done:]
+
+    def _in_text(self, text: str) -> Iterator[tuple[int, int]]:
+        for found in self._text.finditer(text):
+            begin, end = found.span()
+            if _stands_alone(
+                text[max(0, begin - _LONGEST_ESCAPE) : begin], text[end : end + _LONGEST_ESCAPE]
+            ):
+                yield begin, end
 
     def pruned(self, content: object) -> object:
         """Return JSON content without the person's data; None if nothing is left.
@@ -92,6 +185,38 @@ class Person:
         return self.masked(content) if isinstance(content, str) else content
 
 
+def _encoded(forms: Iterable[str], encoding: str) -> Iterator[bytes]:
+    """Yield texts in an encoding, if it can have them and UTF-8 has them otherwise."""
+    for each in forms:
+        content = each.encode(encoding, "ignore")
+        is_other = encoding == "utf-8" or content != each.encode("utf-8", "ignore")
+        # A single letter in two bytes is in any data.
+        if is_other and content.decode(encoding) == each and len(each) > ("16" in encoding):
+            yield content
+
+
+# A letter as JSON and XML have it without other characters than ASCII.
+_LETTER = r"(?:\\u([0-9A-Fa-f]{4})|&#x([0-9A-Fa-f]{1,6});|&#([0-9]{1,7});)"
+_LETTER_BEFORE, _LETTER_BEHIND = re.compile(_LETTER + "$"), re.compile(_LETTER)
+
+
+def _stands_alone(before: str, behind: str) -> bool:
+    """Whether no letter, digit or accent next to a name makes another one of it."""
+    before = _letter_of(_LETTER_BEFORE.search(before)) or before
+    behind = _letter_of(_LETTER_BEHIND.match(behind)) or behind
+    is_escaped = _LETTERS_BEFORE.search(before) or _LETTERS_BEHIND.match(behind)
+    is_part = before[-1:].isalnum() or behind[:1].isalnum() or is_escaped is not None
+    return not (is_part or unicodedata.combining(behind[:1] or " "))
+
+
+def _letter_of(escaped: re.Match[str] | None) -> str:
+    if escaped is None:
+        return ""
+    in_json, in_hex, in_xml = escaped.groups()
+    code = int(in_json or in_hex, 16) if in_json or in_hex else int(in_xml)
+    return chr(code) if code <= sys.maxunicode else ""
+
+
 @dataclass(slots=True)
 class Pieces:
     """Pieces of the removed data, in the forms in which files may contain them."""
@@ -102,8 +227,8 @@ class Pieces:
         """Add pieces from some samples of a numeric stream."""
         if len(self.found) >= _MOST_PIECES or isinstance(samples.values, list):
             return
-        values = samples.values[:_SAMPLES]
-        if len(values) < _SAMPLES or len(np.unique(values)) < _FEWEST_VALUES:
+        values = samples.values[:SAMPLES]
+        if len(values) < SAMPLES or len(np.unique(values)) < _FEWEST_VALUES:
             return
         self.found += _forms(samples, values)
 
@@ -153,6 +278,12 @@ def open_plain(path: Path) -> BinaryIO:
     with path.open("rb") as file:
         is_packed = file.read(2) == b"\x1f\x8b"
     return gzip.open(path, "rb") if is_packed else path.open("rb")  # type: ignore[return-value]
+
+
+def is_utf16(path: Path) -> bool:
+    """Whether a file begins as texts of Windows do that have two bytes for each character."""
+    with open_plain(path) as file:
+        return file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def lines_of(path: Path, person: Person) -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum, unique
 from functools import partial
@@ -18,7 +19,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from biosensor_common.errors import cannot_write
 from biosensor_gateway.recording.bag.opening import read_bag
 from biosensor_gateway.recording.bag.types import BagError
-from biosensor_gateway.recording.export.bids.study import is_dataset
+from biosensor_gateway.recording.export.bids.study import CALLED, ID, PARTICIPANTS, is_dataset
 from biosensor_gateway.recording.export.exporting import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
 from biosensor_gateway.recording.withdrawal import recordings
@@ -29,6 +30,7 @@ from biosensor_gateway.recording.withdrawal.traces import (
     blocks,
     is_in_message,
     is_text,
+    is_utf16,
     lines_of,
     open_plain,
     texts_of_edf,
@@ -79,14 +81,44 @@ class Plan:
     steps: tuple[Step, ...]
     files: int
     pieces: Pieces = field(default_factory=Pieces)
+    shares_label: bool = False
 
 
 def plan(name: str, places: Sequence[Path]) -> Plan:
     """Plan the removal of a person from files and folders."""
     person, pieces = Person(name), Pieces()
+    if not person.is_label and _shares_label(person, places):
+        person = Person(name, shares_label=True)
     looked = _Looking(person, pieces)
     steps = [step for place in places for step in looked.at(place)]
-    return Plan(name, tuple(places), tuple(steps), looked.files, pieces)
+    return Plan(
+        name, tuple(places), tuple(steps), looked.files, pieces, shares_label=not person.owns_label
+    )
+
+
+def _shares_label(person: Person, places: Sequence[Path]) -> bool:
+    """Whether somebody else in these folders has the BIDS label of a person."""
+    return any(
+        person.has_label(each) and not person.is_called(each)
+        for place in places
+        for path in _files(place)
+        for each in _people(path)
+    )
+
+
+def _people(path: Path) -> Iterable[str]:
+    try:
+        if is_recording(path):
+            return recordings.participants(path)
+        if path.name == PARTICIPANTS:
+            return [each.get(CALLED) or "" for each in _rows_of(path)]
+    except (OSError, RecordingError, ValueError):
+        pass  # The plan says of a file that it cannot be read.
+    return ()
+
+
+def _rows_of(table: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(table.read_text("utf-8").splitlines(), delimiter="\t"))
 
 
 class _Looking:
@@ -105,7 +137,7 @@ class _Looking:
                 yield step
         elif is_dataset(place.parent) and self._is_theirs(place):
             self.files += sum(each.is_file() for each in place.rglob("*"))
-            yield Step(place, Action.DELETE, "the folder of the person in a data set")
+            yield self._of_subject(place)
         elif _is_bag(place):
             self.files += sum(each.is_file() for each in place.rglob("*"))
             step = self._of_bag(place)
@@ -121,7 +153,16 @@ class _Looking:
                 yield from self.at(each)
 
     def _is_theirs(self, path: Path) -> bool:
-        return self._person.is_called(entities_of(path.name.partition(".")[0]).get("sub", ""))
+        named = _recorded_as(path)
+        if named:
+            return self._person.is_called(named)
+        return self._person.has_label(entities_of(path.name.partition(".")[0]).get("sub", ""))
+
+    def _of_subject(self, folder: Path) -> Step:
+        if not (self._person.owns_label or _recorded_as(folder)):
+            why = "a folder of a data set that has the person's label, and does not say whose it is"
+            return Step(folder, Action.LOOK, why)
+        return Step(folder, Action.DELETE, "the folder of the person in a data set")
 
     def _of_file(self, path: Path) -> Step | None:
         try:
@@ -148,7 +189,9 @@ class _Looking:
         if seen.own and not seen.others and not seen.unnamed:
             return Step(path, Action.DELETE, "all sensors of it were worn by this person")
         if not seen.own and not seen.texts:
-            return None
+            alike = [each for each in seen.others if self._person.has_label(each)]
+            why = f"{listed(alike)} may be the same person: withdraw that, too, if it is"
+            return Step(path, Action.LOOK, why) if alike else None
         what: list[str] = []
         if seen.own:
             streams = "1 stream" if len(seen.own) == 1 else f"{len(seen.own)} streams"
@@ -165,6 +208,11 @@ class _Looking:
         return Step(path, Action.LOOK, "it is called after the person, and is of no known kind")
 
     def _of_text(self, path: Path) -> Step | None:
+        if is_utf16(path):
+            with open_plain(path) as file:
+                is_named = self._person.is_in_bytes(file.read())
+            why = "it names the person in UTF-16: remove these lines yourself, or save it as UTF-8"
+            return Step(path, Action.LOOK, why) if is_named else None
         lines = lines_of(path, self._person)
         if not lines:
             return None
@@ -180,7 +228,7 @@ class _Looking:
         return Step(path, Action.REWRITE, "with other letters in place of the person's name")
 
     def _of_bag(self, path: Path) -> Step | None:
-        if self._is_theirs(path):
+        if self._person.owns_label and self._is_theirs(path):
             return Step(path, Action.DELETE, "a bag of this person's recording")
         try:
             own, others = _topics_of(path, self._person)
@@ -250,7 +298,7 @@ class Report:
 
 def carry_out(plan: Plan) -> Report:
     """Execute a plan file by file, and search the remaining files."""
-    person = Person(plan.person)
+    person = Person(plan.person, shares_label=plan.shares_label)
     done = [
         each for step in plan.steps if step.action is not Action.LOOK for each in _do(step, person)
     ]
@@ -374,7 +422,7 @@ def _is_named(path: Path, person: Person) -> bool:
         return recordings.is_named(path, person)
     if path.suffix in _BAGS:
         return any(
-            person.is_in(each.topic.name) or is_in_message(each.content, person)
+            person.is_in_name(each.topic.name) or is_in_message(each.content, person)
             for each in read_bag(path, lambda _: None)
         )
     if path.suffix.lower() in EDF:
@@ -408,6 +456,15 @@ def _is_bag(folder: Path) -> bool:
     return (folder / _METADATA).is_file()
 
 
+def _recorded_as(folder: Path) -> str:
+    """Return the participant of a folder of a data set; empty if its table does not tell."""
+    try:
+        rows = _rows_of(folder.parent / PARTICIPANTS)
+    except (OSError, ValueError):
+        return ""
+    return next((each.get(CALLED) or "" for each in rows if each.get(ID) == folder.name), "")
+
+
 def _topics_of(folder: Path, person: Person) -> tuple[list[str], int]:
     """Return a person's topics, and the number of other people's topics.
 
@@ -418,7 +475,7 @@ def _topics_of(folder: Path, person: Person) -> tuple[list[str], int]:
     """
     with Reader(folder) as reader:
         names = list(dict.fromkeys(each.topic for each in reader.connections))
-    own = [each for each in names if person.is_in(each)]
+    own = [each for each in names if person.is_in_name(each)]
     return own, len(names) - len(own)
 
 
@@ -431,13 +488,16 @@ def _write_bag_without(folder: Path, target: Path, person: Person) -> None:
         Any of the library's, if it cannot be read or written.
     """
     plugin = StoragePlugin.SQLITE3 if list(folder.glob("*.db3*")) else StoragePlugin.MCAP
-    made = target.with_name(f"{target.name}.made")
-    shutil.rmtree(made, ignore_errors=True)
+    # The library calls the file in it after the folder.
+    place = target.with_name(f"{target.name}.made")
+    made = place / folder.name
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
     try:
         with Reader(folder) as reader, Writer(made, version=9, storage_plugin=plugin) as writer:
             given: dict[int, Connection] = {}
             for each in reader.connections:
-                if person.is_in(each.topic):
+                if person.is_in_name(each.topic):
                     continue
                 qos = getattr(each.ext, "offered_qos_profiles", [])
                 given[each.id] = writer.add_connection(
@@ -453,4 +513,4 @@ def _write_bag_without(folder: Path, target: Path, person: Person) -> None:
                     writer.write(kept, unix_ns, content)
         made.rename(target)
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(place, ignore_errors=True)

@@ -211,6 +211,19 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "recorded.",
         "Leave these samples out; `xdf salvage` removes those at the end.",
     ),
+    "late-first": Explanation(
+        "The first samples came late",
+        "What a sensor had measured before the connection was ready came together, and was stamped "
+        "when it came; so the next stamps step back. Nothing is lost by that.",
+        "In EDF, Kubios, BIDS and features they have the times of a line through all stamps; in "
+        "CSV, leave the first seconds out.",
+    ),
+    "standstill": Explanation(
+        "Timestamps stand still",
+        "The sender's clock stopped while it went on sending, so it is only known that these "
+        "samples followed one another.",
+        "EDF, Kubios and BIDS take them as even; do not compare these seconds with other streams.",
+    ),
     "backwards": Explanation(
         "Time runs backwards",
         "The clock was set or the program was restarted, so samples may be duplicated or out "

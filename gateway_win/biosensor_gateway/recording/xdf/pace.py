@@ -8,6 +8,7 @@ where that line jumps forward permanently, by more than it moves elsewhere.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -68,6 +69,23 @@ class Hole:
 
 
 @dataclass(frozen=True, slots=True)
+class Standstill:
+    """Samples with one timestamp, or nearly, because the clock of their sender stood still.
+
+    Attributes
+    ----------
+    at, count
+        Index of the first of them, and their number.
+    stamp_s
+        Timestamp of the first.
+    """
+
+    at: int
+    count: int
+    stamp_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Pace:
     """How the timestamps of a stream deviate from a line over the sample number.
 
@@ -108,6 +126,11 @@ class Pace:
     """Number of samples needed to see the line."""
     furthest_back_s: float = 0.0
     """Largest of the odd steps back."""
+    late_first: int = 0
+    """Number of samples at the start that came late, so that the next ones step back."""
+    late_first_s: float = 0.0
+    """By how much they are later than the line, at most."""
+    standstills: tuple[Standstill, ...] = ()
 
     @property
     def odd_steps_back(self) -> int:
@@ -135,8 +158,8 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     is_stray = is_number & _stray(_filled(stamps, is_number), 1.0 / nominal_hz)
     stamps = _filled(stamps, is_number & ~is_stray)
     steps = np.diff(stamps)
-    turns = (np.flatnonzero(steps < -STEP_BACK_S) + 1).tolist()
     window, period_s = _window_and_period(stamps, steps, 1.0 / nominal_hz)
+    turns = _turns(stamps - period_s * np.arange(len(stamps)), steps, window, period_s)
     rests = _rests(stamps, turns, period_s)
     spread_s, moves_s = _spread(rests, window, period_s)
     falls = [
@@ -164,7 +187,10 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     lines = [_Line.through(stamps, *ends, period_s, window) for ends in pairwise(cuts)]
     usual_s = max(period_s, _UNUSUAL * spread_s)
     usual = -steps[(steps < 0) & (-steps <= usual_s)]
-    odd = -steps[steps < -usual_s]
+    odd_steps = (np.flatnonzero(steps < -usual_s) + 1).tolist()
+    late_first = max((at for at in odd_steps if at < min([window, *cuts[1:]])), default=0)
+    odd_steps = [at for at in odd_steps if at > late_first]
+    odd = -steps[np.array(odd_steps, np.int64) - 1]
     return Pace(
         _slope_s(lines, period_s),
         _burst(steps, period_s),
@@ -173,11 +199,13 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         float(usual.max()) if len(usual) else 0.0,
         tuple(holes),
         tuple(turns),
-        tuple((np.flatnonzero(steps < -usual_s) + 1).tolist()),
+        tuple(odd_steps),
         tuple(np.flatnonzero(is_stray).tolist()),
         bool(is_stray[-1]) and abs(float(given[-1]) - stamps[-1]) > NO_PAUSE_S,
         window,
         float(odd.max(initial=0.0)),
+        late_first,
+        float(np.max(stamps[:late_first] - lines[0].times(0, late_first, period_s), initial=0.0)),
     )
 
 
@@ -249,6 +277,9 @@ class Cuts:
         self.holes: list[Hole] = []
         self.stray: list[int] = []
         self._odd_steps: list[int] = []
+        self._standstills: list[Standstill] = []
+        # While the clock stands still: its timestamp, the last one in place of it, and the period.
+        self._standing: tuple[float, float, float] | None = None
         # By the number of the run.
         self._lines: dict[int, _Line] = {}
         self._blocks: list[Array] = []
@@ -259,13 +290,20 @@ class Cuts:
         """Sample period; nominal before there is a section."""
         return 1.0 / self._nominal_hz if self.pace is None else self.pace.period_s
 
+    def times(self, run: int, first: int, count: int) -> Array | None:
+        """Return the times on the line of a run, from its sample `first` on; None if unknown."""
+        line = self._lines.get(run)
+        begin = first + (self.numbers[run - 1] if run else 0)
+        return None if line is None else line.times(begin, count, self.period_s)
+
     def take(self, times: Array) -> None:
         """Add the times of the next samples, shape (n_samples,)."""
+        times = self._moved_on(times)
         self._blocks.append(times)
         self._held += len(times)
         if self._held >= self._section:
             # Near the end of a section too few samples follow to detect a jump, so half is kept.
-            section = np.concatenate(self._blocks)
+            section = self._moving(np.concatenate(self._blocks))
             self._look(section, len(section) - self._section // 4)
             kept = section[-self._section // 2 :].copy()
             self._begin += self._held - len(kept)
@@ -274,8 +312,32 @@ class Cuts:
     def end(self) -> None:
         """Analyse the remaining samples; none follow."""
         if self._held:
-            section = np.concatenate(self._blocks)
+            section = self._moving(np.concatenate(self._blocks))
             self._look(section, len(section))
+
+    def _moving(self, section: Array) -> Array:
+        """Return a section as if the clock had not stood still in it."""
+        section, period_s, found = _moving(section, 1.0 / self._nominal_hz)
+        self._standstills += [replace(each, at=self._begin + each.at) for each in found]
+        if found and found[-1].at + found[-1].count == len(section):
+            self._standing = found[-1].stamp_s, float(section[-1]), period_s
+        return section
+
+    def _moved_on(self, times: Array) -> Array:
+        """Return the next times; while the clock still stands, they go on as before."""
+        if self._standing is None:
+            return times
+        stamp_s, last_s, period_s = self._standing
+        is_moving = ~(np.abs(times - stamp_s) <= period_s)
+        count = int(np.argmax(is_moving)) if is_moving.any() else len(times)
+        filled: Array = last_s + period_s * np.arange(1, count + 1, dtype=np.float64)
+        last = self._standstills[-1]
+        self._standstills[-1] = replace(last, count=last.count + count)
+        if count < len(times):
+            self._standing = None
+        elif count:
+            self._standing = stamp_s, float(filled[-1]), period_s
+        return np.concatenate([filled, times[count:]])
 
     def _look(self, section: Array, settled: int) -> None:
         """Analyse a section, of which no later one tells more before index `settled`."""
@@ -291,6 +353,7 @@ class Cuts:
         last = self.stray[-1] if self.stray else -1
         self.stray += [each for at in pace.stray if (each := self._begin + at) > last]
         self._settle(section, pace, settled)
+        pace = replace(pace, standstills=tuple(self._standstills))
         self.pace = pace if not self._begin else self._joined(pace)
 
     def _settle(self, section: Array, pace: Pace, settled: int) -> None:
@@ -324,6 +387,9 @@ class Cuts:
             last.ends_astray,
             last.window,
             max(earlier.furthest_back_s, last.furthest_back_s),
+            earlier.late_first,
+            earlier.late_first_s,
+            last.standstills,
         )
 
 
@@ -356,6 +422,61 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
             if is_last and away_s > NO_PAUSE_S:
                 is_stray[at:] = True
     return is_stray
+
+
+def _moving(stamps: Array, nominal_s: float) -> tuple[Array, float, list[Standstill]]:
+    """Let timestamps go on by the period where the clock stood still.
+
+    A burst that comes at once is stamped late, after a step as long as itself. Where a clock stands
+    still, the first timestamp is right, and the step to the next one is long or never comes.
+    """
+    steps = np.diff(stamps)
+    middle_s = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
+    period_s = min(nominal_s, middle_s) if middle_s > 0 else nominal_s
+    is_same = np.concatenate([[False], np.abs(steps) <= _AT_ONCE * period_s, [False]])
+    begins = np.flatnonzero(~is_same[:-1] & is_same[1:])
+    ends = np.flatnonzero(is_same[:-1] & ~is_same[1:]) + 1
+    counts = ends - begins
+    usual = float(np.median(counts)) if len(counts) >= _FEW else 1.0
+    least = max(FEWEST, 3 * usual, STEP_BACK_S / period_s)
+    found: list[Standstill] = []
+    for place in np.flatnonzero(counts > least).tolist():
+        begin, end = int(begins[place]), int(ends[place])
+        length_s = (end - begin) * period_s
+        before_s = stamps[begin] - stamps[begin - 1] if begin else math.nan
+        behind_s = stamps[end] - stamps[begin] if end < len(stamps) else math.nan
+        # Without samples on both sides, nobody can tell.
+        if before_s < length_s / 2 or (not begin and abs(behind_s) >= length_s / 2):
+            found.append(Standstill(begin, end - begin, float(stamps[begin])))
+    if found:
+        stamps = stamps.copy()
+    for each in found:
+        end = each.at + each.count
+        whole_s = float(stamps[end]) - each.stamp_s if end < len(stamps) else math.nan
+        is_next = abs(whole_s / (each.count * period_s) - 1) < _NOMINAL_HOLDS
+        step_s = whole_s / each.count if is_next else period_s
+        stamps[each.at : end] = each.stamp_s + step_s * np.arange(each.count)
+    return stamps, period_s, found
+
+
+def _turns(rest: Array, steps: Array, window: int, period_s: float) -> list[int]:
+    """Find where timestamps step back far because of another clock, or of one that was set.
+
+    What came late is above the line, and what follows is on it. Before the first packet there is
+    no line: that it was late is believed if it is not much later than others are.
+    """
+    places = (np.flatnonzero(steps < -STEP_BACK_S) + 1).tolist()
+    if not places:
+        return []
+    latest_s = _UNUSUAL * _spread([rest], window, period_s)[0]
+    found: list[int] = []
+    for at in places:
+        begin = max(found[-1] if found else 0, at - window)
+        before_s, behind_s = float(rest[begin:at].min()), float(rest[at : at + window].min())
+        is_first = not found and at < window and -steps[at - 1] <= latest_s
+        if before_s - behind_s > STEP_BACK_S / 2 and not is_first:
+            found.append(at)
+    return found
 
 
 def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[int, float]:
@@ -539,6 +660,11 @@ class _Line:
         squares = float(number @ number)
         products = float(number @ (rest - rest_s)) + usual_s * squares
         return cls(len(number), begin + middle, rest_s + usual_s * middle, products, squares)
+
+    def times(self, first: int, count: int, period_s: float) -> Array:
+        """Return the times on it of so many samples, from index `first` on."""
+        number = np.arange(first, first + count, dtype=np.float64)
+        return self.stamp_s + period_s * (number - self.number)
 
     def joined(self, other: _Line) -> _Line:
         """Return the line through the timestamps of both."""

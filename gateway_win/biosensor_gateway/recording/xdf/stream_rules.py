@@ -10,6 +10,7 @@ from biosensor_common.quantities import ContentType, Unit
 from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
+from biosensor_gateway.recording.xdf.pace import Pace
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock, is_plausible
 
@@ -110,7 +111,7 @@ def _samples(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield Level.NOTE, "no-samples", "it has no samples"
 
 
-def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+def _stamps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     figures = measured.figures
     if figures.clock_error:
         yield Level.ERROR, "wrong-clock", figures.clock_error
@@ -121,8 +122,30 @@ def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
         stamps = "1 stamp is" if count == 1 else f"{count} stamps are"
         text = f"{stamps} far from those of the samples before and after"
         yield Level.ERROR, "stray-stamps", text
+    if figures.pace is not None:
+        yield from _late_or_still(figures.pace, measured, extent)
     if figures.backward_steps:
         yield _backwards(measured)
+
+
+def _late_or_still(pace: Pace, measured: Measured, extent: Extent) -> Iterator[Verdict]:
+    if pace.late_first:
+        samples = "sample is" if pace.late_first == 1 else f"{pace.late_first} samples are"
+        text = (
+            f"its first {samples} stamped up to {seconds_text(pace.late_first_s, 3)} late, as when "
+            "a sender begins, or samples are there twice"
+        )
+        yield Level.WARNING, "late-first", text
+    if pace.standstills:
+        count = sum(each.count for each in pace.standstills)
+        places = len(pace.standstills)
+        often = "" if places == 1 else f" in {places} places,"
+        at = extent.since_begin(pace.standstills[0].stamp_s, measured)
+        text = (
+            f"its timestamps stand still{often} from {at:.1f} s on, for {count} samples, which "
+            f"take {count * pace.period_s:.3g} s"
+        )
+        yield Level.ERROR, "standstill", text
 
 
 def _backwards(measured: Measured) -> Verdict:

@@ -56,11 +56,12 @@ from biosensor_gateway.recording.export.runs import (
     Runs,
     batches,
     gap_text,
+    on_line,
     section,
 )
 from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
 from biosensor_gateway.recording.export.timing import Timing, find_timing
-from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact
+from biosensor_gateway.recording.xdf.measuring import cuts_of
 from biosensor_gateway.recording.xdf.pace import Cuts
 
 _BY_ROLE = {
@@ -304,14 +305,12 @@ class SignalWriter:
         if kind is Kind.EMG and self._write_emg(stream, place):
             return True
         is_eeg = kind is Kind.EEG
-        runs = None
-        if self._times is Times.EVEN or (is_eeg and not is_exact(stream.header)):
-            runs = Runs(self._chosen, stream, Times.EVEN)
+        runs = on_line(self._chosen, stream, self._times, always=is_eeg)
         cuts = self._cuts_of(stream) if runs is None else runs.cuts
         if is_eeg and self._write_eeg(stream, place, cuts, runs):
             self._remark(stream, runs)
             return True
-        if runs is not None and self._times is not Times.EVEN:
+        if runs is not None and self._times is not Times.EVEN and not runs.is_uneven:
             runs, cuts = None, self._cuts_of(stream)
         return self._write_table(stream, place, cuts, runs)
 

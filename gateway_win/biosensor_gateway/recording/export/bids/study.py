@@ -25,8 +25,8 @@ from biosensor_gateway.recording.export.bids.file_names import NOTHING, line, wr
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
-_DESCRIPTION, _PARTICIPANTS = "dataset_description.json", "participants.tsv"
-_ID, _CALLED = "participant_id", "recorded_as"
+_DESCRIPTION, PARTICIPANTS = "dataset_description.json", "participants.tsv"
+ID, CALLED = "participant_id", "recorded_as"
 ADDED = Path("sourcedata") / "recordings.tsv"
 _ADDED_COLUMNS = ("recording", "sha256")
 _ZERO = "TimeZero"
@@ -137,15 +137,15 @@ class Study:
 
     def _require_people(self, made: Path, recording: Path) -> None:
         there = {
-            each.get(_ID, "").casefold(): each for each in _read_table(self._root / _PARTICIPANTS)
+            each.get(ID, "").casefold(): each for each in _read_table(self._root / PARTICIPANTS)
         }
-        for person in _read_table(made / _PARTICIPANTS):
-            known = there.get(person[_ID].casefold(), person)
-            called = known.get(_CALLED, "")
-            if known[_ID] != person[_ID] or called not in {person[_CALLED], NOTHING, ""}:
+        for person in _read_table(made / PARTICIPANTS):
+            known = there.get(person[ID].casefold(), person)
+            called = known.get(CALLED, "")
+            if known[ID] != person[ID] or called not in {person[CALLED], NOTHING, ""}:
                 message = (
-                    f"{recording}: {known[_ID]} is {called!r} in the data set and "
-                    f"{person[_CALLED]!r} in this recording; BIDS has no place for both"
+                    f"{recording}: {known[ID]} is {called!r} in the data set and "
+                    f"{person[CALLED]!r} in this recording; BIDS has no place for both"
                 )
                 raise RecordingError(RecordingReason.UNWRITABLE, message)
 
@@ -154,7 +154,7 @@ class Study:
         if not is_dataset(self._root):
             self._describe()
         # First, because the table of participants is what people have open.
-        self._add_people(_read_table(made / _PARTICIPANTS), made)
+        self._add_people(_read_table(made / PARTICIPANTS), made)
         files = list(_data_of(made))
         for file in files:
             place = self._root / file.relative_to(made)
@@ -178,13 +178,13 @@ class Study:
 
     def _add_people(self, people: Table, made: Path) -> None:
         """Add rows; columns and rows that the user added are kept."""
-        path = self._root / _PARTICIPANTS
+        path = self._root / PARTICIPANTS
         rows = _read_table(path)
-        columns = list(rows[0]) if rows else [_ID, _CALLED]
-        if _CALLED not in columns:
-            columns.append(_CALLED)
-        known = {each.get(_ID) for each in rows}
-        rows += [each for each in people if each[_ID] not in known]
+        columns = list(rows[0]) if rows else [ID, CALLED]
+        if CALLED not in columns:
+            columns.append(CALLED)
+        known = {each.get(ID) for each in rows}
+        rows += [each for each in people if each[ID] not in known]
         text = line(columns) + "".join(
             line([each.get(column) or NOTHING for column in columns]) for each in rows
         )

@@ -35,7 +35,14 @@ from biosensor_gateway.recording.export.marker_events import (
     markers,
 )
 from biosensor_gateway.recording.export.readme import write_readme
-from biosensor_gateway.recording.export.runs import BAD_GAP, Runs, batches, gap_text, has_even_times
+from biosensor_gateway.recording.export.runs import (
+    BAD_GAP,
+    Runs,
+    batches,
+    gap_text,
+    has_even_times,
+    on_line,
+)
 from biosensor_gateway.recording.export.tables import (
     MARKERS,
     file_names,
@@ -354,7 +361,7 @@ def _member(
     chosen: Chosen, options: ExportOptions, stream: Stream, notes: list[str]
 ) -> _Member | None:
     """Return a stream's part of a table; None, with a note, if it cannot be in one."""
-    runs = Runs(chosen, stream, options.times) if has_even_times(stream, options.times) else None
+    runs = on_line(chosen, stream, options.times)
     if runs is None:
         cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
     else:
